@@ -22,7 +22,7 @@ from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
-from airgs_codec.trainer.fit.given import fit_common, follow, is_noise, missing
+from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
 from airgs_codec.trainer.fit.losses import ExposureModel, mean_psnr, mean_ssim, static_shares
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
@@ -30,7 +30,6 @@ from airgs_codec.trainer.fit.usage import group_usage
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.trainer.settings import TrainSettings
 
-KNOWN_DB = 28.0  # that a frame behind a given one must have, to tell what they share
 WINDOW = 12  # frames that tell it
 SHARES = 3  # one view in so many of each of them does
 
@@ -235,15 +234,10 @@ def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progres
     trainer, before = capture.trainer, at.before
     if capture.scene.given is not None:
         g = follow(trainer, before, capture.given(target.frame), target)
-        if _known(trainer, g, target.views):
+        if is_known(trainer, g, target.views):
             return g
         before = FrameBefore(g, None)
     return trainer.fit_frame(target, before, at.group, progress)
-
-
-def _known(trainer: Trainer, g: Gaussians, views: Sequence[View]) -> bool:
-    """Whether Gaussians that followed a frame show it, but for its noise."""
-    return mean_psnr(g, views, trainer.renderer) >= KNOWN_DB and is_noise(trainer, g, views)
 
 
 def _new_key(
@@ -278,7 +272,7 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
         seen = capture.views(frame)
         target = FrameViews(frame, seen)
         moved = follow(trainer, at.before, capture.given(frame), target)
-        if not _known(trainer, moved, target.views[::2]):
+        if not is_known(trainer, moved, target.views[::2]):
             moved = trainer.fit_frame(target, FrameBefore(moved, None), at.group, progress)
         psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
         if psnr < max(floor, KNOWN_DB):

@@ -50,6 +50,7 @@ class Holds:
     rounding: str = ""  # what is rounded to how many bits
     keeps_rows: bool = True  # whether row n is the same Gaussian in all frames
     keeps_count: bool = False  # whether all frames have the same number of rows
+    sound: bool = False
     ranges: tuple[tuple[str, float, float], ...] = ()  # an attribute of Gaussians, its least and largest value
 
 
@@ -106,7 +107,7 @@ class ClipFormat(Format):
     """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
 
     open: Callable[[Path, Bake], Clip]
-    write: Callable[[Path, Iterable[Gaussians], float], None] = refuse_writing  # of frames, so many a second
+    write: Callable[..., None] = refuse_writing  # path, frames, how many a second; `sound`, where it holds any
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:

@@ -226,9 +226,16 @@ def _text_blocks(path: Path, header: Header, element: Element) -> Iterator[NDArr
             yield np.loadtxt(taken, row, comments=None, ndmin=1)
 
 
-def write_floats(file: BinaryIO, names: Sequence[str], blocks: Iterator[NDArray[np.float32]], count: int) -> None:
+def write_floats(
+    file: BinaryIO,
+    names: Sequence[str],
+    blocks: Iterator[NDArray[np.float32]],
+    count: int,
+    comments: Sequence[str] = (),
+) -> None:
     """Write one element `vertex` of `count` rows, float properties, binary little-endian; blocks are (n, P)."""
-    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
+    lines += [f"element vertex {count}"]
     lines += [*(f"property float {name}" for name in names), "end_header", ""]
     file.write("\n".join(lines).encode())
     for block in blocks:

@@ -1,7 +1,4 @@
-"""Gaussians that move by themselves, and three files of them: every one moves, may turn, and appears and fades.
-
-At the normalised time t of [0, 1], with d = t - centre, the mean is mean + motion_1 d + ... + motion_P d^P, the
-quaternion is quaternion + turn d, and alpha is alpha exp(-(d / width)^2). Sizes and colours stay. N Gaussians.
+"""Two files of Gaussians that move by themselves (`moving`), turn, appear and fade. N Gaussians.
 
 Spacetime Gaussians, the lite model (Li et al., CVPR 2024, equations 5 to 8) have P = 3 and plain RGB without SH. Their
 .ply has INRIA's properties with motion, turns and temporal widths, and is told from INRIA's by trbf_center. f_dc_0 to 2
@@ -12,10 +9,6 @@ splaTV's .splatv, 64 bytes a row, is read from the format's description by splaT
 length of a JSON header, both 32 bits little-endian; the header, a list whose chunk of type "splat" has the size of a
 texture of 16 bytes a texel; then rows. Means are float32, colour and alpha bytes, all else float16; sizes and temporal
 widths are stored as they are, without logarithm.
-
-FTGS .ply, version 1 (FORMAT.md of OpsiClear-4DGS/ftgs-player), is FreeTimeGS: P = 1, SH, no turns. log_duration is the
-logarithm of a standard deviation, which a comment of the header bounds, as one does alpha from below; frame i of F is
-at i / (F - 1), and the frame rate is the player's choice.
 """
 
 from __future__ import annotations
@@ -23,24 +16,22 @@ from __future__ import annotations
 import functools
 import json
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS
-from airgs_codec.scene.files import expecting, reading
-from airgs_codec.scene.formats.form import MOST_FRAMES, Bake, Clip, ClipFormat, FrameHeader, count_frames, rate_words
+from airgs_codec.scene.files import expecting
+from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, count_frames
+from airgs_codec.scene.formats.moving import Load, Moving, baked_note, moving_clip
 from airgs_codec.scene.formats.ply_elements import Header, read_columns, read_header
-from airgs_codec.scene.gaussians import SH_C0, SH_REST, Floats, Gaussians, logits_of, logs_of, sigmoid
+from airgs_codec.scene.gaussians import SH_C0, Floats, Gaussians, logs_of, sigmoid
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
-_CACHED = 2  # models of a process
 
 _SIGN = "trbf_center"
 _GROUPS = (
@@ -55,25 +46,6 @@ _GROUPS = (
     ("trbf_scale",),
 )
 _NETWORK = ("f_t_0", "f_dc_3")
-
-FTGS_FRAMES = 300  # of a file that does not say it
-_FTGS_SIGN = "log_duration"
-_FTGS = (
-    ("x", "y", "z"),
-    tuple(f"rot_{i}" for i in range(4)),
-    tuple(f"scale_{i}" for i in range(3)),
-    ("opacity",),
-    tuple(f"f_dc_{i}" for i in range(3)),
-    ("time",),
-    (_FTGS_SIGN,),
-    tuple(f"velocity_{i}" for i in range(3)),
-)
-_FTGS_RANGES = {  # of what the comments must say: least, most, whether it is a whole number
-    "sh_degree": (0, 3, True),
-    "use_velocity": (0, 1, True),
-    "min_duration": (float(np.finfo(np.float32).tiny), float(np.finfo(np.float32).max), False),
-    "opacity_floor": (0, float(np.nextafter(np.float32(1), np.float32(0))), False),
-}
 
 _MAGIC = 0x674B
 _HEAD = struct.Struct("<II")  # magic, length of the JSON
@@ -94,71 +66,12 @@ ROW = np.dtype(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Moving:
-    """A model of N Gaussians, all float32."""
-
-    rest: Gaussians  # as at d = 0, whatever its opacities
-    motion: NDArray[np.float32]  # (N, P, 3) of powers 1 to P of d, then axes
-    alpha: NDArray[np.float32]  # (N,) of [0, 1]
-    centres: NDArray[np.float32]  # (N,) normalised time
-    widths: NDArray[np.float32]  # (N,) normalised time
-    turns: NDArray[np.float32] | None = None  # (N, 4) of the quaternion
-    least_alpha: float = 0.0
-
-    def at(self, t: float) -> Gaussians:
-        """The frame at normalised time t. Rows keep their order; what is not finite stays so."""
-        d = (np.float32(t) - self.centres)[:, None]
-        shift = np.zeros_like(self.rest.means)
-        with np.errstate(all="ignore"):
-            for power in range(self.motion.shape[1])[::-1]:
-                shift = d * (self.motion[:, power] + shift)
-            alpha = np.maximum(self.alpha * np.exp(-np.square(d[:, 0] / self.widths)), np.float32(self.least_alpha))
-            quaternions = self.rest.quaternions if self.turns is None else self.rest.quaternions + d * self.turns
-            means = self.rest.means + shift
-        return replace(self.rest, means=means, quaternions=quaternions, opacity_logits=logits_of(alpha))
-
-
-Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
-
-
-def moving_clip(load: Load, path: Path, frames: int, fps: Fraction, intervals: int) -> Clip:
-    """A model as frames, number i of them at t = i / intervals; the note is to be written. Raises SceneError."""
-    rest = _model(load, path).rest
-    header = FrameHeader(len(rest), rest.sh_degree)
-    return Clip((header,) * frames, fps, functools.partial(_frame, load, intervals), "")
-
-
-def baked_note(name: str, clip: Clip, seconds: Fraction, stated: bool) -> str:
-    """What was read, and how it became frames."""
-    count, frames = clip.headers[0].count, len(clip.headers)
-    default = "" if stated else " by default, no length is stated"
-    return (
-        f"{name}, {count} Gaussians baked to {frames} frames at {rate_words(clip.fps)}: {float(seconds):.4g} s{default}"
-    )
-
-
 def _open(load: Load, name: str, path: Path, bake: Bake) -> Clip:
     """A model baked to frames, frame i of F at t = i / F. Raises SceneError."""
     fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
     frames = count_frames(path, fps, seconds)
     clip = moving_clip(load, path, frames, fps, frames)
     return replace(clip, note=baked_note(name, clip, seconds, bake.seconds is not None))
-
-
-def _frame(load: Load, intervals: int, path: Path, frame: int) -> Gaussians:
-    return _model(load, path).at(frame / intervals)
-
-
-def _model(load: Load, path: Path) -> Moving:
-    """The model of a file as it is now."""
-    with reading(path):
-        return _cached(load, path, path.stat().st_mtime_ns)
-
-
-@functools.lru_cache(maxsize=_CACHED)
-def _cached(load: Load, path: Path, _written: int) -> Moving:
-    return load(path)
 
 
 def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Floats) -> Gaussians:
@@ -234,67 +147,6 @@ def _positive(value: Any) -> int:
     return value
 
 
-def is_ftgs(header: Header) -> bool:
-    """Return whether a .ply is of FreeTimeGS."""
-    vertex = header.element("vertex")
-    return vertex is not None and any(p.name == _FTGS_SIGN for p in vertex.properties)
-
-
-def open_ftgs(path: Path, bake: Bake) -> Clip:
-    """A model baked to frames, as many as its header says at 30 a second unless others are asked for.
-
-    Raises SceneError.
-    """
-    settings = _ftgs_settings(path, read_header(path))
-    stated = settings.get("n_frames")
-    if stated is not None and not (stated.is_integer() and 1 <= stated <= MOST_FRAMES):
-        raise SceneError(f"{path}: expected n_frames of 1 to {MOST_FRAMES}, got {stated:g}")
-    length = Fraction(FTGS_FRAMES if stated is None else int(stated)) / DEFAULT_FPS
-    fps, seconds = bake.fps or DEFAULT_FPS, length if bake.seconds is None else bake.seconds
-    frames = count_frames(path, fps, seconds)
-    clip = moving_clip(read_ftgs, path, frames, fps, max(1, frames - 1))
-    return replace(clip, note=baked_note("FTGS .ply", clip, seconds, stated is not None or bake.seconds is not None))
-
-
-def read_ftgs(path: Path) -> Moving:
-    """The model of a file. Raises SceneError."""
-    header = read_header(path)
-    settings = _ftgs_settings(path, header)
-    vertex = header.element("vertex")
-    if vertex is None or not vertex.count or header.ascii:
-        raise SceneError(f"{path}: expected FTGS, binary rows of at least one Gaussian, got none")
-    rest = SH_REST[int(settings["sh_degree"])]
-    groups = (*_FTGS, tuple(f"f_rest_{i}" for i in range(3 * rest)))
-    names = {p.name for p in vertex.properties}
-    if missing := [name for group in groups for name in group if name not in names]:
-        raise SceneError(f"{path}: expected the properties of FTGS, missing {', '.join(missing)}")
-    means, quaternions, log_scales, logits, dc, centres, log_widths, velocity, sh = read_columns(
-        path, header, vertex, groups
-    )
-    harmonics = np.ascontiguousarray(sh.reshape(len(means), 3, rest).transpose(0, 2, 1))
-    with np.errstate(over="ignore"):
-        deviations = np.maximum(np.exp(log_widths[:, 0]), np.float32(settings["min_duration"]))
-    motion = velocity[:, None] * np.float32(settings["use_velocity"])
-    still = Gaussians(means, quaternions, log_scales, logits[:, 0], dc, harmonics)
-    alpha, widths = sigmoid(logits[:, 0]), deviations * np.float32(np.sqrt(2))
-    return Moving(still, motion, alpha, centres[:, 0], widths, least_alpha=settings["opacity_floor"])
-
-
-def _ftgs_settings(path: Path, header: Header) -> dict[str, float]:
-    """The numbers in the comments of a header. Raises SceneError for one that is missing or out of its range."""
-    words = dict(line.split(maxsplit=1) for line in header.comments if len(line.split()) > 1)
-    with expecting(path, "FTGS of version 1 in normalized time"):
-        if words.get("ftgs_version") != "1" or words.get("time_units") != "normalized":
-            got = f"{words.get('ftgs_version')} in {words.get('time_units')} time"
-            raise SceneError(f"{path}: expected FTGS of version 1 in normalized time, got {got[:80]}")
-        found = {name: float(words[name]) for name in _FTGS_RANGES}
-        found |= {"n_frames": float(words["n_frames"])} if "n_frames" in words else {}
-    for name, (low, high, whole) in _FTGS_RANGES.items():
-        if not low <= found[name] <= high or (whole and not found[name].is_integer()):
-            raise SceneError(f"{path}: expected {name} from {low:g} to {high:g}, got {words[name][:40]}")
-    return found
-
-
 SPACETIME_PLY = ClipFormat(
     name="Spacetime Gaussians .ply",
     key="spacetime.ply",
@@ -305,4 +157,3 @@ SPACETIME_PLY = ClipFormat(
 SPLATV = ClipFormat(
     name=".splatv", key="splatv", suffixes=(".splatv",), open=functools.partial(_open, read_splatv, ".splatv")
 )
-FTGS = ClipFormat(name="FTGS .ply", key="ftgs.ply", suffixes=(".ply",), fits=is_ftgs, open=open_ftgs)

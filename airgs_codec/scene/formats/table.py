@@ -16,11 +16,12 @@ from airgs_codec.scene.files import reading
 from airgs_codec.scene.formats.compressed_ply import COMPRESSED
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.fourdgs import FOUR_DGS
+from airgs_codec.scene.formats.ftgs import FTGS
 from airgs_codec.scene.formats.gltf import GLTF
 from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.ply_elements import read_header
 from airgs_codec.scene.formats.sog import META_NAME, SOG, is_sog_folder
-from airgs_codec.scene.formats.spacetime import FTGS, SPACETIME_PLY, SPLATV
+from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
 from airgs_codec.scene.formats.splat import SPLAT
 from airgs_codec.scene.formats.splat4d import SPLAT4D
 from airgs_codec.scene.formats.spz import SPZ

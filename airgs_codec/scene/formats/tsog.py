@@ -11,17 +11,15 @@ import functools
 import json
 import math
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.errors import SceneError
-from airgs_codec.media.image import encode_webp, to_floats
+from airgs_codec.media.image import to_floats
 from airgs_codec.scene.beside import DEFAULT_FPS, frame_rate
 from airgs_codec.scene.files import expecting, reading
 from airgs_codec.scene.formats.form import (
@@ -35,6 +33,8 @@ from airgs_codec.scene.formats.form import (
     rate_words,
     refuse_baking,
 )
+from airgs_codec.scene.formats.ftgs import FRAMES
+from airgs_codec.scene.formats.moving import Moving, baked_note, moving_clip
 from airgs_codec.scene.formats.sog import (
     LABELS_A_LINE,
     META_NAME,
@@ -47,16 +47,12 @@ from airgs_codec.scene.formats.sog import (
     unpack,
     wide,
 )
-from airgs_codec.scene.formats.spacetime import FTGS_FRAMES, Moving, baked_note, moving_clip
-from airgs_codec.scene.formats.tsog_meta import MOST_DISCRETE, PROFILE, VERSION, check_meta, image_names
-from airgs_codec.scene.gaussians import SATURATED_LOGIT, SH_REST, Gaussians, join_rows
+from airgs_codec.scene.formats.tsog_meta import LAST_CODE, VERSION, check_meta, image_names
+from airgs_codec.scene.formats.tsog_write import write_tsog
+from airgs_codec.scene.gaussians import SATURATED_LOGIT, SH_REST, Gaussians
 
 _MOST_SOUND = 1 << 27  # bytes
 _CACHED = 2  # files of a process
-_LEVELS = 256  # of a codebook
-_ROUNDS = 12  # of fitting a codebook
-_PALETTE = 1 << 16  # entries
-_LONGEST = 65535  # codes of 16 bits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +90,7 @@ def _open_continuous(path: Path, kind: int | None, rates: tuple[Fraction, Fracti
         frames = 1 if seconds is None else count_frames(path, fps, seconds)
         length, last = (seconds or 1 / fps), frames
     else:
-        length = seconds if seconds is not None else (FTGS_FRAMES - 1) / rate
+        length = seconds if seconds is not None else (FRAMES - 1) / rate
         count_frames(path, fps, length)  # which refuses what has no end
         frames = max(2, math.floor(length * fps + Fraction(1, 2)) + 1)
         last = frames - 1
@@ -154,11 +150,11 @@ def _read_moving(path: Path) -> Moving:
     motion = np.zeros((count, 0, 3), np.float32)
     if "timeline" not in meta:
         return Moving(rows, motion, rows.opacities(), np.zeros(count, np.float32), np.full(count, np.inf, np.float32))
-    centres, deviations = between(meta["timeline"], _codes(meta["timeline"], pixels, count)[:, :2], _LONGEST).T
+    centres, deviations = between(meta["timeline"], _codes(meta["timeline"], pixels, count)[:, :2], LAST_CODE).T
     if "temporal" in meta:
         part = meta["temporal"]["means"]
         codes = _codes(part, pixels, count)[:, :3]
-        motion = between(part, codes, _LONGEST if len(part["files"]) == 2 else 255).astype(np.float32)[:, None]
+        motion = between(part, codes, LAST_CODE if len(part["files"]) == 2 else 255).astype(np.float32)[:, None]
     alpha = to_floats(pixels[meta["sh0"]["files"][0]][:count, 3])
     widths = (deviations * math.sqrt(2)).astype(np.float32)
     return Moving(rows, motion, alpha, centres.astype(np.float32), widths)
@@ -216,113 +212,6 @@ def _read_sound(name: str, path: Path) -> bytes:
         return archive.read(entry)
 
 
-def write_tsog(path: Path, frames: Iterable[Gaussians], fps: float) -> None:
-    """Write a discrete file of frames of unit quaternions and one SH degree; all rows are in memory at once.
-
-    Raises SceneError for more frames than the timeline can number.
-    """
-    parts = list(frames)
-    if len(parts) > MOST_DISCRETE:
-        raise SceneError(f"{path}: expected at most {MOST_DISCRETE} frames, got {len(parts)}")
-    g = join_rows(parts)
-    step = (1 << 16) // len(parts)
-    numbers = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    meta: dict[str, Any] = {"version": VERSION, "profile": PROFILE, "count": len(g), "playback": {"fps": fps}}
-    pixels: dict[str, Pixels] = {}
-    meta["timeline"] = {"type": 0, "N": len(parts), "delta": step, "files": ["timeline_l.webp", "timeline_u.webp"]}
-    codes = (numbers * step + step // 2)[:, None]
-    pixels["timeline_l.webp"], pixels["timeline_u.webp"] = _opaque(codes % 256), _opaque(codes // 256)
-    logs = np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64)))
-    low, high = logs.min(axis=0), logs.max(axis=0)
-    codes = np.rint((logs - low) / np.where(high > low, high - low, 1) * _LONGEST).astype(np.int64)
-    meta["means"] = {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]}
-    pixels["means_l.webp"], pixels["means_u.webp"] = _opaque(codes % 256), _opaque(codes // 256)
-    for part, values, alpha in (("scales", g.log_scales, None), ("sh0", g.sh_dc, g.opacities())):
-        book, codes = _codebook(values)
-        meta[part] = {"codebook": book, "files": [f"{part}.webp"]}
-        pixels[f"{part}.webp"] = _opaque(codes, None if alpha is None else np.rint(alpha * 255))
-    meta["quats"], pixels["quats.webp"] = {"files": ["quats.webp"]}, _rotation_pixels(g.quaternions)
-    if g.sh_degree:
-        palette, labels = _palette(g.sh_rest.reshape(len(g), -1))
-        book, codes = _codebook(palette)
-        names = ["shN_centroids.webp", "shN_labels.webp"]
-        meta["shN"] = {"bands": g.sh_degree, "count": len(palette), "codebook": book, "files": names}
-        pixels[names[0]], pixels[names[1]] = _opaque(codes.reshape(-1, 3)), _opaque(_bytes_of(labels))
-    _write_archive(path, meta, pixels, len(g))
-
-
-def _write_archive(path: Path, meta: Meta, pixels: Mapping[str, Pixels], count: int) -> None:
-    width = math.ceil(math.sqrt(count))
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(META_NAME), json.dumps(meta))
-        for name, samples in pixels.items():
-            across = LABELS_A_LINE * SH_REST[meta["shN"]["bands"]] if name == "shN_centroids.webp" else width
-            lines = math.ceil((len(samples) if name == "shN_centroids.webp" else count) / across)
-            padded = np.zeros((lines * across, 4), np.uint8)
-            padded[:, 3] = 255
-            padded[: len(samples)] = samples
-            archive.writestr(zipfile.ZipInfo(name), encode_webp(padded.reshape(lines, across, 4)))
-
-
-def _opaque(codes: NDArray[Any], alpha: NDArray[Any] | None = None) -> Pixels:
-    """(N, C) bytes of up to three channels as pixels."""
-    pixels = np.zeros((len(codes), 4), np.uint8)
-    pixels[:, : codes.shape[1]] = codes
-    pixels[:, 3] = 255 if alpha is None else alpha
-    return pixels
-
-
-def _bytes_of(codes: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.stack([codes % 256, codes // 256], axis=1)
-
-
-def _rotation_pixels(quaternions: NDArray[np.float32]) -> Pixels:
-    """(N, 4) unit quaternions without their largest component, which is made positive."""
-    largest = np.abs(quaternions).argmax(axis=1)
-    turned = quaternions * np.sign(np.take_along_axis(quaternions, largest[:, None], axis=1))
-    places = np.arange(3) + (np.arange(3) >= largest[:, None])
-    kept = np.take_along_axis(turned, places, axis=1) * np.sqrt(2)
-    return _opaque(np.rint(np.clip((kept + 1) / 2, 0, 1) * 255), 252 + largest)
-
-
-def _codebook(values: NDArray[np.float32]) -> tuple[list[float], NDArray[np.int64]]:
-    """At most 256 levels, and the nearest of each value: Lloyd's iterations from quantiles and even steps."""
-    flat = values.astype(np.float64).ravel()
-    levels = np.unique(flat)
-    if len(levels) > _LEVELS:
-        half = _LEVELS // 2
-        levels = np.unique(
-            [*np.quantile(flat, (np.arange(half) + 0.5) / half), *np.linspace(levels[0], levels[-1], half)]
-        )
-        for _ in range(_ROUNDS):
-            codes = np.searchsorted((levels[1:] + levels[:-1]) / 2, flat)
-            counts = np.bincount(codes, minlength=len(levels))
-            sums = np.bincount(codes, flat, len(levels))
-            levels = sums[counts > 0] / counts[counts > 0]
-    codes = np.searchsorted((levels[1:] + levels[:-1]) / 2, flat)
-    return levels.tolist(), codes.reshape(values.shape)
-
-
-def _palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """(P, D) means of at most 65536 cells of (N, D) rows, and the cell of each row.
-
-    All cells are halved again and again, each at its mean along the axis on which it spreads most.
-    """
-    labels = np.zeros(len(rows), np.int64)
-    while True:
-        cells = int(labels.max()) + 1
-        counts = np.bincount(labels)
-        means = np.stack([np.bincount(labels, column) / counts for column in rows.T], axis=1)
-        apart = rows - means[labels]
-        spread = np.stack([np.bincount(labels, np.square(column)) for column in apart.T], axis=1)
-        axis = spread.argmax(axis=1)
-        upper = np.take_along_axis(apart, axis[labels][:, None], axis=1)[:, 0] > 0
-        split = np.unique(2 * labels + upper, return_inverse=True)[1]
-        if split.max() + 1 == cells or split.max() >= _PALETTE:
-            return means.astype(np.float32), labels
-        labels = split
-
-
 TSOG = ClipFormat(
     name=".tsog",
     key="tsog",
@@ -331,5 +220,6 @@ TSOG = ClipFormat(
     write=write_tsog,
     holds=Holds(
         rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
+        sound=True,
     ),
 )

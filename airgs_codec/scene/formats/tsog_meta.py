@@ -14,6 +14,7 @@ from airgs_codec.scene.formats.sog import META_NAME, Meta
 VERSION = 4
 PROFILE = {"id": "org.opsiclear.tsog-playback", "version": 1}
 MOST_DISCRETE = 1 << 16  # frames
+LAST_CODE = 65535  # of 16 bits
 _FLOAT32 = float(np.finfo(np.float32).max)
 _SAFE = 2**53 - 1
 _SOUNDS = {"mp3", "m4a", "aac", "ogg", "oga", "opus", "wav", "flac", "webm"}  # endings whose kind is known

@@ -11,7 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._arguments import argument, path_argument
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, write_settings
 from airgs_codec.scene.camera import BLACK, Background
@@ -82,9 +82,9 @@ def _check(place: str, target: Target, frames: int) -> None:
 
 
 def write_frames(
-    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK
+    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK, sound: bytes = b""
 ) -> list[str]:
-    """Write numbered frames, so many a second; returns what the format lost of them, a line for each kind.
+    """Write numbered frames, so many a second, with a sound in MP4; returns what is lost of them, a line for each kind.
 
     A folder of frames without a sequence.json gets one, with the frame rate and the background.
 
@@ -95,7 +95,11 @@ def write_frames(
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
         if isinstance(target.form, ClipFormat):
-            target.form.write(temporary, (g for _, g in fitted), float(fps))
+            heard = {"sound": sound} if target.form.holds.sound else {}
+            try:
+                target.form.write(temporary, (g for _, g in fitted), float(fps), **heard)
+            except SceneError as error:  # of a name that nobody has given
+                raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
         elif target.folder and target.form is not SOG_FOLDER:
             for number, gaussians in fitted:
                 target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
@@ -103,7 +107,7 @@ def write_frames(
                 write_settings(temporary, fps, background=background)
         else:
             target.form.write(temporary, *(g for _, g in fitted))
-    return losses.lines()
+    return losses.lines() + [f"{target.form.name} has no sound"] * (bool(sound) and not target.form.holds.sound)
 
 
 def write(gaussians: Gaussians, path: str | Path) -> list[str]:

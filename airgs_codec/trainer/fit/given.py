@@ -13,6 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.flow import carry, unmatched
+from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import Progress
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.trainer.data.pictures import View
@@ -25,6 +26,7 @@ from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
 from airgs_codec.trainer.fit.variables import PerGaussian, Rates
 
 COMMON_RATES = Rates(factor=3.0, means=0.3, last=0.1, means_last=0.1)  # what is given is nearly right
+KNOWN_DB = 28.0  # that Gaussians must have which followed a frame
 SPREAD_DB = 16.0  # of the mean of squared errors above half of them: noise had 11, motion that was lost 21 to 23
 FAINT = 0.01  # of a colour, by which a pixel differs from the background where something is seen
 CONJUGATE = torch.tensor([1.0, -1.0, -1.0, -1.0])
@@ -40,18 +42,22 @@ def follow(trainer: Trainer, before: FrameBefore, given: Gaussians, target: Fram
     return better(g, moved, views[::2], trainer.renderer)
 
 
-def is_noise(trainer: Trainer, g: Gaussians, views: Sequence[View]) -> bool:
-    """Whether what pictures of `g` lack of views is spread over all that is seen, as noise of what is given is.
+def is_known(trainer: Trainer, g: Gaussians, views: Sequence[View]) -> bool:
+    """Whether Gaussians that followed a frame show it, but for the noise of what is given.
 
-    What was not followed is in few places: there the mean of squared errors is far above their median.
+    Noise is spread over all that is seen. What was not followed is in few places: there the mean of squared errors is
+    far above their median.
     """
-    loaded, errors = trainer.renderer.load(g), []
+    loaded, errors, shown = trainer.renderer.load(g), [], []
     for view in views:
         drawn, target, behind = loaded.draw(view.camera).rgb, view.target.rgb, view.camera.background
         seen = (np.abs(np.stack([drawn, target]) - np.asarray(behind, np.float32)) > FAINT).any(axis=(0, 3))
-        errors.append(((drawn - target)[seen] ** 2).mean(axis=1))
+        error = ((np.clip(drawn, 0, 1) - target) ** 2).mean(axis=2)
+        shown.append(psnr(float(error.mean())))
+        errors.append(error[seen])
     found = np.concatenate(errors)
-    return not len(found) or float(found.mean()) <= 10 ** (SPREAD_DB / 10) * float(np.median(found))
+    spread = not len(found) or float(found.mean()) <= 10 ** (SPREAD_DB / 10) * float(np.median(found))
+    return spread and float(np.mean(shown)) >= KNOWN_DB
 
 
 def missing(trainer: Trainer, g: Gaussians, given: Gaussians, target: FrameViews) -> NDArray[np.intp]:

@@ -17,10 +17,14 @@ import airgs_codec as airgs
 from airgs_codec.cli import decode, encode
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import encode_webp
+from airgs_codec.media.sound import decode_sound, encode_sound
 from airgs_codec.scene.formats.form import Losses
+from airgs_codec.scene.formats.ftgs import FTGS
+from airgs_codec.scene.formats.moving import Moving
 from airgs_codec.scene.formats.tsog import TSOG
 from airgs_codec.scene.gaussians import sigmoid
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.chirps import moment, write_chirping
 from tests.support.clip_files import discrete, tone, tsog_bytes, write_ftgs
 from tests.support.paths import GOLDEN
 from tests.support.scenes import random_gaussians
@@ -189,7 +193,7 @@ def test_frames_are_written_discretely_and_come_back_within_a_step(tmp_path, deg
 
 
 def test_a_palette_of_more_rows_than_it_holds_keeps_the_nearest(tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.scene.formats.tsog._PALETTE", 64)
+    monkeypatch.setattr("airgs_codec.scene.formats.tsog_write._PALETTE", 64)
     clusters = np.repeat(random_gaussians(32, 1).sh_rest, 100, axis=0)
     g = replace(random_gaussians(3200, 1), sh_rest=clusters + np.float32(1e-3) * random_gaussians(3200, 1).sh_rest)
     TSOG.write(tmp_path / "a.tsog", [Losses(TSOG.holds, "").fit(g, "a")], FPS)
@@ -203,6 +207,57 @@ def test_a_decoded_package_is_written_as_tsog_by_its_name(tmp_path):
     back, package = open_sequence(tmp_path / "b.tsog"), airgs.open_package(GOLDEN / "fox")
     assert (len(back), back.fps) == (3, package.manifest.fps)
     np.testing.assert_allclose(back.read(2).means, airgs.decode(package, 2).means, atol=1e-3)
+
+
+def drifting(frames, degree=1):
+    """Rows that move evenly, of which some appear and fade and others stay; what they are at 0 and do until 1."""
+    rng, g = np.random.default_rng(3), random_gaussians(200, degree)
+    g = replace(g, opacity_logits=rng.uniform(-1, 4, 200).astype(np.float32))
+    speed = rng.normal(size=(200, 3)).astype(np.float32)
+    centres, widths = rng.uniform(0, 1, 200).astype(np.float32), rng.uniform(0.2, 1, 200).astype(np.float32)
+    widths[::2] = 100.0
+    moving = Moving(
+        replace(g, means=g.means + speed * centres[:, None]), speed[:, None], g.opacities(), centres, widths
+    )
+    losses = Losses(FTGS.holds, FTGS.name)
+    return [losses.fit(moving.at(t), "a frame") for t in np.linspace(0, 1, frames)]
+
+
+@pytest.mark.parametrize(
+    ("name", "form", "place", "alpha"), [("a.tsog", TSOG, 2e-4, 0.004), ("a.ply", FTGS, 1e-4, 0.002)]
+)
+@pytest.mark.parametrize("frames", [2, 3, 12])
+def test_what_moves_evenly_is_written_once_and_comes_back(tmp_path, name, form, place, alpha, frames):
+    given = drifting(frames)
+    form.write(tmp_path / name, given, FPS)
+    sequence = open_sequence(tmp_path / name)
+    assert len(sequence) == frames and "200 Gaussians baked" in sequence.clip.note
+    for i, g in enumerate(given):
+        back = sequence.read(i)
+        seen = g.opacities() > 1 / 255
+        assert np.abs(back.opacities() - g.opacities()).max() <= alpha
+        np.testing.assert_allclose(back.means[seen], g.means[seen], atol=place)
+
+
+def test_what_does_not_move_evenly_is_refused_by_ftgs_and_discrete_in_tsog(tmp_path):
+    frames = [random_gaussians(50, 1, seed=seed) for seed in (1, 2, 3)]
+    with pytest.raises(SceneError, match=r"\d+% that do otherwise"):
+        FTGS.write(tmp_path / "a.ply", frames, FPS)
+    with pytest.raises(SceneError, match="others from frame to frame"):
+        FTGS.write(tmp_path / "a.ply", [*frames, random_gaussians(20, 1)], FPS)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_sound_of_a_package_is_in_the_tsog_of_all_its_frames(tmp_path, capsys):
+    package = write_chirping(tmp_path, 50, Fraction(25), 25)
+    assert decode.main([str(package), "-o", str(tmp_path / "a.tsog")]) == 0
+    track = encode_sound(tmp_path / "a.tsog", Fraction(2), open_sequence(tmp_path / "a.tsog").sound())
+    heard = decode_sound(track.packets, track.channels)[track.pre_skip :, 0]
+    assert moment(heard[60_000:64_800]) == pytest.approx(1.3, abs=0.01)  # of the second file
+    assert decode.main([str(package), "-o", str(tmp_path / "b.tsog"), "--frames", "0:3"]) == 0
+    assert "without its sound" in capsys.readouterr().out and open_sequence(tmp_path / "b.tsog").sound() is None
+    assert decode.main([str(package), "-o", str(tmp_path / "a.4dgs")]) == 0
+    assert ".4dgs has no sound" in capsys.readouterr().out
 
 
 def test_ftgs_is_evaluated_as_its_format_says(tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.render.backend import CPU
-from airgs_codec.trainer.fit.given import is_noise
+from airgs_codec.trainer.fit.given import is_known
 from tests.support.views import coloured_cloud, ring
 
 
@@ -22,4 +22,4 @@ def test_noise_is_spread_and_lost_motion_is_not(spread, noise):
             error[:, drawn.shape[1] // 4 :] *= 1e-3
         target = (drawn + error * (np.abs(drawn) > 0.01)).astype(np.float32)
         views.append(SimpleNamespace(camera=camera, target=SimpleNamespace(rgb=target)))
-    assert is_noise(SimpleNamespace(renderer=CPU), g, views) == noise
+    assert is_known(SimpleNamespace(renderer=CPU), g, views) == noise
