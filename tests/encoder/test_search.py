@@ -45,8 +45,8 @@ def test_a_search_ends_at_its_goal():
 
 @pytest.fixture(scope="module")
 def first_frames(tmp_path_factory):
-    """The first three frames of the embedded scene, one group, seen in small pictures."""
-    return write_demo(tmp_path_factory.mktemp("targets") / "fox", frames=3, scale=0.5)
+    """A part of the embedded scene in three frames, one group, seen in small pictures."""
+    return write_demo(tmp_path_factory.mktemp("targets") / "fox", frames=3, rows=4000, scale=0.5)
 
 
 def run(scene, tmp_path, capsys, *options):

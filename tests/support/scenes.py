@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
 
 from airgs_codec.scene.camera import orbit_views
-from airgs_codec.scene.formats.ply import write_ply
+from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX
@@ -61,11 +60,11 @@ def write_sequence(folder: Path, frames: list[Gaussians], *, cameras: bool = Tru
     return folder
 
 
-def write_demo(folder: Path, frames: int, scale: float = 1.0) -> Path:
-    """The first frames of the embedded scene, and its cameras with pictures `scale` times as wide and high."""
+def write_demo(folder: Path, frames: int, rows: int, scale: float) -> Path:
+    """The first frames and rows of the embedded scene, and its cameras with pictures `scale` times as wide and high."""
     folder.mkdir(parents=True)
     for path in sorted(FOX.glob("*.ply"))[:frames]:
-        shutil.copy(path, folder)
+        write_ply(folder / path.name, read_ply(path).take(slice(0, rows)))
     views = json.loads((FOX / "transforms.json").read_text())
     views |= {name: int(views[name] * scale) for name in ("w", "h")}
     views |= {name: views[name] * scale for name in ("fl_x", "fl_y", "cx", "cy")}

@@ -1,5 +1,7 @@
 """The tools that measure and torment shared work, on very little of it."""
 
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip("distributed", reason="Dask, the extra `farm`, is not installed")
@@ -26,6 +28,7 @@ def test_two_workers_four_jobs_and_a_few_failures_end_with_the_same_bytes(tmp_pa
 
 def test_ways_to_share_work_are_timed(tmp_path, monkeypatch):
     monkeypatch.setattr(jobs.DaskEngine, "local", Processes)  # tests/jobs and the test above have clusters of Dask
+    monkeypatch.setattr(jobs, "SETTINGS", replace(jobs.SETTINGS, measure_pictures=0))
     page = jobs.run(jobs.Options(frames=2, rows=100, jobs=2, seconds=0.1), Lab.at(tmp_path))
     rows = page.sections[0].tables[0].rows
     assert len(rows) == 3 + 2 and rows[-1]["way"] == "Dask, two workers" and all(row["seconds"] > 0 for row in rows)
