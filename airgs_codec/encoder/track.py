@@ -29,7 +29,7 @@ from airgs_codec.places.place import Folder
 from airgs_codec.render.compare import compare, draw_still
 from airgs_codec.scene.camera import Camera, resized
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from airgs_codec.trainer.settings import Temporal, TrainSettings
+from airgs_codec.trainer.settings import TrainSettings
 
 VIEWS = 32
 PIXELS = 65_536  # of a picture
@@ -37,9 +37,9 @@ MANY = 1 << 30  # Gaussians: what is given has as many as it has
 TRIED = 5  # pairs of neighbours that tell whether a scene can be tracked
 FOLLOWED_DB = 20.0  # that half of them show, at least
 CHUNK = 30  # frames
-ROW_S = 2e-4  # seconds that a Gaussian of a frame takes, about: 20,000 on two cores take 4 s
-ALONE_BYTES = (1.6, 0.2)  # about, of a Gaussian of a frame that is coded alone, and of each SH coefficient above band 0
-TRACKED_SHARE = 5  # one byte in so many, about, is left where rows go on
+ROW_S = (2e-4, 1e-3)  # seconds that a Gaussian of a frame takes on two cores: one that is followed, one that is fitted
+ALONE_BYTES = (1.6, 0.4)  # about, of a Gaussian of a frame that is coded alone, and of each SH coefficient above band 0
+TRACKED_SHARES = (7, 2)  # one byte in so many is left, from a head with noise to a fox whose frames were trained apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,28 +60,29 @@ def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[Encode
     if len(sequence) == 1 or settings.rows == KEEP:
         return apart, ""
     found = outlook(sequence, settings.rows)
-    alone, seconds = _costs(sequence)
+    alone, rows = _costs(sequence)
     each = f"about {alone:.0f} kB a frame"
-    time = f"about {seconds / 60:.0f} minutes" if seconds > 90 else f"about {seconds:.0f} s"
-    less = f"about {alone / TRACKED_SHARE:.0f} kB a frame"
+    unit, name = (60, "minutes") if rows * ROW_S[1] > 120 else (1, "s")
+    time = "about " + " to ".join(f"{max(1, rows * row_s / unit):.0f}" for row_s in ROW_S) + f" {name}"
+    less = "about " + " to ".join(f"{alone / share:.0f}" for share in TRACKED_SHARES) + " kB a frame"
     offer = f"--track makes one set of moving Gaussians of them first: {time}, then {less}"
     if found.shared:
         return replace(settings, track=bool(settings.track)), found.words
     if settings.track is False or settings.rows != AUTO:
         return apart, f"{found.words}; coded one by one, {each}; {offer}"
     if settings.track is None and find_spec("torch") is None:
-        install = "tracking takes a fifth of that and needs torch: pip install 'airgs-codec[train]'"
+        install = "tracking takes a half to a seventh of that and needs torch: pip install 'airgs-codec[train]'"
         return apart, f"{found.words}; coded one by one, {each}; {install}"
     return replace(settings, track=True), f"{found.words}; tracked first: {time}, then {less} in place of {each}" + (
         "" if settings.track else "; --no-track leaves them as they are"
     )
 
 
-def _costs(sequence: GaussianSequence) -> tuple[float, float]:
-    """About how many kB a frame takes that is coded alone, and in how many seconds the sequence is tracked."""
-    rows = float(np.mean([header.count for header in sequence.headers]))
+def _costs(sequence: GaussianSequence) -> tuple[float, int]:
+    """About how many kB a frame takes that is coded alone, and how many Gaussians all frames have."""
+    rows = sum(header.count for header in sequence.headers)
     further = 3 * ((sequence.sh_degree + 1) ** 2 - 1)
-    return rows * (ALONE_BYTES[0] + ALONE_BYTES[1] * further) / 1e3, len(sequence) * rows * ROW_S
+    return rows / len(sequence) * (ALONE_BYTES[0] + ALONE_BYTES[1] * further) / 1e3, rows
 
 
 @contextmanager
@@ -147,11 +148,10 @@ def track_settings(sequence: GaussianSequence) -> TrainSettings:
         capacity=MANY,
         sh_degree=sequence.sh_degree,
         key_iterations=300,
-        frame_iterations=100,
+        frame_iterations=250,
         group_frames=CHUNK,
         min_psnr_db=28.0,
         max_drop_db=10.0,
-        temporal=Temporal(weight=5e-3),  # what differs from frame to frame is noise more often than motion
     )
 
 
