@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -193,6 +193,7 @@ def summary(model: Model) -> dict[str, object]:
 
     frames = model.record.frames
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
+    matched = [f.held_out_matched for f in frames if f.held_out_matched is not None]
     return {
         "model": str(model.folder),
         "frames": [asdict(f) for f in frames],
@@ -200,6 +201,7 @@ def summary(model: Model) -> dict[str, object]:
         "psnr_definition": PSNR_DEFINITION,
         "psnr": sum(f.psnr for f in frames) / len(frames),
         "held_out_psnr": sum(held_out) / len(held_out) if held_out else None,
+        "held_out_matched": sum(matched) / len(matched) if matched else None,
         "held_out_worst": min(held_out) if held_out else None,
         "seconds": sum(f.seconds for f in frames),
         "warnings": model.record.warnings(),
@@ -209,9 +211,10 @@ def summary(model: Model) -> dict[str, object]:
 def as_words(model: Model, report: Path | None) -> str:
     """Return what the run comes to, in a line, and where the report is."""
     s = summary(model)
-    held_out = (
-        "" if s["held_out_psnr"] is None else f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
-    )
+    held_out = ""
+    if s["held_out_psnr"] is not None:
+        held_out = f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
+        held_out += f", {s['held_out_matched']:.2f} with exposure matched"
     page = f"\nreport: {report / 'index.html'}" if report else ""
     count, groups = len(model.record.frames), len(model.record.keyframes())
     quality = f"{s['psnr']:.2f} dB (mean over views and frames){held_out}"
@@ -264,11 +267,31 @@ def follow_training(run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet
         for record in records:
             bar.close()
             if not quiet:
-                say(frame_line(record))
+                say(frame_line(record) + time_left(run.model))
+                if record.kind == "first" and run.model.record.exposure:
+                    say(exposure_line(run.model.record.exposure))
             for warning in set(run.model.record.warnings()) - said:
                 warn(f"warning: {warning}")
                 said.add(warning)
     return run.model
+
+
+def time_left(model: Model) -> str:
+    """About how long the frames take that are left, from how long a frame behind the first took; empty: not known."""
+    record = model.record
+    took = [frame.seconds for frame in record.frames[1:]]
+    left_s = (record.total - len(record.frames)) * sum(took) / len(took) if took else 0.0
+    if not left_s:
+        return ""
+    return f"  about {left_s / 60:.0f} minutes left" if left_s > 120 else f"  about {left_s:.0f} s left"
+
+
+def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:
+    """How far cameras are exposed differently."""
+    gains = {name: sum(values[:3]) / 3 for name, values in exposure.items()}
+    dark, bright = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)
+    ends = f"{dark} has {100 * gains[dark]:.0f} % of the average and {bright} {100 * gains[bright]:.0f}"
+    return f"exposure differs, {ends}: matched; --match-exposure off leaves it"
 
 
 def frame_line(r: FrameRecord) -> str:

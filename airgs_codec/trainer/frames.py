@@ -23,13 +23,14 @@ from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
 from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
-from airgs_codec.trainer.fit.losses import ExposureModel, mean_psnr, mean_ssim, static_shares
+from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim, static_shares
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
 from airgs_codec.trainer.fit.usage import group_usage
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
-from airgs_codec.trainer.settings import TrainSettings
+from airgs_codec.trainer.settings import ON, TrainSettings
 
+LOOKED_SHARE = 0.6  # of the iterations of a first frame, which tell whether cameras are exposed differently
 WINDOW = 12  # frames that tell it
 SHARES = 3  # one view in so many of each of them does
 
@@ -145,12 +146,12 @@ def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
     begun, trainer, named = time.perf_counter(), capture.trainer, _named(progress, 0, len(capture.scene))
     views = capture.views(0)
-    model = _exposures(views, trainer) if trainer.settings.match_exposure else None
+    model = _exposures(views, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
     if capture.scene.given is None:
         g = trainer.fit_first(FrameViews(0, views), capture.scene.points, model, named)
     else:
         g = _given_first(capture, 0, named)
-    exposure = model.table([view.camera.name for view in views]) if model else {}
+    exposure = model.table([view.camera.name for view in views]) if model and model.differs else {}
     exposed = capture.with_exposure(exposure)
     group = trainer.start_group(g, exposed.views(0))
     fitted = _Fitted(g, "first", group.first_psnr, group)
@@ -299,8 +300,9 @@ def _keyframe(capture: Capture, target: FrameViews, before: FrameBefore, g: Gaus
 
 
 def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
-    names, reference = [view.camera.name for view in views], trainer.settings.reference
-    return ExposureModel(len(views), trainer.device, None if reference is None else names.index(reference))
+    names, s = [view.camera.name for view in views], trainer.settings
+    looks = None if s.match_exposure == ON else round(LOOKED_SHARE * s.iterations_from_scratch(len(views)))
+    return ExposureModel(len(views), trainer.device, names.index(s.reference) if s.reference else None, looks)
 
 
 def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> TrainedFrame:
@@ -315,6 +317,7 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
         added=fitted.added,
         psnr=round(fitted.psnr, 3),
         held_out_psnr=round(mean_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
+        held_out_matched=round(matched_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
         held_out_ssim=round(mean_ssim(fitted.gaussians, held_out, renderer), 5) if held_out else None,
         rejected_psnr=None if rejected is None else round(rejected, 3),
         static={name: round(share, 4) for name, share in fitted.static.items()},

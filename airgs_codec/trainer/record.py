@@ -33,7 +33,7 @@ from airgs_codec.trainer.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
 CAMERAS_NAME = "transforms.json"
-VERSION = 2
+VERSION = 3
 
 Span = tuple[int, int]  # frames [start, stop)
 
@@ -48,6 +48,7 @@ class FrameRecord:
     added: int  # by a keyframe
     psnr: float  # dB, training views
     held_out_psnr: float | None  # dB, held-out views; None: there are none
+    held_out_matched: float | None  # dB, held-out views, each channel with the gain and offset that show most
     held_out_ssim: float | None  # mean over held-out views
     rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
     static: dict[str, float]  # share of each attribute's channels that changed by less than half a codec step

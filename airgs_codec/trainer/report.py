@@ -129,12 +129,14 @@ def frames_to_show(records: Sequence[FrameRecord]) -> list[int]:
 def _page(model: Model, shown: dict[int, str], jobs: str | None) -> str:
     records = model.record.frames
     held_out = [r.held_out_psnr for r in records if r.held_out_psnr is not None]
+    matched = [r.held_out_matched for r in records if r.held_out_matched is not None]
     facts = {
         "frames": str(len(records)),
         "groups": str(len(model.record.keyframes())),
         "Gaussians": f"{records[0].gaussians:,} to {records[-1].gaussians:,}",
         "PSNR of training views": f"{np.mean([r.psnr for r in records]):.2f} dB",
         "PSNR of held-out views": f"{np.mean(held_out):.2f} dB, worst {min(held_out):.2f} dB" if held_out else "none",
+        "with their exposure matched": f"{np.mean(matched):.2f} dB, worst {min(matched):.2f} dB" if matched else "none",
         "these PSNR are": f"the mean over frames of the {PSNR_DEFINITION}",
         "time": f"{sum(r.seconds for r in records):.0f} s",
     }

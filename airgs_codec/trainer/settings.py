@@ -17,6 +17,7 @@ DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
 STATIC = ("auto", "off")
+MATCHES = AUTO, ON, OFF = ("auto", "on", "off")
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
 PAPER_CAPACITY = 1_000_000  # where nothing but the inflation loss shall hold Gaussians back
 RANDOM = "random"  # a background: another colour at every step
@@ -111,7 +112,11 @@ class TrainSettings:
         default="the scene's own, else black",
     )
     foreground: bool = setting(False, "train only what the scene's masks show")
-    match_exposure: bool = setting(False, "find a gain and an offset for each camera at the first frame")
+    match_exposure: str = setting(
+        "auto",
+        "find a gain and an offset for each camera at the first frame; auto: where cameras differ",
+        choices=MATCHES,
+    )
     reference: str | None = setting(
         None,
         "camera whose exposure the Gaussians have, where cameras are exposed alike",
@@ -130,6 +135,7 @@ class TrainSettings:
         choices: list[tuple[str, str, tuple[str, ...]]] = [
             ("deltas", self.deltas, DELTAS),
             ("static", self.static, STATIC),
+            ("match_exposure", self.match_exposure, MATCHES),
             ("densify", self.densify, DENSIFY),
             ("a temporal unit of", self.temporal.unit, UNITS),
         ]
@@ -157,11 +163,11 @@ class TrainSettings:
             (self.inflation >= 0, f"expected an inflation weight of at least 0, got {self.inflation}"),
             (self.max_size is None or self.max_size >= 16, f"expected pictures of 16 pixels, got {self.max_size}"),
             (
-                not self.match_exposure or self.background != RANDOM,
+                self.match_exposure != ON or self.background != RANDOM,
                 "expected cameras to be exposed alike or a random background, got both",
             ),
             (
-                self.match_exposure or self.reference is None,
+                self.match_exposure != OFF or self.reference is None,
                 f"expected cameras to be exposed alike where one is the reference, got {self.reference} alone",
             ),
             (self.seed >= 0, f"expected a seed of at least 0, got {self.seed}"),
@@ -171,6 +177,11 @@ class TrainSettings:
     def knows_rest(self) -> bool:
         """Whether plates are made of cameras that stand still; before random backgrounds nothing rests."""
         return self.static == "auto" and self.background != RANDOM
+
+    @property
+    def looks_for_exposure(self) -> bool:
+        """Whether cameras may turn out to be exposed differently; a random background hides it."""
+        return self.match_exposure == ON or (self.match_exposure == AUTO and self.background != RANDOM)
 
     def iterations_from_scratch(self, views: int) -> int:
         """Iterations of a frame from scratch that so many views see."""
@@ -230,4 +241,5 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
         densify=THRESHOLD,
         inflation=1e-5,
         static="off",
+        match_exposure=OFF,
     )

@@ -121,7 +121,7 @@ def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, caps
 
 def test_a_report_shows_pictures_as_they_were_trained_on(blobs, tmp_path):
     """Without held-out cameras it shows a training picture, and that was exposed as the average camera would have."""
-    folder, words = tmp_path / "m", ["--frames", "0:1", "--hold-out", "none", "--match-exposure", *QUICK]
+    folder, words = tmp_path / "m", ["--frames", "0:1", "--hold-out", "none", "--match-exposure", "on", *QUICK]
     assert train_main([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
     pictures = Pictures(with_held_out(open_scene(blobs, frames=(0, 1)), []))
     alike = pictures.with_exposure(read_model(folder).record.exposure)

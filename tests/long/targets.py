@@ -251,7 +251,9 @@ def _beside() -> list[Files]:
     values = np.ones(9)
     usage = {(0, 5): Usage(values, values, np.arange(9))}
     sabre = [{"duration_ms": 1000, "bandwidth_kbps": 800, "latency_ms": 20}] * 20
-    numbers = dict.fromkeys(("gaussians", "added", "psnr", "held_out_psnr", "held_out_ssim", "rejected_psnr"), 1)
+    numbers = dict.fromkeys(
+        ("gaussians", "added", "psnr", "held_out_psnr", "held_out_matched", "held_out_ssim", "rejected_psnr"), 1
+    )
     frame = numbers | {"frame": 0, "kind": "first", "static": {}, "seconds": 1}
     record = {"version": VERSION, "scene": {}, "settings": {}, "total": 1, "fps": "30", "frames": [frame]}
     texts = {

@@ -31,7 +31,7 @@ from tests.support.training import SETTINGS
 from tests.trainer.test_record import StopError, files, killed_at
 
 CHUNKED = replace(
-    SETTINGS, group_frames=2, first_iterations=20, key_iterations=10, frame_iterations=4, match_exposure=True
+    SETTINGS, group_frames=2, first_iterations=20, key_iterations=10, frame_iterations=4, match_exposure="on"
 )
 SPANS = ["frames 0-1", "frames 2-3"]
 
