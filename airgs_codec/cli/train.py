@@ -41,6 +41,8 @@ if TYPE_CHECKING:  # torch is imported when training begins
 
 SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody should know
 DEFAULTS = TrainSettings()
+FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
+EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 EVERYDAY = ("max_size", "background", "match_exposure", "budget", "min_psnr_db", "group_frames")
 
 
@@ -65,6 +67,11 @@ class Train:
         None,
         "cameras held out for testing, with commas, or none (default: the scene's, else one in eight)",
         metavar="NAMES",
+    )
+    effort: str = setting(
+        "normal",
+        "iterations of every frame: quick has two fifths of the normal ones, high two and a half times as many",
+        choices=tuple(EFFORTS),
     )
     iterations: str | None = setting(
         None,
@@ -111,7 +118,8 @@ def train(options: Train) -> int:
     elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
-    settings = _settings(options, device)
+    cameras = [camera for camera in scene.cameras if not camera.held_out]
+    settings = _settings(options, device, len(cameras))
     shared = options.work.shared_by()
     if settings.group_frames is None and shared:
         raise ConfigError(f"{shared}: expected --group-frames, without which no frame is fitted before the last one")
@@ -123,7 +131,6 @@ def train(options: Train) -> int:
     run = open_run(
         scene, options.output or default_model(options.scene), settings, resume=options.resume, device=device
     )
-    cameras = [camera for camera in scene.cameras if not camera.held_out]
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
     jobs = _train_in_jobs(options, run) if shared else []
@@ -172,19 +179,22 @@ def _scene(options: Train) -> MultiviewScene:
     return scene if options.near is None else with_near(scene, options.near)
 
 
-def _settings(options: Train, device: str) -> TrainSettings:
-    """Raises ConfigError for options that cannot work."""
+def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
+    """The settings of a scene with so many training views. Raises ConfigError for options that cannot work."""
     told = dict(options.settings)
     if "budget" in told:
         told.setdefault("capacity", told["budget"] * 3 // 2)
-    counts = {}
+    base, names = preset(options.preset, default_settings(device)), FIT_ITERATIONS
+    counts: dict[str, int] = {}
+    if (factor := EFFORTS[options.effort]) != 1:
+        known = (base.iterations_from_scratch(views), base.key_iterations, base.frame_iterations)
+        counts = {name: round(factor * count) for name, count in zip(names, known, strict=True)}
     if options.iterations is not None:
-        names = ("first_iterations", "key_iterations", "frame_iterations")
         try:
             counts = dict(zip(names, map(int, options.iterations.split(",")), strict=True))
         except ValueError as error:
             raise ConfigError(f"--iterations: expected FIRST,KEY,FRAME, got {options.iterations!r}") from error
-    return applied(preset(options.preset, default_settings(device)), counts | told)
+    return applied(base, counts | told)
 
 
 def summary(model: Model) -> dict[str, object]:

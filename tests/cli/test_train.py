@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.cli import train as train_command
 from airgs_codec.cli.encode import main as encode_main
 from airgs_codec.cli.train import main as train_main
 from airgs_codec.media.image import read_picture, to_bytes, write_png
@@ -90,6 +91,20 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
     assert encode_main([*words, "--json"]) == 0  # the model is there: only encoded
     json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("words", "iterations"),
+    [
+        ({}, (2500, 1000, 300)),
+        ({"effort": "quick"}, (1000, 400, 120)),
+        ({"effort": "high"}, (6250, 2500, 750)),
+        ({"effort": "high", "iterations": "9,8,7"}, (9, 8, 7)),
+    ],
+)
+def test_effort_is_iterations_of_every_frame(words, iterations):
+    found = train_command._settings(train_command.Train("scene", **words), "cpu", views=16)
+    assert (found.iterations_from_scratch(16), found.key_iterations, found.frame_iterations) == iterations
 
 
 def test_a_psnr_that_no_fit_reaches_is_said_once(blobs, tmp_path, capsys):
