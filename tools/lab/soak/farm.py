@@ -23,6 +23,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from airgs_codec.cli.terminal import run_command
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
@@ -42,7 +43,7 @@ SETTINGS = EncodeSettings(
 PAUSE_S = 1.5  # between two failures
 SLOW, SLOW_S, FULL = 0.05, 0.5, 0.01  # share of writes that take longer, how much, and share that fail
 FAULTS = ("worker", "worker", "worker", "scheduler", "cut", "deleted")
-COMMAND = "import sys; from tools.lab.soak.farm import encode_at; encode_at(*sys.argv[1:])"
+COMMAND = "import sys; from tools.lab.soak.farm import encode_at; sys.exit(encode_at(*sys.argv[1:]))"
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +104,20 @@ class Cluster:
             process.wait()
 
 
-def encode_at(address: str, folder: str) -> None:
-    """The encode, as its user would begin it again and again, on the cluster at an address."""
-    out, engine = Path(folder), DaskEngine.at(address)
-    try:
-        work = Work(Store(FaultyFolder(out / "jobs")), engine)
-        report = encode(open_sequence(out / "scene"), out / "farm.airgs", SETTINGS, work=work)
-    finally:
-        engine.close()
-    (out / "records").write_bytes(pack(report.records))
+def encode_at(address: str, folder: str) -> int:
+    """The encode, as its user would begin it again and again, on the cluster at an address; gives its exit status."""
+
+    def work() -> int:
+        out, engine = Path(folder), DaskEngine.at(address)
+        try:
+            shared = Work(Store(FaultyFolder(out / "jobs")), engine)
+            report = encode(open_sequence(out / "scene"), out / "farm.airgs", SETTINGS, work=shared)
+        finally:
+            engine.close()
+        (out / "records").write_bytes(pack(report.records))
+        return 0
+
+    return run_command("encode", work)
 
 
 def run(options: Options, lab: Lab) -> Page:
