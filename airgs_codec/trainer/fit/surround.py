@@ -44,7 +44,8 @@ NEAREST = 9  # directions that vote together
 PLANE = 80  # directions that a plane is fitted to
 OVERLAP = 0.3  # logarithm of the factor that balls of walls are larger by, so that nothing shows between them
 SMALL = 60  # parts of a picture's longest side: what is smaller is texture of the walls
-DIFFERENT = 0.1  # mean absolute difference of colours, from which something stands before the walls
+DIFFERENT = (0.1, 0.07, 0.05)  # mean absolute difference of colours, from which something stands before the walls: the
+# first that finds anything, for clothes may be as grey as a floor, and what is less different is often the walls' own
 COMMON = 0.8  # of the views see what stands there
 WITHIN = 0.85  # of the distance to the walls
 FEWEST_POINTS = 50  # of a hull; below that it is noise
@@ -151,28 +152,29 @@ def standing(views: Sequence[View], outer: Points, most: int, rng: np.random.Gen
     centre, extent = looked_at([view.camera for view in views]), scene_extent([view.camera for view in views])
     walls = from_points(around, colours, 0, 0.99, 0.1 * extent)
     walls = replace(walls, log_scales=walls.log_scales + np.float32(OVERLAP))
-    wrong = Masks(_differs(walls, view) for view in views)
+    apart = [_apart(walls, view) for view in views]
     reach = np.linalg.norm(around - centre, axis=1)
     tree = cKDTree((around - centre) / reach[:, None])
-    low, high = around.min(axis=0).astype(np.float64), around.max(axis=0).astype(np.float64)
-    hull = np.empty((0, 3))
-    for _ in range(2):  # first where it is, then what it is like
-        drawn = rng.uniform(low, high, (CANDIDATES, 3))
-        distance = np.linalg.norm(drawn - centre, axis=1)
-        inside = distance < WITHIN * reach[tree.query((drawn - centre) / distance[:, None])[1]]
-        hull = hull_of(drawn[inside], views, wrong, COMMON)
-        if len(hull) < FEWEST_POINTS:
-            return around[:0]
-        low, high = hull.min(axis=0), hull.max(axis=0)
-    surface = surface_of(hull, views)
-    return surface.positions[one_per_cell(surface, most)].astype(np.float32)
+    for different in DIFFERENT:
+        hull, wrong = np.asarray(around, np.float64), Masks(one > different for one in apart)
+        for _ in range(2):  # first where it is, then what it is like
+            drawn = rng.uniform(hull.min(axis=0), hull.max(axis=0), (CANDIDATES, 3))
+            distance = np.linalg.norm(drawn - centre, axis=1)
+            inside = distance < WITHIN * reach[tree.query((drawn - centre) / distance[:, None])[1]]
+            hull = hull_of(drawn[inside], views, wrong, COMMON)
+            if len(hull) < FEWEST_POINTS:
+                break
+        else:
+            surface = surface_of(hull, views)
+            return surface.positions[one_per_cell(surface, most)].astype(np.float32)
+    return around[:0]
 
 
-def _differs(walls: Gaussians, view: View) -> NDArray[np.bool_]:
-    """(H, W) where a picture is not that of the walls, whose own fine texture does not count."""
+def _apart(walls: Gaussians, view: View) -> NDArray[np.floating]:
+    """(H, W) how far the colours of a picture are from those of the walls, whose own fine texture does not count."""
     drawn, size = render(walls, view.camera).rgb, max(1, max(view.camera.width, view.camera.height) // SMALL)
     apart = np.abs(box_mean(drawn, size) - box_mean(view.target.rgb, size)).mean(axis=2)
-    return np.asarray(box_mean(apart, size) > DIFFERENT)
+    return box_mean(apart, size)
 
 
 def _between(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[np.bool_]:
