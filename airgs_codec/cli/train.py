@@ -43,7 +43,7 @@ SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody shoul
 DEFAULTS = TrainSettings()
 FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
-EVERYDAY = ("max_size", "background", "match_exposure", "budget", "min_psnr_db", "group_frames")
+EVERYDAY = ("max_size", "background", "budget", "min_psnr_db", "group_frames")
 
 
 @dataclass(frozen=True, slots=True)

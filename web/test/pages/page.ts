@@ -98,8 +98,9 @@ async function choose() {
   await click(last);
   await press("k");
   const shown = () => player().rungs[player().rung ?? -1]?.name;
-  await until("the rung", () => shown() === name);
-  return { name, shown: shown(), label: find('[aria-label^="Quality"]')?.ariaLabel };
+  const label = () => find('[aria-label^="Quality"]')?.ariaLabel;
+  await until("the rung", () => shown() === name && label() !== "Quality: Auto"); // which may have shown it, too
+  return { name, shown: shown(), label: label() };
 }
 
 async function phone() {
