@@ -61,10 +61,10 @@ def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[Encode
         return apart, ""
     found = outlook(sequence, settings.rows)
     alone, rows = _costs(sequence)
-    each = f"about {alone:.0f} kB a frame"
+    each = f"about {_rough(alone)} kB a frame"
     unit, name = (60, "minutes") if rows * ROW_S[1] > 120 else (1, "s")
     time = "about " + " to ".join(f"{max(1, rows * row_s / unit):.0f}" for row_s in ROW_S) + f" {name}"
-    less = "about " + " to ".join(f"{alone / share:.0f}" for share in TRACKED_SHARES) + " kB a frame"
+    less = "about " + " to ".join(_rough(alone / share) for share in TRACKED_SHARES) + " kB a frame"
     offer = f"--track makes one set of moving Gaussians of them first: {time}, then {less}"
     if found.shared:
         return replace(settings, track=bool(settings.track)), found.words
@@ -76,6 +76,11 @@ def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[Encode
     return replace(settings, track=True), f"{found.words}; tracked first: {time}, then {less} in place of {each}" + (
         "" if settings.track else "; --no-track leaves them as they are"
     )
+
+
+def _rough(kilobytes: float) -> str:
+    """A size that is known roughly."""
+    return f"{kilobytes:.0f}" if kilobytes >= 10 else f"{kilobytes:.1f}"
 
 
 def _costs(sequence: GaussianSequence) -> tuple[float, int]:
