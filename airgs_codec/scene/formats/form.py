@@ -50,7 +50,7 @@ class Holds:
     rounding: str = ""  # what is rounded to how many bits
     keeps_rows: bool = True  # whether row n is the same Gaussian in all frames
     keeps_count: bool = False  # whether all frames have the same number of rows
-    sound: bool = False
+    sound: bool = False  # whether a clip has any
     ranges: tuple[tuple[str, float, float], ...] = ()  # an attribute of Gaussians, its least and largest value
 
 
@@ -97,7 +97,7 @@ class FrameFormat(Format):
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
 
 
-def refuse_writing(path: Path, _frames: Iterable[Gaussians], _fps: float) -> None:
+def refuse_writing(path: Path, _frames: Iterable[Gaussians], _fps: float, _sound: bytes = b"") -> None:
     """What a clip that is only read has for its writer. Raises SceneError."""
     raise SceneError(f"{path}: expected a format that is written, got one that is read alone")
 
@@ -107,7 +107,8 @@ class ClipFormat(Format):
     """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
 
     open: Callable[[Path, Bake], Clip]
-    write: Callable[..., None] = refuse_writing  # path, frames, how many a second; `sound`, where it holds any
+    write: Callable[[Path, Iterable[Gaussians], float, bytes], None] = refuse_writing  # of frames, so many a second,
+    # with a sound in MP4, which only those that hold any keep
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:

@@ -116,7 +116,7 @@ def _size(path: Path) -> int:
         return path.stat().st_size
 
 
-def write_4dgs(path: Path, frames: Iterable[Gaussians], fps: float) -> None:
+def write_4dgs(path: Path, frames: Iterable[Gaussians], fps: float, _sound: bytes = b"") -> None:
     """Write a .4dgs of the profile `fine`, with Gaussians at rest: what changes is another from then on.
 
     All records are in memory at once. Raises SceneError when the library is not there or refuses.

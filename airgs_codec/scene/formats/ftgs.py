@@ -102,7 +102,7 @@ def _ftgs_settings(path: Path, header: Header) -> dict[str, float]:
     return found
 
 
-def write_ftgs(path: Path, frames: Iterable[Gaussians], _fps: float) -> None:
+def write_ftgs(path: Path, frames: Iterable[Gaussians], _fps: float, _sound: bytes = b"") -> None:
     """Write frames whose Gaussians move evenly and fade, as `even_motion` finds them; all are in memory at once.
 
     Raises SceneError for frames that do otherwise, which no file of this format holds.
@@ -136,5 +136,5 @@ FTGS = ClipFormat(
     fits=is_ftgs,
     open=open_ftgs,
     write=write_ftgs,
-    holds=Holds(rounding="motion to what is even, and fading to a normal distribution in time"),
+    holds=Holds(rounding="motion to what is even, fading to a normal distribution in time, all else to its mean"),
 )

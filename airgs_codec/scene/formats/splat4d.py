@@ -88,7 +88,7 @@ def _command(path: Path) -> str:
     raise SceneError(f"{path}: .splat4d files need splats4d: pip install 'airgs-codec[formats]'")
 
 
-def write_splat4d(path: Path, frames: Iterable[Gaussians], fps: float) -> None:
+def write_splat4d(path: Path, frames: Iterable[Gaussians], fps: float, _sound: bytes = b"") -> None:
     """Write a .splat4d; frames of fewer rows than others end in rows of alpha 0.
 
     The frames lie beside `path` as .splat meanwhile. Raises SceneError when the command is not there or refuses.

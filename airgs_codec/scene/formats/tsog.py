@@ -219,7 +219,8 @@ TSOG = ClipFormat(
     open=open_tsog,
     write=write_tsog,
     holds=Holds(
-        rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
+        rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette"
+        ", and motion that is nearly even to what is",
         sound=True,
     ),
 )

@@ -94,19 +94,18 @@ def write_frames(
     losses = Losses(target.form.holds, target.form.name)
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
-        if isinstance(target.form, ClipFormat):
-            heard = {"sound": sound} if target.form.holds.sound else {}
-            try:
-                target.form.write(temporary, (g for _, g in fitted), float(fps), **heard)
-            except SceneError as error:  # of a name that nobody has given
-                raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
-        elif target.folder and target.form is not SOG_FOLDER:
-            for number, gaussians in fitted:
-                target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
-            if not (target.path / SETTINGS_NAME).exists():
-                write_settings(temporary, fps, background=background)
-        else:
-            target.form.write(temporary, *(g for _, g in fitted))
+        try:
+            if isinstance(target.form, ClipFormat):
+                target.form.write(temporary, (g for _, g in fitted), float(fps), sound)
+            elif target.folder and target.form is not SOG_FOLDER:
+                for number, gaussians in fitted:
+                    target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
+                if not (target.path / SETTINGS_NAME).exists():
+                    write_settings(temporary, fps, background=background)
+            else:
+                target.form.write(temporary, *(g for _, g in fitted))
+        except SceneError as error:  # of a name that nobody has given
+            raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
     return losses.lines() + [f"{target.form.name} has no sound"] * (bool(sound) and not target.form.holds.sound)
 
 

@@ -260,6 +260,12 @@ def test_the_sound_of_a_package_is_in_the_tsog_of_all_its_frames(tmp_path, capsy
     assert ".4dgs has no sound" in capsys.readouterr().out
 
 
+def test_a_refusal_names_the_file_that_was_asked_for(tmp_path, capsys):
+    assert decode.main([str(GOLDEN / "fox"), "-o", str(tmp_path / "a.ftgs.ply")]) == 2
+    assert f"{tmp_path / 'a.ftgs.ply'}: expected Gaussians that move evenly" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_ftgs_is_evaluated_as_its_format_says(tmp_path):
     sequence = open_sequence(write_ftgs(tmp_path / "a.ftgs.ply", n_frames=5))
     assert (len(sequence), sequence.fps, sequence.sh_degree) == (5, 30, 1) and "default" not in sequence.clip.note
