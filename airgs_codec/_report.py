@@ -25,14 +25,18 @@ def table(head: list[str], rows: list[list[str]]) -> list[str]:
     return ["  ".join(cell.rjust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in [head, *rows]]
 
 
-def page(title: str, body: str, width: str = "70rem", style: str = "") -> str:
-    """An HTML page of at most `width`; `style` is CSS beside what every page has."""
+def page(title: str, body: str, width: str = "70rem", style: str = "", reload_s: int | None = None) -> str:
+    """An HTML page of at most `width`; `style` is CSS beside what every page has.
+
+    `reload_s`: seconds after which a browser loads it again, where it changes.
+    """
     shared = (
         f"body{{font:15px/1.5 system-ui,sans-serif;max-width:{width};margin:2rem auto;padding:0 1rem;color:#222}}"
         "img{max-width:100%;margin-top:1rem}th{text-align:left;padding-right:2rem;font-weight:600}"
     )
+    again = "" if reload_s is None else f'<meta http-equiv="refresh" content="{reload_s}">'
     return (
-        f'<!doctype html><html lang="en"><meta charset="utf-8"><title>{html.escape(title)}</title>'
+        f'<!doctype html><html lang="en"><meta charset="utf-8">{again}<title>{html.escape(title)}</title>'
         f"<style>{shared}{style}</style><h1>{html.escape(title)}</h1>{body}</html>\n"
     )
 

@@ -10,7 +10,15 @@ class Progress(Protocol):
     """Called as work goes on, always from the thread that started it."""
 
     def __call__(self, stage: str, done: int, total: int, /) -> None:
-        """`stage`: what is being done, for people; `done` of `total` parts of it are finished (`total` at least 1)."""
+        """`stage`: what is being done, for people; `done` of `total` parts of it are finished (`total` at least 1).
+
+        What follows a colon in `stage` says which part it is at, and changes while the stage goes on.
+        """
+
+
+def name_of(stage: str) -> str:
+    """The stage without what it says of the part that it is at."""
+    return stage.partition(":")[0]
 
 
 def silent(stage: str, done: int, total: int) -> None:
@@ -28,9 +36,9 @@ class _Bars:
         self._bar: Any = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
-        if self._bar is None or stage != self._stage:
+        if self._bar is None or name_of(stage) != self._stage:
             self.close()
-            self._stage, self._bar = stage, self._kind(total=total, desc=stage)
+            self._stage, self._bar = name_of(stage), self._kind(total=total, desc=name_of(stage))
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         if done == total:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from airgs_codec.cli.common import parse_frames
 from airgs_codec.cli.terminal import Bar, run_command
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.beside import ATTRIBUTION_NAME, read_attribution, write_settings
+from airgs_codec.scene.beside import ATTRIBUTION_NAME, Settings, read_attribution, write_settings
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, look_at
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians, join_rows
@@ -75,7 +75,7 @@ def make_scene(
 
 def write_beside(folder: Path, sequence: GaussianSequence, cameras: Sequence[Camera]) -> None:
     """What lies beside frames that were made of those of a sequence: rate, one group, cameras and attribution."""
-    write_settings(folder, sequence.fps, [0])
+    write_settings(folder, Settings(sequence.fps, (0,)))
     entries = {"camera_model": "OPENCV", "frames": [entry(camera) for camera in cameras]}
     (folder / "transforms.json").write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
     if credit := read_attribution(sequence.folder):

@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec.errors import AirgsError
+from airgs_codec.progress import name_of
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -67,6 +68,13 @@ def _plain(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
+def as_time(seconds: float) -> str:
+    """Seconds in words, roughly."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.1f} hours"
+
+
 def _one_line(text: str) -> str:
     """The text with its middle left out where nobody would read it."""
     short = text if len(text) <= MOST_WORDS else f"{text[: MOST_WORDS // 2]} … {text[-MOST_WORDS // 2 :]}"
@@ -108,29 +116,30 @@ class Bar:
         if self._piped:
             self._say(stage, done, total)
             return
-        if stage != self._stage:
+        if self._bar is None or name_of(stage) != self._stage:
             self.close()
-            self._stage = stage
+            self._stage = name_of(stage)
             from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
 
             width = os.get_terminal_size(sys.stderr.fileno()).columns
-            self._bar = tqdm(total=total, desc=stage, leave=False, ncols=width or NARROW)
-        if self._bar is not None:
-            self._bar.update(done - self._bar.n)
+            self._bar = tqdm(total=total, initial=done, leave=False, ncols=width or NARROW)
+        self._bar.set_description(stage, refresh=False)
+        self._bar.total = total
+        self._bar.update(done - self._bar.n)
 
     def _say(self, stage: str, done: int, total: int) -> None:
         now_s = time.monotonic()
-        if stage != self._stage:
-            self._stage, self._stage_begun = stage, (now_s, done)
+        if name_of(stage) != self._stage:
+            self._stage, self._stage_begun = name_of(stage), (now_s, done)
         if now_s - self._said_s >= LINE_S:
             self._said_s = now_s
             begun_s, before = self._stage_begun
             left_s = (total - done) * (now_s - begun_s) / (done - before) if done > before else 0.0
-            left = f", about {left_s:.0f} s left" if left_s >= 1 else ""
+            left = f", about {as_time(left_s)} left" if left_s >= 1 else ""
             warn(f"{stage}: {done} of {total}, after {now_s - self._begun_s:.0f} s{left}")
 
     def close(self) -> None:
-        """Clear the line."""
+        """Clear the line; a stage may go on."""
         if self._bar is not None:
             self._bar.close()
             self._bar = None

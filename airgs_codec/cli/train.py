@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from fractions import Fraction
@@ -23,7 +24,7 @@ from airgs_codec.cli.common import (
 )
 from airgs_codec.cli.common import frames as frames_option
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
-from airgs_codec.cli.terminal import Bar, say, warn
+from airgs_codec.cli.terminal import Bar, as_time, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.report import NAME as JOBS_NAME
@@ -43,7 +44,8 @@ SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody shoul
 DEFAULTS = TrainSettings()
 FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
-EVERYDAY = ("max_size", "background", "budget", "min_psnr_db", "group_frames")
+PAGE_SHARE = 20  # times as long as it takes to write a page is trained before the next one
+EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +135,18 @@ def train(options: Train) -> int:
     )
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
-    jobs = _train_in_jobs(options, run) if shared else []
-    if not shared:
-        run_training(run, quiet=options.json)
+
+    def page(jobs: Sequence[Record] = ()) -> None:
+        exposed = run.capture.pictures.with_exposure(run.model.record.exposure)
+        if options.report:
+            write_report(run.model, exposed, options.report, renderer, jobs)
+
+    if shared:
+        page(_train_in_jobs(options, run))
+    else:
+        run_training(run, quiet=options.json, page=page if options.report else None)
+        page()
     model = run.model
-    if options.report:
-        write_report(model, run.capture.pictures.with_exposure(model.record.exposure), options.report, renderer, jobs)
     say(json.dumps(summary(model)) if options.json else as_words(model, options.report))
     return 0
 
@@ -262,38 +270,52 @@ def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: b
         warn(f"warning: trained without cameras that have no pose: {names}")
 
 
-def run_training(run: Run, *, quiet: bool) -> Model:
-    """Train frame after frame with a progress bar; `follow_training` says what is done."""
+def run_training(run: Run, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
+    """Train frame after frame with a progress bar, and say what it takes and what is done.
+
+    `page`: writes a page of the run so far, which it does now and then.
+    """
     from airgs_codec.trainer.pipeline import train_frames
 
+    if not quiet and not run.model.finished():
+        say(foretold(run))
     bar = Bar(quiet)
-    return follow_training(run, train_frames(run, bar), bar, quiet=quiet)
+    return follow_training(run, train_frames(run, bar), bar, quiet=quiet, page=page)
 
 
-def follow_training(run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet: bool) -> Model:
-    """A line for each frame as it is stored, and the warnings of the run once each."""
-    said = set[str]()
+def follow_training(
+    run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet: bool, page: Callable[[], None] | None = None
+) -> Model:
+    """A line for each frame as it is stored, and the warnings of the run once each; `page` as in `run_training`."""
+    said, due_s = set[str](), 0.0
     with closing(bar):
         for record in records:
             bar.close()
             if not quiet:
-                say(frame_line(record) + time_left(run.model))
+                say(frame_line(record))
                 if record.kind == "first" and run.model.record.exposure:
                     say(exposure_line(run.model.record.exposure))
             for warning in set(run.model.record.warnings()) - said:
                 warn(f"warning: {warning}")
                 said.add(warning)
+            if page and (begun_s := time.monotonic()) >= due_s and not run.model.record.complete:
+                page()
+                due_s = time.monotonic() + PAGE_SHARE * (time.monotonic() - begun_s)
     return run.model
 
 
-def time_left(model: Model) -> str:
-    """About how long the frames take that are left, from how long a frame behind the first took; empty: not known."""
-    record = model.record
-    took = [frame.seconds for frame in record.frames[1:]]
-    left_s = (record.total - len(record.frames)) * sum(took) / len(took) if took else 0.0
-    if not left_s:
-        return ""
-    return f"  about {left_s / 60:.0f} minutes left" if left_s > 120 else f"  about {left_s:.0f} s left"
+def foretold(run: Run) -> str:
+    """Return what there is to train, and about how long that takes and how much memory."""
+    from airgs_codec.trainer.plan import foretell
+
+    capture, done = run.capture, len(run.model.record.frames)
+    (least, most), memory = foretell(capture.trainer, capture.views(0), len(capture.scene), done)
+    seen = capture.pictures.cameras()[0]
+    held_out = sum(camera.held_out for camera in capture.scene.cameras)
+    cameras = f"{len(capture.scene.cameras) - held_out} training cameras and {held_out} held out"
+    frames = f"{len(capture.scene) - done} frames of {seen.width}x{seen.height}"
+    takes = f"about {as_time(least)} to {as_time(most)} and {memory / 1e9:.1f} GB"
+    return f"{capture.scene.path}: {frames}, {cameras}: {takes}"
 
 
 def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:

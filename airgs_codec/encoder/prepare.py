@@ -61,7 +61,7 @@ def prepare(
     sequence = ordered.rows.sequence
     views = views or plan_views(sequence, settings)
     grouping = _plan_groups(sequence, ordered.names, views, settings, work)
-    notes = (*ordered.rows.notes, *grouping.notes)
+    notes = (*sequence.notes, *ordered.rows.notes, *grouping.notes)
     credit = sequence.attribution if attribution is None else attribution
     together = held_bytes() if isinstance(work.engine, InProcess) else None  # processes read on their own
     return PreparedSequence(sequence, ordered.names, grouping.spans, views, notes, credit, together)

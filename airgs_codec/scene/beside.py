@@ -1,14 +1,14 @@
 """What lies beside the frames of a sequence: sequence.json, usage.npz and ATTRIBUTION.txt.
 
-sequence.json has the frame rate, the first frames of groups and the background; usage.npz how much each of the N
-Gaussians of a group contributes to the training views, as the trainer measured it: an array for each group and measure,
-named "start:stop/measure".
+sequence.json has the frame rate, the first frames of groups, the background and notes for people; usage.npz how much
+each of the N Gaussians of a group contributes to the training views, as the trainer measured it: an array for each
+group and measure, named "start:stop/measure".
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from numbers import Real
@@ -30,34 +30,44 @@ MEASURES = ("importance", "max", "sum", "hits")  # the first is `analysis.import
 DEFAULT_FPS = Fraction(30)
 MAX_FPS = 1000
 SETTINGS_NAME = "sequence.json"
-Settings = tuple[Fraction, tuple[int, ...] | None, Background]  # frames a second, keyframes, colour behind the scene
-DEFAULTS: Settings = (DEFAULT_FPS, None, BLACK)
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What sequence.json says."""
+
+    fps: Fraction = DEFAULT_FPS  # frames a second
+    keyframes: tuple[int, ...] | None = None  # first frames of groups
+    background: Background = BLACK  # colour behind the scene
+    notes: tuple[str, ...] = ()  # what people should know of the sequence, a sentence each; packages repeat them
 
 
 def read_settings(folder: Path, frames: int) -> Settings:
     """Return what the sequence.json of a folder with so many frames says, or the defaults. Raises SceneError."""
     path = folder / SETTINGS_NAME
     if not path.exists():
-        return DEFAULTS
+        return Settings()
     with expecting(path, '{"fps": number, "keyframes": [frame, ...]}'):
         data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         fps = exact_number(str(data.get("fps", DEFAULT_FPS)))
         keyframes = data.get("keyframes")
         starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))
+        notes = tuple(data.get("notes", ()))
+        if not all(isinstance(note, str) for note in notes):
+            raise ValueError("notes that are no texts")
     if starts and not (starts[0] >= 0 and starts[-1] < frames):
         raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
-    return frame_rate(str(path), fps), starts, _background(path, data.get("background", BLACK))
+    return Settings(frame_rate(str(path), fps), starts, _background(path, data.get("background", BLACK)), notes)
 
 
-def write_settings(
-    folder: Path, fps: Fraction, keyframes: Sequence[int] | None = None, background: Background = BLACK
-) -> None:
-    """Write it, atomically; without keyframes and a black background nothing is said of these."""
-    exact = Fraction(str(float(fps))) == fps
-    settings: dict[str, Any] = {"fps": float(fps) if exact else str(fps)}
-    settings |= {} if keyframes is None else {"keyframes": list(keyframes)}
-    settings |= {} if background == BLACK else {"background": list(background)}
-    write_json(folder / SETTINGS_NAME, settings)
+def write_settings(folder: Path, settings: Settings) -> None:
+    """Write it, atomically; of what is as by default, but for the frame rate, nothing is said."""
+    fps = settings.fps
+    told: dict[str, Any] = {"fps": float(fps) if Fraction(str(float(fps))) == fps else str(fps)}
+    told |= {} if settings.keyframes is None else {"keyframes": list(settings.keyframes)}
+    told |= {} if settings.background == BLACK else {"background": list(settings.background)}
+    told |= {"notes": list(settings.notes)} if settings.notes else {}
+    write_json(folder / SETTINGS_NAME, told)
 
 
 def _background(path: Path, data: Any) -> Background:

@@ -20,9 +20,9 @@ from airgs_codec.scene.arrays import IN_MEMORY, Nowhere, clip_of
 from airgs_codec.scene.beside import (
     ATTRIBUTION_NAME,
     DEFAULT_FPS,
-    DEFAULTS,
     SETTINGS_NAME,
     USAGE_NAME,
+    Settings,
     Usage,
     frame_rate,
     load_usage,
@@ -88,6 +88,7 @@ class GaussianSequence:
     max_sh_degree: int = 3  # SH bands above it are not read
     cameras_path: Path | None = None  # the file or folder that the cameras are from
     background: Background = BLACK  # what its cameras see behind it
+    notes: tuple[str, ...] = ()  # what sequence.json says of it to people
     alone: bool = False  # one file, opened by its own name
     orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # by frame, see `place_rows`
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
@@ -266,8 +267,7 @@ def _sequence_of_clip(
         except SceneError as error:
             clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
     frames = [(path, header) for header in clip.headers]
-    rate = clip.fps if fps is None else fps
-    sequence = sequence_of(found.folder, frames, views=views, fps=rate, alone=True)
+    sequence = sequence_of(found.folder, frames, views=views, fps=clip.fps if fps is None else fps, alone=True)
     return replace(sequence, clip=clip, breaks=clip.breaks)
 
 
@@ -290,13 +290,13 @@ def sequence_of(
         if header.sh_degree != degree:
             expected = f"expected SH degree {degree} as in {frames[0][0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    own_fps, keyframes, background = DEFAULTS if alone else read_settings(folder, len(frames))
-    rate = own_fps if fps is None else frame_rate(str(folder), fps)
+    own = Settings() if alone else read_settings(folder, len(frames))
+    rate = own.fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
-    cameras = tuple(replace(c, background=background) for c in read_cameras(cameras_path)) if cameras_path else ()
+    cameras = tuple(replace(c, background=own.background) for c in read_cameras(cameras_path)) if cameras_path else ()
     paths, headers = zip(*frames, strict=True)
-    found = GaussianSequence(folder, paths, headers, rate, keyframes, cameras, cameras_path=cameras_path, alone=alone)
-    return replace(found, background=background)
+    found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
+    return replace(found, background=own.background, notes=own.notes, alone=alone)
 
 
 class GrowingFolder:

@@ -27,6 +27,7 @@ from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psn
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
 from airgs_codec.trainer.fit.usage import group_usage
+from airgs_codec.trainer.plan import Plan, Told
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.trainer.settings import ON, TrainSettings
 
@@ -70,6 +71,11 @@ class Capture:
         names = [camera.name for camera in self.scene.cameras if not camera.held_out]
         stored = [stored_plate(plate, len(names)) for plate in plates]
         return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
+
+    def told(self, progress: Progress) -> Told:
+        """Progress of the whole run."""
+        cameras = [camera for camera in self.scene.cameras if not camera.held_out]
+        return Told(progress, Plan.of(self.settings, len(cameras), len(self.scene)))
 
     def within(self, frames: Iterable[int]) -> Capture:
         """The same for frames of a chunk: what they share with later ones is not looked for, where they are given."""
@@ -144,8 +150,8 @@ def chunks(frames: int, group_frames: int | None) -> list[Span]:
 
 def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
-    begun, trainer, named = time.perf_counter(), capture.trainer, _named(progress, 0, len(capture.scene))
-    views = capture.views(0)
+    begun, trainer, views = time.perf_counter(), capture.trainer, capture.views(0)
+    named = capture.told(progress).of(0)
     model = _exposures(views, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
     if capture.scene.given is None:
         g = trainer.fit_first(FrameViews(0, views), capture.scene.points, model, named)
@@ -170,8 +176,9 @@ def train_chunk(
     if at is None and frames.start == 0:
         group = capture.trainer.start_group(first, capture.views(0))
         at, frames = Position(FrameBefore(first, None), group), frames[1:]
+    told = capture.told(progress)
     for frame in frames:
-        begun, named = time.perf_counter(), _named(progress, frame, len(capture.scene))
+        begun, named = time.perf_counter(), told.of(frame)
         if at is None:
             before, target = FrameBefore(first, None), capture.target(frame, 0)
             steps = capture.trainer.steps(first, capture.views(0))
@@ -217,8 +224,9 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
     static = static_shares(before.gaussians, moved, group.steps)
     second = round(psnr, 3) if group.second_psnr is None else group.second_psnr  # as the record has it
     fitted = _Fitted(moved, "frame", psnr, replace(group, second_psnr=second), static=static)
-    known = group.second_psnr if capture.scene.given else group.first_psnr
-    if psnr >= s.min_psnr_db and (known is None or psnr >= known - s.max_drop_db):
+    first = -math.inf if capture.scene.given else group.first_psnr
+    known = first if group.second_psnr is None else group.second_psnr
+    if psnr >= s.min_psnr_db and psnr >= known - s.max_drop_db:
         return fitted
     g = _new_key(capture, target, before, group.steps, progress)
     key_psnr = mean_psnr(g, target.views, trainer.renderer)
@@ -324,8 +332,3 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
         seconds=round(seconds, 2),
     )
     return TrainedFrame(fitted.gaussians, record, networks.arrays() if networks else None)
-
-
-def _named(progress: Progress, frame: int, frames: int) -> Progress:
-    """Progress whose stages say of which frame they are."""
-    return lambda stage, done, total: progress(f"frame {frame} of {frames} ({stage})", done, total)

@@ -22,7 +22,7 @@ import numpy as np
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import PART_SUFFIX, atomic_path, to_json, write_json
-from airgs_codec.scene.beside import USAGE_NAME, Usage, save_usage, write_settings
+from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, save_usage, write_settings
 from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
@@ -99,6 +99,13 @@ class Record:
         starts = self.keyframes()
         return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
 
+    def quality(self) -> str:
+        """How near the finished frames are to their pictures, in a sentence that packages of them repeat."""
+        trained = f"{np.mean([f.psnr for f in self.frames]):.1f} dB to the pictures it was trained on"
+        held_out = [f.held_out_psnr for f in self.frames if f.held_out_psnr is not None]
+        unseen = f" and {np.mean(held_out):.1f} dB to those held out" if held_out else ""
+        return f"qualities are those of the coding: the trained model is itself at {trained}{unseen}"
+
     def warnings(self) -> list[str]:
         """Return what somebody should know who looks at the run, one sentence each."""
         low = self.settings["min_psnr_db"]
@@ -167,7 +174,10 @@ class Model:
 
     def _write_settings(self) -> None:
         red, green, blue = self.record.scene.get("background", BLACK)
-        write_settings(self.folder, Fraction(self.record.fps), self.record.keyframes(), (red, green, blue))
+        record = self.record
+        notes = (record.quality(),) if record.frames else ()
+        told = Settings(Fraction(record.fps), tuple(record.keyframes()), (red, green, blue), notes)
+        write_settings(self.folder, told)
 
     def write_cameras(self, cameras: Sequence[Camera]) -> None:
         """Write the cameras of the run as a nerfstudio transforms.json without pictures."""

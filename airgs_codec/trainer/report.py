@@ -25,6 +25,7 @@ from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 from airgs_codec.trainer.record import FrameRecord, Model
 
 _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
+RELOADED_S = 15  # seconds until a browser loads the page of a run that goes on again
 ERROR_GAIN = 5  # of the error maps
 
 
@@ -147,4 +148,8 @@ def _page(model: Model, shown: dict[int, str], jobs: str | None) -> str:
     warnings = "".join(f"<p>Warning: {html.escape(warning)}</p>" for warning in model.record.warnings())
     link = f'<p><a href="{jobs}">Who did which job, and when</a></p>' if jobs else ""
     body = f"<table>{rows}</table>{link}{warnings}{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
-    return page(f"Training of {model.folder.name}", body, style="code{overflow-wrap:anywhere}")
+    going_on = not model.record.complete
+    if going_on:
+        body = f"<p>So far {len(records)} of {model.record.total} frames are trained. This page fills.</p>{body}"
+    style, again = "code{overflow-wrap:anywhere}", RELOADED_S if going_on else None
+    return page(f"Training of {model.folder.name}", body, style=style, reload_s=again)

@@ -76,9 +76,13 @@ class TrainSettings:
     )
     temporal: Temporal = computed_setting(Temporal, "weight, unit and end of the temporal loss")
     velocity: bool = setting(True, "start a frame where its Gaussians would be if they moved on as before")
-    min_psnr_db: float = setting(30.0, "mean PSNR over training views below which a frame becomes a keyframe")
+    min_psnr_db: float = setting(
+        0.0, "mean PSNR over training views below which a frame becomes a keyframe, however good its group is"
+    )
     max_drop_db: float = setting(
-        5.0, "loss against the first frame of its group above which a frame becomes a keyframe"
+        3.0,
+        "loss against the first frame that moved in its group, or for that against the one before it, above which a "
+        "frame becomes a keyframe",
     )
     keep_better: bool = setting(
         True,

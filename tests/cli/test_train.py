@@ -31,9 +31,9 @@ def blobs(tmp_path_factory):
 
 def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
     words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(tmp_path / "r"), *QUICK, "--frames", "0:2"]
-    words += ["--min-psnr", "0"]
     assert train_main(words) == 0
     out = capsys.readouterr().out
+    assert f"{blobs}: 2 frames of 40x40, 6 training cameras and 1 held out: about " in out
     assert "first frame" in out and "held-out" in out and out.count("\nframe") == 2
     assert "dB (mean over views and frames)" in out  # packages pool the squared error of all views instead
     assert {"index.html", "training.png", "frame-000000.png", "frame-000001.png"} <= {
@@ -88,6 +88,8 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     package = open_package(tmp_path / "blobs.airgs")
     assert package.manifest.frames == 5 and package.manifest.region.source == "cameras"
     assert package.manifest.attribution == "blobs by nobody"
+    record = read_model(tmp_path / "blobs.gaussians").record
+    assert record.quality() in package.manifest.decisions
     assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
     assert encode_main([*words, "--json"]) == 0  # the model is there: only encoded
     json.loads(capsys.readouterr().out)

@@ -18,8 +18,13 @@ class StopError(Exception):
 
 
 def killed_at(frame: int, iteration: int):
+    """`iteration`: of all fits of the frame, counted from 1."""
+    past = 0
+
     def progress(what, done, total):
-        if what.startswith(f"frame {frame} ") and done == iteration:
+        nonlocal past
+        past += what.startswith(f"training: frame {frame} ")
+        if past == iteration:
             raise StopError
 
     return progress

@@ -13,7 +13,7 @@ from pathlib import Path
 from airgs_codec._arguments import argument, path_argument
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
-from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, write_settings
+from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses, refuse_writing
 from airgs_codec.scene.formats.library import find_command
@@ -101,7 +101,7 @@ def write_frames(
                 for number, gaussians in fitted:
                     target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
                 if not (target.path / SETTINGS_NAME).exists():
-                    write_settings(temporary, fps, background=background)
+                    write_settings(temporary, Settings(fps, background=background))
             else:
                 target.form.write(temporary, *(g for _, g in fitted))
         except SceneError as error:  # of a name that nobody has given
