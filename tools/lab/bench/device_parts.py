@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import CPU, Loaded, open_renderer
 from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.scene.camera import Camera
@@ -149,8 +150,8 @@ def fitted(device: str, asked: Fit, folder: Path) -> list[Row]:
         return []
     frames, s = record.frames, record.settings
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    width, height = max(camera.split()[2].split("x") for camera in record.scene["cameras"])
-    row: Row = {"scene": asked.scene.name, "device": device, "pictures": f"{width} x {height}"}
+    size = max((camera.width, camera.height) for camera in read_cameras(folder))
+    row: Row = {"scene": asked.scene.name, "device": device, "pictures": f"{size[0]} x {size[1]}"}
     counts = (s["first_iterations"], s["key_iterations"], s["frame_iterations"])
     row["iterations"] = ", ".join(map(str, counts))
     for name, kind in (("first frame, s", "first"), ("keyframe, s", "key"), ("frame in a group, s", "frame")):
@@ -168,7 +169,7 @@ def _seconds(frames: tuple[FrameRecord, ...], kind: str) -> float | None:
 def encoded(device: str, name: str, model: Path, settings: EncodeSettings) -> list[Row]:
     """Encode what was trained, with nothing kept from before."""
     sequence = open_sequence(model)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(dir=model.parent) as folder:
         os.environ["XDG_CACHE_HOME"] = folder  # calibrations; gsplat's kernels are loaded already
         took, report = seconds_of(lambda: encode(sequence, f"{folder}/package", replace(settings, device=device)))
     m = report.manifest
