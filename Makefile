@@ -1,13 +1,13 @@
 # `make demo` and `make test` do all the set-up on a fresh machine.
 PYTHON ?= python3
 BIN := .venv/bin
-SCENE := tests/data/fox
+FOX := tests/data/fox
 OUT := build/demo
 HEAD := manifests/showcase/head.airgs
 
 VIEWS := tests/data/fox_views
 
-.PHONY: demo demo-train demo-study test lint web-check pytest soak page clean
+.PHONY: demo demo-train demo-study test lint web-check pytest soak gpu page clean
 
 # torch is pinned here, in one place; where pip would take its CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.
 .venv/installed: pyproject.toml Makefile
@@ -30,10 +30,10 @@ demo: .venv/installed web/node_modules/installed
 	-$(BIN)/python -m tools.screenshot $(HEAD) -o $(OUT)/head.png
 	@echo "A picture of it playing: $(OUT)/head.png. To watch it: $(BIN)/airgs-serve $(HEAD), then open the address it says."
 	@echo
-	$(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
+	$(BIN)/airgs-encode $(FOX) -o $(OUT)/fox.airgs
 	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
 	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
-	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(SCENE)/trace.csv --views $(SCENE)/transforms.json --report $(OUT)/report
+	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(FOX)/trace.csv --views $(FOX)/transforms.json --report $(OUT)/report
 	-$(BIN)/python -m tools.screenshot $(OUT)/fox.airgs -o $(OUT)/browser.png
 	@echo
 	@echo "Pictures: $(OUT)/browser.png, $(OUT)/ladder.png, $(OUT)/report/index.html. What to do next:"
@@ -44,12 +44,12 @@ demo: .venv/installed web/node_modules/installed
 demo-train: .venv/installed
 	$(BIN)/airgs-train $(VIEWS) -o $(OUT)/trained --iterations 1000,600,150 --resume --report $(OUT)/training
 	$(BIN)/airgs-encode $(OUT)/trained -o $(OUT)/trained.airgs
-	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(SCENE)/trace.csv --views $(OUT)/trained/transforms.json --report $(OUT)/trained-report
+	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(FOX)/trace.csv --views $(OUT)/trained/transforms.json --report $(OUT)/trained-report
 	@echo "Pictures: $(OUT)/training/index.html, $(OUT)/trained-report/index.html"
 
 demo-study: .venv/installed
-	test -d $(OUT)/fox.airgs || $(BIN)/airgs-encode $(SCENE) -o $(OUT)/fox.airgs
-	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(SCENE)/trace.csv markov:1 --offsets 4 --report $(OUT)/study
+	test -d $(OUT)/fox.airgs || $(BIN)/airgs-encode $(FOX) -o $(OUT)/fox.airgs
+	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(FOX)/trace.csv markov:1 --offsets 4 --report $(OUT)/study
 	@echo "Pictures: $(OUT)/study/index.html"
 
 # Lint and types take one core while tests take the other.
@@ -78,6 +78,20 @@ soak: .venv/installed
 	$(BIN)/python -m tools.lab soak-farm
 	$(BIN)/python -m tools.lab soak-live
 	$(BIN)/python -m tests.long.watch
+
+# For a machine with an NVIDIA GPU: its driver, and nvcc and a C++ compiler, since gsplat comes from PyPI as source and
+# is compiled once, for minutes, before anything is timed. PyPI's torch 2.13 is for CUDA 13, and so must the toolkit be
+# (on the PATH, or at CUDA_HOME); ninja comes with gsplat, and torch looks for it on the PATH.
+.venv/gpu: .venv/installed
+	$(BIN)/pip install --quiet --editable '.[cuda]'
+	PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/python -c "import sys; from airgs_codec.render.cuda import missing; sys.exit(missing())"
+	touch $@
+
+# Nine minutes in all: one for the tests of gsplat, eight for fits, encodes and what must be equal; the table of all is
+# build/lab/devices/devices.md. `make gpu SCENE=DIR` takes a scene of your own besides the fox.
+gpu: .venv/gpu
+	-timeout 60 $(BIN)/pytest -rs tests/render/test_cuda.py
+	$(BIN)/python -m tools.lab devices $(VIEWS) $(SCENE)
 
 clean:
 	rm -rf build .venv web/node_modules web/out

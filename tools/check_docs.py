@@ -183,7 +183,9 @@ def command_error(words: list[str], whole: bool) -> str | None:
         return None
     if program == "make":
         targets = re.findall(r"^([\w-]+):", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
-        return next((f"make {word}: no such target" for word in arguments if word not in targets), None)
+        return next(
+            (f"make {word}: no such target" for word in arguments if word not in targets and "=" not in word), None
+        )
     module = program == "python" and arguments[:1] == ["-m"]
     if not module and program not in scripts():
         return f"{program}: neither a command of this repository nor one of {', '.join(sorted(OTHER_PROGRAMS))}"

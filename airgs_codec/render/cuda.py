@@ -55,13 +55,18 @@ def _summed(parts: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> tuple[torch.T
 
 
 def missing() -> str | None:
-    """Why gsplat cannot run here; None if it can. Compiles its kernels where they are not compiled yet (minutes)."""
+    """Why gsplat cannot run here; None if it can. Compiles its kernels where they are not compiled yet (minutes).
+
+    torch raises RuntimeError with all that a compiler says where it fails, and where ninja is not on the PATH.
+    """
     if not torch.cuda.is_available():
         return "torch sees no CUDA device"
     try:
         from gsplat.cuda import _backend
     except ImportError as error:
         return f"gsplat cannot be imported ({error}): pip install 'airgs-codec[cuda]'"
+    except RuntimeError as error:
+        return f"gsplat's kernels cannot be compiled: {str(error).splitlines()[0]}"
     if _backend._C is None:
         return "gsplat has no kernels: it needs the CUDA toolkit (nvcc) to compile them"
     return None

@@ -1,5 +1,7 @@
 """What is made around gsplat, with a stand-in that has its shapes: several cameras at once, weights, rows left out."""
 
+import sys
+import types
 from dataclasses import replace
 
 import numpy as np
@@ -108,3 +110,14 @@ def test_absolute_gradients_of_several_pictures_are_their_sum():
     gradients, seen = together.read()
     torch.testing.assert_close(gradients, sum(g for g, _ in alone))
     assert torch.equal(seen, sum(s.long() for _, s in alone)) and seen.max() == 3
+
+
+def test_kernels_that_do_not_compile_are_one_line(monkeypatch):
+    def fail(name):
+        raise RuntimeError("Ninja is required to load C++ extensions\n(all that the compiler said)")
+
+    kernels = types.ModuleType("gsplat.cuda")
+    kernels.__getattr__ = fail
+    monkeypatch.setitem(sys.modules, "gsplat.cuda", kernels)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert cuda.missing() == "gsplat's kernels cannot be compiled: Ninja is required to load C++ extensions"

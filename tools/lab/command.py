@@ -12,8 +12,9 @@ from __future__ import annotations
 import importlib
 import shlex
 import sys
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from airgs_codec.cli.terminal import Bar  # before all that loads numba
 from tools.lab.experiments import EXPERIMENTS, FIGURES, Experiment
 from tools.lab.page import Made, Page, text_of, update, write_page
 from tools.lab.results import Results
-from tools.lab.timing import machine, seconds_of
+from tools.lab.timing import machine
 
 OUTPUT = Path("build") / "lab"
 PROGRAM = "python -m tools.lab"
@@ -37,6 +38,7 @@ class Lab:
     folder: Path  # of what it gives; it is there
     results: Results
     progress: Bar
+    keep: Callable[[Page], object] = lambda page: None  # writes a page that is not finished, in case it never will be
 
     def tell(self, line: str) -> None:
         """Say on stderr how far it is."""
@@ -89,17 +91,24 @@ def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]
 
     def command(options: Any, output: Output) -> int:
         require_matplotlib("a page")
-        lab = Lab.at(output.output or OUTPUT / experiment.name)
+        folder, begun = output.output or OUTPUT / experiment.name, time.perf_counter()
+
+        def write(page: Page) -> Made:
+            took = time.perf_counter() - begun
+            made = Made(experiment.name, experiment.question, f"{PROGRAM} {shlex.join(words)}", machine(), took)
+            write_page(page, made, folder)
+            return made
+
+        lab = replace(Lab.at(folder), keep=write)
         try:
-            took, page = seconds_of(lambda: module.run(options, lab))
+            page = module.run(options, lab)
         finally:
             lab.progress.close()
         assert isinstance(page, Page)
-        made = Made(experiment.name, experiment.question, f"{PROGRAM} {shlex.join(words)}", machine(), took.wall)
-        write_page(page, made, lab.folder)
+        made = write(page)
         if output.update:
             update(output.update, page, made)
-        print(f"{text_of(page)}\n\n{lab.folder}, {took.wall:.0f} s; {made.machine}")
+        print(f"{text_of(page)}\n\n{folder}, {made.seconds:.0f} s; {made.machine}")
         return int(page.failed)
 
     command.__doc__ = f"{experiment.question}\n\n{module.__doc__}"

@@ -31,7 +31,7 @@ EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
     _room("crowd", "What do thousands of viewers of one programme get, and what does it cost?", "30 min"),
     _bench("decode", "How long does decoding take beside the H.264 alone?", "1 min a package"),
-    _bench("devices", "Do the CPU renderer and gsplat agree, and how fast are they?", "1 min, on a GPU"),
+    _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
     _bench("engines", "What do spark and PlayCanvas lose of our pictures?", "2 min"),
     _bench("formats", "What does a round trip through each splat format cost?", "5 min"),
     _bench("jobs", "What does sharing work cost and gain?", "10 min"),

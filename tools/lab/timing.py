@@ -53,13 +53,19 @@ def middle(took: Sequence[Took]) -> Took:
     return Took(median(t.cpu for t in took), median(t.wall for t in took))
 
 
-def alone(function: Callable[..., Any], *arguments: Any) -> tuple[Alone, Any]:
+def alone(function: Callable[..., Any], *arguments: Any, limit_s: float | None = None) -> tuple[Alone, Any]:
     """Return what one call of a function of a module took in a fresh process, and what it gives.
 
-    Raises what the function raises.
+    Raises what the function raises, TimeoutError after `limit_s` seconds, BrokenProcessPool where the process dies.
     """
+    others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-        return pool.submit(_measured, function, arguments).result()
+        try:
+            return pool.submit(_measured, function, arguments).result(limit_s)
+        except TimeoutError:
+            for process in set(multiprocessing.active_children()) - others:
+                process.kill()
+            raise
 
 
 def _measured(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[Alone, Any]:

@@ -4,6 +4,8 @@ import csv
 import importlib
 import json
 import math
+import multiprocessing
+import time
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -158,6 +160,12 @@ def test_work_is_timed_here_and_alone():
     assert len(timed(lambda: None, 3)) == 3 and middle([took, took]) == took
     measured, value = alone(math.gcd, 6, 4)
     assert value == 2 and 1 < measured.peak_mb < 4000
+
+
+def test_work_that_takes_too_long_is_ended():
+    with pytest.raises(TimeoutError):
+        alone(time.sleep, 600, limit_s=0.1)
+    assert not multiprocessing.active_children()
 
 
 def test_every_experiment_is_there_and_can_be_asked_for_help(capsys):

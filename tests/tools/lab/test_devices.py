@@ -1,0 +1,193 @@
+"""The experiment on devices: all of it on the CPU, and its comparison with a stand-in for gsplat."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.errors import ConfigError
+from airgs_codec.render import backend
+from airgs_codec.render.backend import CPU
+from airgs_codec.render.cuda import OnCuda
+from airgs_codec.trainer.record import read_model
+from tests.support import fake_gsplat
+from tests.support.training import write_blobs
+from tests.support.views import ring
+from tools.lab import main, seconds_of
+from tools.lab.bench import device_parts, devices
+from tools.lab.bench.device_parts import LIMITS, Fit, compare, fit, fitted, measured, pictures
+from tools.lab.bench.devices import LEFT_OUT, NOT_KNOWN, STOPPED, Found, Options, Part, page_of, parts_of
+from tools.lab.command import Lab
+from tools.lab.timing import Alone
+
+QUICK = EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast", levels=(LevelSettings(0.0),))
+TENTH = "a tenth of a fit"
+
+
+def here(function, *arguments, limit_s):
+    """What `alone` does, in this process."""
+    took, value = seconds_of(lambda: function(*arguments))
+    return Alone(took, 1.0), value
+
+
+def failing(device):
+    raise RuntimeError("CUDA error: an illegal memory access\nand much more")
+
+
+def late(*arguments, limit_s):
+    raise TimeoutError
+
+
+def part(function=failing, **more):
+    return Part("fit", "fits", "blobs", "cpu", function, (), **more)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    return write_blobs(tmp_path_factory.mktemp("scene") / "blobs")
+
+
+@pytest.fixture(scope="module")
+def model(scene, tmp_path_factory):
+    """Trained with the default settings of a GPU."""
+    folder = tmp_path_factory.mktemp("models") / "m"
+    rows, gpu = measured(fit, "cpu", Fit(scene, "cuda", 0.01), folder)
+    assert gpu is None and rows == fitted("cpu", Fit(scene, "cuda", 0.01), folder)
+    return folder
+
+
+def test_all_parts_are_done_and_the_page_is_kept_after_each(scene, model, tmp_path, monkeypatch):
+    monkeypatch.setattr(devices, "alone", here)
+    monkeypatch.setattr(devices, "EncodeSettings", lambda: QUICK)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # is set again where it encodes
+    kept = []
+    lab = replace(Lab.at(tmp_path / "lab", quiet=True), keep=kept.append)
+    options = Options((scene,), sequence=model, device="cpu", effort=0.01, cameras=1)
+    page = devices.run(options, lab)
+    machine, fits, encodes, seen, parts = (list(table.rows) for table in page.sections[0].tables)
+    assert [row["state"] for row in parts] == ["done"] * 8 and len(kept) == 8 and not page.failed
+    assert [row["part"] for row in parts] == [
+        "compare", "fit", "compare", "encode", "a tenth of a fit", "a tenth of a fit", "encode", "fit",
+    ]  # fmt: skip
+    assert [row["iterations"] for row in fits] == ["25, 10, 3", "2, 1, 1", "2, 1, 1", "25, 10, 3"]
+    times = ("first frame, s", "keyframe, s", "frame in a group, s", "PSNR, dB", "held-out, dB", "Gaussians")
+    assert all(row[name] > 0 for row in fits for name in times) and fits[0]["pictures"] == "40 x 40"
+    assert fits[0]["PSNR, dB"] == fits[3]["PSNR, dB"] > fits[1]["PSNR, dB"]
+    assert encodes[0]["bytes a frame"] == encodes[1]["bytes a frame"] > 100 and encodes[0]["frames"] == 5
+    assert [(row["scene"], row.get("SH")) for row in seen] == [
+        *(("m", degree) for degree in (0, 1, 3)), *(("blobs", degree) for degree in (0, 1, 3)),
+        ("largest", None), ("limit", None),
+    ]  # fmt: skip
+    assert next(row["is"] for row in machine if row["machine"] == "torch")
+
+
+def test_a_fit_has_the_settings_of_its_device_and_a_keyframe_where_it_is_wanted(scene, model):
+    settings = Fit(scene, "cuda", 0.1).settings(50)
+    assert (settings.first_iterations, settings.key_iterations, settings.frame_iterations) == (300, 100, 30)
+    assert (settings.deltas, settings.iteration_views, settings.max_size) == ("mlp+residual", 4, None)
+    assert [f.kind for f in read_model(model).record.frames] == ["first", "frame", "frame", "key", "frame"]
+
+
+def test_a_fit_that_is_stopped_leaves_the_frames_that_it_has(scene, model, tmp_path, monkeypatch):
+    asked, folder = Fit(scene, "cpu", 0.01), tmp_path / "m"
+    assert fitted("cpu", asked, folder) == []
+    fit("cpu", asked, folder)
+    read_model(folder).cut(2)
+    monkeypatch.setattr(devices, "alone", late)
+    found = Found()
+    found.do(part(left=lambda: fitted("cpu", asked, folder)), 5.0)
+    (row,) = found.rows["fits"]
+    assert found.parts[0]["state"] == STOPPED and row["frames"] == 2
+    assert row["keyframe, s"] is None and row["frame in a group, s"] > 0
+
+
+def test_what_fails_is_said_and_others_go_on(monkeypatch):
+    monkeypatch.setattr(devices, "alone", here)
+    found = Found()
+    for one in (part(), part(lambda device: [{"scene": "blobs"}])):
+        found.do(one, 5.0)
+    assert [row["state"] for row in found.parts] == ["failed: CUDA error: an illegal memory access", "done"]
+    assert found.rows["fits"] == [{"scene": "blobs"}] and page_of(found, [], Options(())).failed
+
+
+def test_what_there_is_no_time_for_is_left_out(monkeypatch):
+    monkeypatch.setattr(devices, "alone", here)
+    found, tenth = Found(), part()
+    found.do(part(), 0.0)
+    found.do(part(tenth=tenth), 5.0)
+    found.took[tenth] = 1.0
+    found.do(part(tenth=tenth), 9.0)
+    found.do(part(lambda device: [], tenth=tenth), 11.0)
+    assert [row["state"] for row in found.parts] == [LEFT_OUT, NOT_KNOWN, LEFT_OUT, "done"]
+    assert not page_of(found, [], Options(())).failed
+
+
+def test_what_takes_longest_comes_last(tmp_path):
+    parts = list(parts_of(Options((tmp_path / "a", tmp_path / "b")), tmp_path))
+    order = [(one.what, one.scene, one.device) for one in parts]
+    assert order[1:3] == [("fit", "a", "cuda"), ("fit", "b", "cuda")]
+    assert order[-2:] == [("fit", "a", "cpu"), ("fit", "b", "cpu")]
+    assert [(one.tenth.what, one.tenth.scene) for one in parts[-2:]] == [(TENTH, "a"), (TENTH, "b")]
+
+
+class Stand:
+    """A renderer of a GPU, on the CPU."""
+
+    def load(self, g):
+        return OnCuda.of(CPU.load(g).inputs, "cpu")
+
+
+def test_the_adapter_draws_what_the_cpu_does(model, monkeypatch):
+    fake_gsplat.install(monkeypatch)
+    monkeypatch.setattr(device_parts, "open_renderer", lambda device: Stand())
+    rows = pictures("cuda", "m", model, 1)
+    assert all(row[name] <= getattr(LIMITS, name) for row in rows for name in ("worst", "mean", "gradients", "peak"))
+    assert len(rows) == 3 and all(row["CPU, ms"] > 0 < row["cuda, ms"] for row in rows)
+
+
+class Broken:
+    """A renderer whose last gradient is no number."""
+
+    def __init__(self, loaded):
+        self.draw, self.inner = loaded.draw, loaded
+
+    def contribution_and_gradients(self, camera, pull):
+        seen, by = self.inner.contribution_and_gradients(camera, pull)
+        return seen, by._replace(**{by._fields[-1]: np.full_like(by[-1], np.nan)})
+
+
+def test_a_gradient_that_is_no_number_is_over_its_limit(model):
+    g, camera = device_parts.open_sequence(model).read(0), ring(1, size=32)[0]
+    loaded = CPU.load(g)
+    difference = compare(loaded, Broken(loaded), camera)
+    assert math.isnan(difference.gradients) and not difference.good() and compare(loaded, loaded, camera).good()
+    found = Found()
+    found.rows["pictures"].append({"scene": "m", **device_parts.asdict(difference)})
+    page = page_of(found, [], Options(()))
+    assert page.failed and math.isnan(page.sections[0].tables[3].rows[-2]["gradients"])
+
+
+def test_without_a_gpu_it_is_one_line_and_2(scene, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(backend, "_missing", lambda: "torch sees no CUDA device")
+    assert main(["devices", str(scene), "-o", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == "lab devices: --device cuda: torch sees no CUDA device\n"
+    with pytest.raises(ConfigError, match="--limit and an --effort above 0, got 0 and 1"):
+        Options((scene,), limit=0)
+
+
+def test_a_page_that_is_kept_is_written(tmp_path, monkeypatch):
+    """What is cut off leaves what it had."""
+    table = devices.Table("fits", [{"scene": "fox"}])
+
+    def cut_off(options, lab):
+        lab.keep(devices.Page([devices.Section("1 of 2.", tables=[table])]))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(devices, "run", cut_off)
+    with pytest.raises((KeyboardInterrupt, SystemExit)):
+        raise SystemExit(main(["devices", "fox", "-o", str(tmp_path)]))
+    assert json.loads((tmp_path / "devices.json").read_text())["figures"]["fits"] == [{"scene": "fox"}]
+    assert "| fox |" in (tmp_path / "devices.md").read_text()
