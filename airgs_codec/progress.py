@@ -21,6 +21,12 @@ def name_of(stage: str) -> str:
     return stage.partition(":")[0]
 
 
+def about(*seconds: float) -> str:
+    """How long something takes in words, roughly; two values are a range."""
+    unit, name = (1, "s") if max(seconds) < 120 else (60, "minutes") if max(seconds) < 7200 else (3600, "hours")
+    return f"about {' to '.join(f'{max(1, s / unit):.0f}' for s in seconds)} {name}"
+
+
 def silent(stage: str, done: int, total: int) -> None:
     """The default: says nothing."""
 

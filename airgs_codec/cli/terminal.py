@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec.errors import AirgsError
-from airgs_codec.progress import name_of
+from airgs_codec.progress import about, name_of
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -66,13 +66,6 @@ def warn(text: str, end: str = "\n") -> None:
 def _plain(text: str) -> str:
     """The text with escapes in place of what is no printable character, but for ends of lines."""
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
-
-
-def as_time(seconds: float) -> str:
-    """Seconds in words, roughly."""
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} minutes" if seconds < 7200 else f"{seconds / 3600:.1f} hours"
 
 
 def _one_line(text: str) -> str:
@@ -135,7 +128,7 @@ class Bar:
             self._said_s = now_s
             begun_s, before = self._stage_begun
             left_s = (total - done) * (now_s - begun_s) / (done - before) if done > before else 0.0
-            left = f", about {as_time(left_s)} left" if left_s >= 1 else ""
+            left = f", {about(left_s)} left" if left_s >= 1 else ""
             warn(f"{stage}: {done} of {total}, after {now_s - self._begun_s:.0f} s{left}")
 
     def close(self) -> None:

@@ -24,11 +24,12 @@ from airgs_codec.cli.common import (
 )
 from airgs_codec.cli.common import frames as frames_option
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
-from airgs_codec.cli.terminal import Bar, as_time, say, warn
+from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.report import NAME as JOBS_NAME
 from airgs_codec.jobs.report import write_report as write_jobs
+from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
@@ -309,12 +310,12 @@ def foretold(run: Run) -> str:
     from airgs_codec.trainer.plan import foretell
 
     capture, done = run.capture, len(run.model.record.frames)
-    (least, most), memory = foretell(capture.trainer, capture.views(0), len(capture.scene), done)
+    seconds, memory = foretell(capture.trainer, capture.views(0), len(capture.scene), done)
     seen = capture.pictures.cameras()[0]
     held_out = sum(camera.held_out for camera in capture.scene.cameras)
     cameras = f"{len(capture.scene.cameras) - held_out} training cameras and {held_out} held out"
     frames = f"{len(capture.scene) - done} frames of {seen.width}x{seen.height}"
-    takes = f"about {as_time(least)} to {as_time(most)} and {memory / 1e9:.1f} GB"
+    takes = f"{about(*seconds)} and {memory / 1e9:.1f} GB"
     return f"{capture.scene.path}: {frames}, {cameras}: {takes}"
 
 

@@ -26,6 +26,7 @@ from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.places.place import Folder
+from airgs_codec.progress import about
 from airgs_codec.render.compare import compare, draw_still
 from airgs_codec.scene.camera import Camera, resized
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
@@ -62,8 +63,7 @@ def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[Encode
     found = outlook(sequence, settings.rows)
     alone, rows = _costs(sequence)
     each = f"about {_rough(alone)} kB a frame"
-    unit, name = (60, "minutes") if rows * ROW_S[1] > 120 else (1, "s")
-    time = "about " + " to ".join(f"{max(1, rows * row_s / unit):.0f}" for row_s in ROW_S) + f" {name}"
+    time = about(*(rows * row_s for row_s in ROW_S))
     less = "about " + " to ".join(_rough(alone / share) for share in TRACKED_SHARES) + " kB a frame"
     offer = f"--track makes one set of moving Gaussians of them first: {time}, then {less}"
     if found.shared:

@@ -24,7 +24,7 @@ from airgs_codec.trainer.settings import TrainSettings
 FOLLOWED = 0.6  # units of an iteration of a frame that follows another
 BEFORE = 0.6  # mean share of the Gaussians of a first frame over its iterations
 TRIED = 3  # iterations that tell what one takes
-SPREAD = (0.7, 1.7)  # of what it then is, over that: what frames show and how they move is not known yet
+SPREAD = (0.4, 1.0)  # of what it then is, over that: what frames show and how they move is not known yet
 LIBRARIES = 700e6  # bytes that Python, torch and compiled kernels take
 TARGET, HELD = 36, 16  # bytes of a pixel of a target, and of a whole picture where only what moves is drawn
 
