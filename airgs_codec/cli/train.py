@@ -45,7 +45,7 @@ SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody shoul
 DEFAULTS = TrainSettings()
 FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
-PAGE_SHARE = 20  # times as long as it takes to write a page is trained before the next one
+PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 

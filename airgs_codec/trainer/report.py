@@ -19,6 +19,7 @@ from airgs_codec.jobs.job import Record as Job
 from airgs_codec.jobs.report import NAME as JOBS_NAME
 from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.image import label, to_bytes, write_png
+from airgs_codec.progress import about
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
@@ -40,7 +41,7 @@ def write_report(
     records = model.record.frames
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        plot_curves(records, directory / "training.png")
+        plot_curves(records, model.record.total, directory / "training.png")
         shown = {frame: f"frame-{frame:06d}.png" for frame in frames_to_show(records)}
         for frame, name in shown.items():
             write_png(directory / name, compare(model, pictures, frame, renderer))
@@ -69,8 +70,11 @@ def compare(model: Model, pictures: Pictures, frame: int, renderer: Renderer = C
     return np.concatenate(panels, axis=1)
 
 
-def plot_curves(records: Sequence[FrameRecord], path: Path) -> None:
-    """Draw PSNR, count, static updates and seconds over the frames into a picture file. Raises ConfigError."""
+def plot_curves(records: Sequence[FrameRecord], total: int, path: Path) -> None:
+    """Draw PSNR, count, static updates and seconds over frames, of which there will be `total`, into a picture file.
+
+    Raises ConfigError.
+    """
     figure = new_figure(10, 11)
     axes = figure.subplots(4, 1, sharex=True)
     for draw, axis in zip((_psnr, _count, _static, _seconds), axes, strict=True):
@@ -79,7 +83,8 @@ def plot_curves(records: Sequence[FrameRecord], path: Path) -> None:
         for record in records:
             if record.kind == "key":
                 axis.axvline(record.frame, color=_RED, alpha=0.4, linewidth=1)
-    axes[-1].set_xlabel("frame (red: keyframes)")
+    axes[-1].set(xlabel="frame (red: keyframes)", xlim=(-0.5, max(1, total) - 0.5))
+    axes[-1].xaxis.get_major_locator().set_params(integer=True)
     save_figure(figure, path)
 
 
@@ -96,7 +101,7 @@ def _psnr(axis: Any, records: Sequence[FrameRecord]) -> None:
 
 
 def _count(axis: Any, records: Sequence[FrameRecord]) -> None:
-    axis.step([r.frame for r in records], [r.gaussians for r in records], where="post", color=_GREEN)
+    axis.step([r.frame for r in records], [r.gaussians for r in records], where="mid", color=_GREEN)
     axis.set(ylabel="Gaussians", ylim=(0, None))
 
 
@@ -142,14 +147,16 @@ def _page(model: Model, shown: dict[int, str], jobs: str | None) -> str:
         "time": f"{sum(r.seconds for r in records):.0f} s",
     }
     rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
-    settings = html.escape(str(model.record.settings))
     pictures = "".join(f'<h2>Frame {frame}</h2><img src="{name}" alt="frame {frame}">' for frame, name in shown.items())
     curves = '<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">'
     warnings = "".join(f"<p>Warning: {html.escape(warning)}</p>" for warning in model.record.warnings())
     link = f'<p><a href="{jobs}">Who did which job, and when</a></p>' if jobs else ""
-    body = f"<table>{rows}</table>{link}{warnings}{curves}{pictures}<h2>Settings</h2><p><code>{settings}</code></p>"
+    settings = f"<h2>Settings</h2><p><code>{html.escape(str(model.record.settings))}</code></p>"
+    body = f"<table>{rows}</table>{link}{warnings}{pictures}<h2>Frame by frame</h2>{curves}{settings}"
     going_on = not model.record.complete
     if going_on:
-        body = f"<p>So far {len(records)} of {model.record.total} frames are trained. This page fills.</p>{body}"
+        took, left = [r.seconds for r in records[1:]], model.record.total - len(records)
+        time = f"; the others take {about(left * float(np.mean(took)))}" if took else ""
+        body = f"<p>{len(records)} of {model.record.total} frames are trained{time}. This page fills.</p>{body}"
     style, again = "code{overflow-wrap:anywhere}", RELOADED_S if going_on else None
     return page(f"Training of {model.folder.name}", body, style=style, reload_s=again)
