@@ -191,8 +191,6 @@ def _scene(options: Train) -> MultiviewScene:
 def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
     """The settings of a scene with so many training views. Raises ConfigError for options that cannot work."""
     told = dict(options.settings)
-    if "budget" in told:
-        told.setdefault("capacity", told["budget"] * 3 // 2)
     base, names = preset(options.preset, default_settings(device)), FIT_ITERATIONS
     counts: dict[str, int] = {}
     if (factor := EFFORTS[options.effort]) != 1:

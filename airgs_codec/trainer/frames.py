@@ -22,6 +22,7 @@ from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
+from airgs_codec.trainer.fit.first import BACK_SHARE, fit_first
 from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
 from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim, static_shares
 from airgs_codec.trainer.fit.parameters import Parameters
@@ -31,6 +32,7 @@ from airgs_codec.trainer.plan import Plan, Told
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.trainer.settings import ON, TrainSettings
 
+CAPACITY = 1.5  # times as many Gaussians as the first frame has may there ever be, unless settings say more
 LOOKED_SHARE = 0.6  # of the iterations of a first frame, which tell whether cameras are exposed differently
 WINDOW = 12  # frames that tell it
 SHARES = 3  # one view in so many of each of them does
@@ -65,6 +67,11 @@ class Capture:
     def with_exposure(self, exposure: Exposure) -> Capture:
         """The same, its pictures as the average camera would have exposed them."""
         return replace(self, pictures=self.pictures.with_exposure(exposure)) if exposure else self
+
+    def with_first(self, first: First) -> Capture:
+        """The same whose first frame is known."""
+        capacity = self.settings.capacity or round(CAPACITY * len(first.gaussians))
+        return replace(self.with_exposure(first.exposure), settings=replace(self.settings, capacity=capacity))
 
     def with_plates(self, plates: Iterable[Plate]) -> Capture:
         """The same that knows what rests; `plates`: of every training camera, or none at all."""
@@ -150,11 +157,11 @@ def chunks(frames: int, group_frames: int | None) -> list[Span]:
 
 def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
-    begun, trainer, views = time.perf_counter(), capture.trainer, capture.views(0)
+    begun, trainer, views = time.perf_counter(), capture.trainer, with_last(capture.views(0), BACK_SHARE)
     named = capture.told(progress).of(0)
     model = _exposures(views, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
     if capture.scene.given is None:
-        g = trainer.fit_first(FrameViews(0, views), capture.scene.points, model, named)
+        g = fit_first(trainer, FrameViews(0, views), capture.scene.points, model, named)
     else:
         g = _given_first(capture, 0, named)
     exposure = model.table([view.camera.name for view in views]) if model and model.differs else {}
@@ -162,6 +169,12 @@ def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     group = trainer.start_group(g, exposed.views(0))
     fitted = _Fitted(g, "first", group.first_psnr, group)
     return replace(_trained(exposed, 0, fitted, begun), exposure=exposure)
+
+
+def with_last(views: Sequence[View], share: int) -> list[View]:
+    """The views, one in `share` of them last, each from the middle of as many."""
+    last = range(share // 2, len(views) // share * share, share)
+    return [v for i, v in enumerate(views) if i not in last] + [views[i] for i in last]
 
 
 def train_chunk(

@@ -73,7 +73,7 @@ def fit_first(capture: Capture, *plates: Plate) -> TrainedFrame:
 
 def fit_chunk(capture: Capture, span: Span, first: First, *plates: Plate) -> Chunk:
     """Fit the frames of a chunk and measure the usage of their groups. Raises what `train` does."""
-    capture = capture.with_plates(plates).with_exposure(first.exposure)
+    capture = capture.with_plates(plates).with_first(first)
     trained = tuple(train_chunk(capture, range(*span), first.gaussians))
     known = {0: first.gaussians} | {t.record.frame: t.gaussians for t in trained}
     starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "key")})
@@ -214,7 +214,7 @@ class Here:
         done = len(model.record.frames)
         for start, stop in chunks(model.record.total, self.capture.settings.group_frames):
             if stop > done:
-                capture = self._settled.with_exposure(first.exposure).within(range(start, stop))
+                capture = self._settled.with_first(first).within(range(start, stop))
                 at = None if done <= start else position_after(capture, model)
                 yield from train_chunk(capture, range(max(start, done), stop), first.gaussians, at, self.progress)
 

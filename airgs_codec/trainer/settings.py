@@ -13,6 +13,7 @@ from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.gaussians import SH_REST
 
 FIRST, FIRST_A_VIEW = 2500, 60  # iterations of a first frame: the larger of both; 97 photos had not settled at 2500
+LEAST_BUDGET, MOST_BUDGET = 8_000, 64_000  # Gaussians of a first frame, where its pictures decide
 DELTAS = ("direct", "mlp", "mlp+residual")
 PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
@@ -44,8 +45,15 @@ class Temporal:
 class TrainSettings:
     """The settings of a run. Raises ConfigError for values that cannot work."""
 
-    budget: int = setting(8_000, "Gaussians of the first frame")
-    capacity: int = setting(12_000, "most Gaussians that there may ever be", default="1.5 times the budget")
+    budget: int | None = setting(
+        None,
+        f"Gaussians of the first frame; None: {LEAST_BUDGET}, and twice as many as often as pictures gain by it that "
+        "are held back from the fit",
+        default=f"{LEAST_BUDGET} or more, by need",
+    )
+    capacity: int | None = setting(
+        None, "most Gaussians that there may ever be", default="1.5 times those of the first frame"
+    )
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
         None,
@@ -150,8 +158,11 @@ class TrainSettings:
         return [
             (self.temporal.weight >= 0, f"expected a temporal weight of at least 0, got {self.temporal.weight}"),
             (0 < self.temporal.until <= 1, f"expected a temporal loss until 0 to 1, got {self.temporal.until}"),
-            (self.budget >= 1, f"expected a budget of at least one Gaussian, got {self.budget}"),
-            (self.capacity >= self.budget, f"expected a capacity of at least the budget, got {self.capacity}"),
+            (self.budget is None or self.budget >= 1, f"expected a budget of at least one Gaussian, got {self.budget}"),
+            (
+                self.capacity is None or self.capacity >= (self.budget or 1),
+                f"expected a capacity of at least the budget, got {self.capacity}",
+            ),
             (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
             (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
             (
@@ -230,7 +241,7 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
         return settings
     return replace(
         settings,
-        capacity=max(PAPER_CAPACITY, settings.capacity),
+        capacity=max(PAPER_CAPACITY, settings.capacity or 0),
         deltas="mlp",
         iteration_views=1,
         coarse=0.0,

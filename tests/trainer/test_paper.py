@@ -13,6 +13,7 @@ from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit import optimise, parameters
 from airgs_codec.trainer.fit import trainer as fits
+from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.grow import Densifier, growth_of_3dgs
 from airgs_codec.trainer.fit.losses import windowed_ssim
 from airgs_codec.trainer.fit.parameters import from_gaussians, render
@@ -88,7 +89,7 @@ def raw_sum(p, base, rows):
 def test_a_first_frame_has_the_loss_of_3dgs_alone(seen):
     g = truth()
     views = views_of(g, ring(4))
-    trainer().fit_first(FrameViews(0, views), Points(g.means, None))
+    fit_first(trainer(), FrameViews(0, views), Points(g.means, None))
     expected = [l_3dgs(p, views, n) for p, n in zip(seen.gaussians, seen.cameras, strict=True)]
     assert seen.losses == pytest.approx(expected, rel=1e-4, abs=2e-8)
     assert seen.shrinks == [None] * 4
@@ -96,7 +97,7 @@ def test_a_first_frame_has_the_loss_of_3dgs_alone(seen):
 
 def test_a_first_frame_starts_from_the_given_points_alone(seen):
     g = truth()
-    trainer(budget=60).fit_first(FrameViews(0, views_of(g, ring(4))), Points(g.means, None))
+    fit_first(trainer(budget=60), FrameViews(0, views_of(g, ring(4))), Points(g.means, None))
     start = seen.gaussians[0]["means"].numpy()
     assert sorted(map(tuple, start)) == sorted(map(tuple, g.means))  # neither random ones beside them nor fewer
 

@@ -147,7 +147,7 @@ def _back_to_back(folder):
     ],
 )
 def test_what_cannot_be_trained_is_refused_before_a_fit_and_leaves_nothing(blobs, tmp_path, make, message, monkeypatch):
-    monkeypatch.setattr(Trainer, "fit_first", None)
+    monkeypatch.setattr("airgs_codec.trainer.frames.fit_first", None)
     shutil.copytree(blobs, tmp_path / "scene")
     with pytest.raises(SceneError, match=message):
         train(make(tmp_path / "scene"), tmp_path / "m", SETTINGS)
@@ -158,7 +158,7 @@ def test_a_first_fit_that_fails_leaves_nothing(blobs, tmp_path, monkeypatch):
     def fail(*_):
         raise TrainingError("the loss is not finite")
 
-    monkeypatch.setattr(Trainer, "fit_first", fail)
+    monkeypatch.setattr("airgs_codec.trainer.frames.fit_first", fail)
     with pytest.raises(TrainingError):
         train(open_scene(blobs), tmp_path / "m", SETTINGS)
     assert not (tmp_path / "m").exists()

@@ -13,7 +13,7 @@ from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settin
     "wrong",
     [
         {"budget": 0},
-        {"capacity": 5},
+        {"budget": 6, "capacity": 5},
         {"sh_degree": 4},
         {"deltas": "x"},
         {"densify": "x"},

@@ -1,6 +1,6 @@
-"""The three kinds of fits of a run: a first frame, a frame in a group, and a keyframe after the first.
+"""What all fits of a run share, and those behind its first frame: of a frame in a group, and of a keyframe.
 
-N Gaussians, U of them those of the frame before, P points.
+N Gaussians, U of them those of the frame before.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
-from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.plates import Masks
 from airgs_codec.trainer.fit.active import Resting, Scope, find_active
 from airgs_codec.trainer.fit.grow import LOW_OPACITY, Densifier, Growth, find_wrong, growth_of_3dgs, residual_seeds
-from airgs_codec.trainer.fit.losses import ExposureModel, better, codec_steps, mean_psnr, temporal_weights
+from airgs_codec.trainer.fit.losses import better, codec_steps, mean_psnr, temporal_weights
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import (
     ATTRIBUTES,
@@ -29,23 +29,11 @@ from airgs_codec.trainer.fit.parameters import (
     to_gaussians,
     zeros_like,
 )
-from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
-from airgs_codec.trainer.fit.surround import sparse_cloud
+from airgs_codec.trainer.fit.points import scene_extent
 from airgs_codec.trainer.fit.variables import MlpDriven, Networks, PerGaussian, Rates, Regularisers
-from airgs_codec.trainer.settings import BUDGET, RANDOM, TrainSettings
+from airgs_codec.trainer.settings import BUDGET, MOST_BUDGET, RANDOM, TrainSettings
 
-START_OPACITY = 0.1  # of the points that a first frame starts from
-RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
 HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the budget; of a keyframe only added ones
-# Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
-# place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
-FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
-# Few cameras that are far apart leave much of a scene free: what is known of its surfaces is opaque, and stays there.
-SPARSE_OPACITY = 0.6
-SPARSE_RATES = Rates(means=0.1)
-DROPOUT = 0.2
-UNSEEN_OPACITY = 0.95
-SH_SHARE = 0.25  # of the iterations until each further SH band joins
 MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
@@ -93,51 +81,6 @@ class Trainer:
         """Where everything is computed: cpu or cuda."""
         return self.renderer.device
 
-    def fit_first(
-        self,
-        target: FrameViews,
-        points: Points | None,
-        exposure: ExposureModel | None = None,
-        progress: Progress = silent,
-    ) -> Gaussians:
-        """3DGS from a cloud of points (AirGS, "Training" 1), within the budget where the settings keep to one.
-
-        `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
-        which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
-        not finite or no Gaussian is left.
-        """
-        s = self.settings
-        rng = self._rng(target.frame, 0)
-        fewest, most = (round(RANDOM_SHARE * s.budget), s.budget) if s.densify == BUDGET else (0, s.capacity)
-        sparse = sparse_cloud(points, target.views, most, rng) if s.densify == BUDGET else None
-        cloud = sparse.points if sparse else initial_points(points, target.views, fewest, rng)
-        assert cloud.colours is not None  # both give every point one
-        if sparse:
-            most -= len(sparse.unseen.positions)
-        chosen = np.sort(rng.permutation(len(cloud.positions))[:most])
-        opacity, largest = SPARSE_OPACITY if sparse else START_OPACITY, 0.1 * self.extent
-        start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, opacity, largest)
-        variables = PerGaussian(
-            from_gaussians(start, self.device),
-            self.extent,
-            SPARSE_RATES if sparse else Rates(),
-            regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
-            dropout=DROPOUT if sparse else 0.0,
-            seed=s.seed,
-            densifier=Densifier(self._growth(most, target.views), len(start), rng),
-        )
-        iterations = s.iterations_from_scratch(len(target.views))
-        schedule = self._schedule("first frame", iterations, self._rising_sh_degree)
-        optimise(variables, target.views, schedule, rng, exposure, progress)
-        variables.remove_fainter(self._least_opacity)
-        found = to_gaussians(variables.detached())
-        return join_rows([found, self._unseen(sparse.unseen)]) if sparse and len(sparse.unseen.positions) else found
-
-    def _unseen(self, points: Points) -> Gaussians:
-        """What no view sees, so that it is no hole to others."""
-        assert points.colours is not None
-        return from_points(points.positions, points.colours, self.settings.sh_degree, UNSEEN_OPACITY, 0.1 * self.extent)
-
     def fit_frame(
         self, target: FrameViews, before: FrameBefore, group: Group, progress: Progress = silent
     ) -> Gaussians:
@@ -162,8 +105,8 @@ class Trainer:
             by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
             iterations -= by_mlp
             driven = MlpDriven(base, group.networks, temporal)
-            schedule = self._schedule("MLPs", by_mlp, self._sh_degree)
-            optimise(driven, target.views, schedule, self._rng(target.frame, 1), progress=progress)
+            schedule = self.schedule("MLPs", by_mlp, self.full_sh_degree)
+            optimise(driven, target.views, schedule, self.rng(target.frame, 1), progress=progress)
             moved = driven.detached()
             start = {name: moved[name] - base[name] for name in ATTRIBUTES}
         fitted = PerGaussian(
@@ -175,8 +118,8 @@ class Trainer:
             s.temporal.until,
             resting=scope.resting,
         )
-        schedule = self._schedule("motion", iterations, self._sh_degree, s.coarse)
-        optimise(fitted, scope.views, schedule, self._rng(target.frame, 2), progress=progress)
+        schedule = self.schedule("motion", iterations, self.full_sh_degree, s.coarse)
+        optimise(fitted, scope.views, schedule, self.rng(target.frame, 2), progress=progress)
         found = to_gaussians(fitted.detached())
         return better(before.gaussians, found, target.views[::2], self.renderer) if s.keep_better else found
 
@@ -189,8 +132,8 @@ class Trainer:
         """
         s = self.settings
         rows = len(before.gaussians)
-        most = min(round((1 + s.max_growth) * rows), s.capacity) if s.densify == BUDGET else s.capacity
-        rng = self._rng(target.frame, 3)
+        most = min(round((1 + s.max_growth) * rows), self.capacity) if s.densify == BUDGET else self.capacity
+        rng = self.rng(target.frame, 3)
         seeds = self._seeds(target, before.gaussians, most - rows, rng) if s.seeds else None
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
@@ -217,12 +160,12 @@ class Trainer:
             s.temporal.until,
             fixed=rows,
             regularisers=Regularisers(inflation=s.inflation),
-            densifier=Densifier(self._growth(most, scope.views), len(base["means"]), rng),
+            densifier=Densifier(self.growth(most, scope.views), len(base["means"]), rng),
             resting=scope.resting,
         )
-        schedule = self._schedule("keyframe", s.key_iterations, self._sh_degree)
+        schedule = self.schedule("keyframe", s.key_iterations, self.full_sh_degree)
         optimise(variables, scope.views, schedule, rng, progress=progress)
-        variables.remove_fainter(self._least_opacity)
+        variables.remove_fainter(self.least_opacity)
         return to_gaussians(variables.detached())
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
@@ -241,11 +184,16 @@ class Trainer:
         return Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
 
     @property
-    def _least_opacity(self) -> float:
+    def capacity(self) -> int:
+        """Return how many Gaussians there may ever be."""
+        return MOST_BUDGET if self.settings.capacity is None else self.settings.capacity
+
+    @property
+    def least_opacity(self) -> float:
         """Return the opacity under which rows are removed at the end of a fit that added some."""
         return HIDDEN_OPACITY if self.settings.densify == BUDGET else LOW_OPACITY
 
-    def _growth(self, most: int, views: Sequence[View]) -> Growth:
+    def growth(self, most: int, views: Sequence[View]) -> Growth:
         """How a fit to these views adds rows, up to `most`."""
         s = self.settings
         return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
@@ -257,7 +205,7 @@ class Trainer:
             wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
         return residual_seeds(before, target.views, wrong, most, 0.1 * self.extent, rng)
 
-    def _rng(self, frame: int, stage: int) -> np.random.Generator:
+    def rng(self, frame: int, stage: int) -> np.random.Generator:
         """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
         return np.random.default_rng([self.settings.seed, frame, stage])
 
@@ -288,16 +236,13 @@ class Trainer:
             return None
         return zeros_like(base) | {"means": torch.from_numpy(velocity.astype(np.float32)).to(self.device)}
 
-    def _schedule(
-        self, stage: str, iterations: int, sh_degree: Callable[[float], int], coarse: float = 0.0
-    ) -> Schedule:
+    def schedule(self, stage: str, iterations: int, sh_degree: Callable[[float], int], coarse: float = 0.0) -> Schedule:
+        """A fit of so many iterations, as the settings have it; see `Schedule`."""
         s = self.settings
         return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight, coarse)
 
-    def _rising_sh_degree(self, done: float) -> int:
-        return min(self.settings.sh_degree, int(done / SH_SHARE))
-
-    def _sh_degree(self, done: float) -> int:
+    def full_sh_degree(self, done: float) -> int:
+        """All SH bands from the start."""
         return self.settings.sh_degree
 
 

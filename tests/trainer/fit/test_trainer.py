@@ -5,6 +5,7 @@ import pytest
 
 from airgs_codec.render import render
 from airgs_codec.trainer.data.multiview import Points
+from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr, static_shares
 from airgs_codec.trainer.fit.points import scene_extent
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
@@ -21,7 +22,7 @@ def trainer(**settings) -> Trainer:
 def test_a_first_frame_approaches_its_pictures_within_the_budget():
     truth = coloured_cloud()
     views = views_of(truth, ring(8))
-    g = trainer().fit_first(FrameViews(0, views), Points(truth.means, None))
+    g = fit_first(trainer(), FrameViews(0, views), Points(truth.means, None))
     assert mean_psnr(g, views) > 26
     assert len(g) <= 400
     assert np.exp(g.log_scales).max() <= scene_extent(ring()) * 1.001

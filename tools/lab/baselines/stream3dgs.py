@@ -22,6 +22,7 @@ from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.active import Resting
+from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.grow import Densifier, Growth, strongest
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians, to_gaussians
@@ -87,7 +88,7 @@ class Stream3dgs:
         trainer = make_trainer(self.options.first, views, footage.points, "cpu")
         if not done:
             begun = time.perf_counter()
-            write_ply(path, trainer.fit_first(FrameViews(0, views), footage.points, progress=progress))
+            write_ply(path, fit_first(trainer, FrameViews(0, views), footage.points, progress=progress))
             yield Shown("key", read_ply(path), path.stat().st_size, time.perf_counter() - begun)
         first = read_ply(path)
         region = region_of(first, self.options.share)

@@ -24,9 +24,10 @@ from airgs_codec.places.whole import write_json
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians, morton_encode
+from airgs_codec.trainer.fit.first import FIRST_REGULARISERS, fit_first
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import FIRST_REGULARISERS, FrameViews, Trainer, make_trainer
+from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
 from airgs_codec.trainer.fit.variables import PerGaussian, Rates
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
@@ -270,7 +271,7 @@ def fit_key(
 ) -> Gaussians:
     """A keyframe from scratch, without its Gaussians of lowest opacity, fine-tuned; rows in Morton order."""
     points = footage.points if target.frame == 0 else None  # they are of the first frame
-    g = trainer.fit_first(target, points, progress=progress)
+    g = fit_first(trainer, target, points, progress=progress)
     kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
     fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, RATES, regularisers=FIRST_REGULARISERS)
     schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)

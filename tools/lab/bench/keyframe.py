@@ -17,6 +17,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
@@ -58,7 +59,7 @@ class Case:
     def scratch(self, iterations: int) -> Gaussians:
         """A keyframe from points found in its pictures."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, first_iterations=iterations))
-        return short.fit_first(self.target, None)
+        return fit_first(short, self.target, None)
 
 
 def run(options: Options, lab: Lab) -> Page:

@@ -15,6 +15,7 @@ from typing import Any
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
 from airgs_codec.trainer.frames import Capture
@@ -60,7 +61,7 @@ class Case:
     @cached_property
     def shared(self) -> Gaussians:
         """The first frame that frames in a group start from."""
-        return self.capture.trainer.fit_first(self.first, self.scene.points)
+        return fit_first(self.capture.trainer, self.first, self.scene.points)
 
     def trainer(self, **changes: Any) -> Trainer:
         """The trainer with other settings."""
@@ -112,7 +113,7 @@ def _rows(place: Place, frame: int, fit: Fit, seeds: int) -> list[Row]:
 
 def _first(views: int, case: Case, count: int, seed: int) -> Gaussians:
     trainer = case.trainer(first_iterations=count, iteration_views=views, seed=seed)
-    return trainer.fit_first(case.first, case.scene.points)
+    return fit_first(trainer, case.first, case.scene.points)
 
 
 def _frame(deltas: str, case: Case, count: int, seed: int) -> Gaussians:

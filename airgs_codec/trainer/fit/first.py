@@ -1,0 +1,132 @@
+"""The fit of a first frame, from points alone (AirGS, "Training" 1). N Gaussians, P points."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from airgs_codec.progress import Progress, silent
+from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.trainer.data.multiview import Points
+from airgs_codec.trainer.fit.grow import Densifier
+from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr
+from airgs_codec.trainer.fit.optimise import optimise
+from airgs_codec.trainer.fit.parameters import from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.points import from_points, initial_points
+from airgs_codec.trainer.fit.surround import sparse_cloud
+from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
+from airgs_codec.trainer.fit.variables import PerGaussian, Rates, Regularisers
+from airgs_codec.trainer.settings import BUDGET, LEAST_BUDGET, MOST_BUDGET
+
+START_OPACITY = 0.1  # of the points that a first frame starts from
+RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
+# Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
+# place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
+FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
+# Few cameras that are far apart leave much of a scene free: what is known of its surfaces is opaque, and stays there.
+SPARSE_OPACITY = 0.6
+SPARSE_RATES = Rates(means=0.1)
+DROPOUT = 0.2
+UNSEEN_OPACITY = 0.95
+BACK_SHARE = 8  # one view in so many is held back to tell whether more Gaussians show more
+GROWN_ITERATIONS, GROWN_RATES = 600, Rates(means=0.3)  # of the fits that tell
+DOUBLED_DB = 0.5  # what twice as many must bring there, for the bytes that they take
+SH_SHARE = 0.25  # of the iterations until each further SH band joins
+
+
+def fit_first(
+    trainer: Trainer,
+    target: FrameViews,
+    points: Points | None,
+    exposure: ExposureModel | None = None,
+    progress: Progress = silent,
+) -> Gaussians:
+    """3DGS from a cloud of points (AirGS, "Training" 1), within the budget where the settings keep to one.
+
+    `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
+    which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
+    not finite or no Gaussian is left.
+    """
+    s = trainer.settings
+    rng = trainer.rng(target.frame, 0)
+    budget = s.budget or LEAST_BUDGET
+    fewest, most = (round(RANDOM_SHARE * budget), budget) if s.densify == BUDGET else (0, trainer.capacity)
+    sparse = sparse_cloud(points, target.views, most, rng) if s.densify == BUDGET else None
+    cloud = sparse.points if sparse else initial_points(points, target.views, fewest, rng)
+    assert cloud.colours is not None  # both give every point one
+    if sparse:
+        most -= len(sparse.unseen.positions)
+    chosen = np.sort(rng.permutation(len(cloud.positions))[:most])
+    opacity, largest = SPARSE_OPACITY if sparse else START_OPACITY, 0.1 * trainer.extent
+    start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, opacity, largest)
+    variables = PerGaussian(
+        from_gaussians(start, trainer.device),
+        trainer.extent,
+        SPARSE_RATES if sparse else Rates(),
+        regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
+        dropout=DROPOUT if sparse else 0.0,
+        seed=s.seed,
+        densifier=Densifier(trainer.growth(most, target.views), len(start), rng),
+    )
+    iterations = s.iterations_from_scratch(len(target.views))
+    schedule = trainer.schedule("first frame", iterations, partial(_rising_sh_degree, s.sh_degree))
+    optimise(variables, target.views, schedule, rng, exposure, progress)
+    variables.remove_fainter(trainer.least_opacity)
+    found = to_gaussians(variables.detached())
+    if sparse:  # whose pictures do not tell more Gaussians from noise
+        return join_rows([found, _unseen(trainer, sparse.unseen)]) if len(sparse.unseen.positions) else found
+    wanted = s.budget is None and s.densify == BUDGET
+    return _as_many_as_needed(trainer, found, target, exposure, progress) if wanted else found
+
+
+def _as_many_as_needed(
+    trainer: Trainer, g: Gaussians, target: FrameViews, exposure: ExposureModel | None, progress: Progress
+) -> Gaussians:
+    """The Gaussians of a first frame, doubled as often as the last views gain by it, which are held back for that.
+
+    They are compared with as many as before, fitted on for as long without these views, too.
+    """
+    count = len(target.views) // BACK_SHARE
+    if not count:
+        return g
+    rest, back, most = target.views[:-count], target.views[-count:], LEAST_BUDGET
+    while 2 * most <= MOST_BUDGET:
+        same, more = (_grown(trainer, g, replace(target, views=rest), n, exposure, progress) for n in (most, 2 * most))
+        gain = matched_psnr(more, back, trainer.renderer) - matched_psnr(same, back, trainer.renderer)
+        if gain < DOUBLED_DB:
+            break
+        most *= 2
+        g = _grown(trainer, more, target, most, exposure, progress)
+    return g
+
+
+def _grown(
+    trainer: Trainer, g: Gaussians, target: FrameViews, most: int, exposure: ExposureModel | None, progress: Progress
+) -> Gaussians:
+    """The Gaussians fitted on, and up to `most` of them."""
+    rng = trainer.rng(target.frame, 4)
+    variables = PerGaussian(
+        from_gaussians(g, trainer.device),
+        trainer.extent,
+        GROWN_RATES,
+        regularisers=FIRST_REGULARISERS if trainer.settings.regularised else Regularisers(),
+        densifier=Densifier(trainer.growth(most, target.views), len(g), rng),
+    )
+    schedule = trainer.schedule(f"{most:,} Gaussians", GROWN_ITERATIONS, trainer.full_sh_degree)
+    optimise(variables, target.views, schedule, rng, exposure, progress)
+    variables.remove_fainter(trainer.least_opacity)
+    return to_gaussians(variables.detached())
+
+
+def _unseen(trainer: Trainer, points: Points) -> Gaussians:
+    """What no view sees, so that it is no hole to others."""
+    assert points.colours is not None
+    return from_points(
+        points.positions, points.colours, trainer.settings.sh_degree, UNSEEN_OPACITY, 0.1 * trainer.extent
+    )
+
+
+def _rising_sh_degree(most: int, done: float) -> int:
+    return min(most, int(done / SH_SHARE))
