@@ -23,7 +23,8 @@ SIDE = 480  # pixels, the longest side of the pictures that are compared
 # Measured on `multiview/fox`, `basketball` and `kinoptic`, as they are and with cameras that were made wrong.
 CHANCE = 0.1  # share of matches that agree with any poses, at most
 USUAL = 12  # matches of a camera that agree, by the median, from which something can be told
-FEW = 0.1  # of the median: so few agree where motion tells nothing
+ANYHOW = 5  # matches that may agree by chance, however few there are
+FEW, RARE = 0.1, 0.15  # of the medians of what agrees, and of its share: what either is below, where motion is unknown
 MOVES = 0.4  # median likeness of motion from which it tells something
 UNLIKE = 0.75  # of the median: the motion of a camera that may be wrong
 
@@ -58,11 +59,12 @@ def doubted(found: NDArray[np.int_], agreeing: NDArray[np.int_], motion: NDArray
     if not len(found) or np.median(agreeing) < USUAL:
         return np.zeros(len(found), np.bool_)
     share = agreeing / np.maximum(found, 1)
-    weak = (agreeing <= np.maximum(2, CHANCE * found)) & ((share <= np.median(share) / 3) | (agreeing <= 2))
+    weak = (agreeing <= np.maximum(ANYHOW, CHANCE * found)) & ((share <= np.median(share) / 3) | (agreeing <= 2))
     usual = float(np.nanmedian(motion)) if np.isfinite(motion).any() else 0.0
     if usual >= MOVES:
         return np.asarray(weak & ~(motion > UNLIKE * usual), np.bool_)
-    return np.asarray(weak & (agreeing <= FEW * np.median(agreeing)), np.bool_)
+    rare = (agreeing <= FEW * np.median(agreeing)) | (share <= RARE * np.median(share))
+    return np.asarray(weak & rare, np.bool_)
 
 
 def epipolar_distances(
