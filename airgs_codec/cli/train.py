@@ -23,6 +23,7 @@ from airgs_codec.cli.common import (
     report,
 )
 from airgs_codec.cli.common import frames as frames_option
+from airgs_codec.cli.matching import match_cameras
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
@@ -35,7 +36,7 @@ from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.trainer.data.readers import is_unposed, open_scene
 from airgs_codec.trainer.data.rig import find_poses
-from airgs_codec.trainer.settings import FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
+from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.trainer.pipeline import Run
@@ -94,6 +95,13 @@ class Train:
         "own", "videos without poses: whether cameras have one lens", choices=("own", "shared"), topic="scene"
     )
     pose_frame: int = setting(0, "videos without poses: frame that poses are found from", topic="scene")
+    sync: str = setting(
+        AUTO,
+        "whether cameras that are not in step are matched, by what moves: auto, off, or a JSON file with an object of "
+        "cameras and by how many frames each is late (negative: early)",
+        metavar="auto|off|FILE",
+        topic="scene",
+    )
     device: str = device("where it runs")
     work: WorkOptions = nested(WorkOptions, "work", ("jobs", "work"), own=True)
     report: Path | None = report("a page with curves, pictures and error maps")
@@ -116,6 +124,7 @@ def train(options: Train) -> int:
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.trainer.fit.points import degrees_apart
     from airgs_codec.trainer.pipeline import open_run
+    from airgs_codec.trainer.record import known_offsets
     from airgs_codec.trainer.report import write_report
 
     elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
@@ -129,11 +138,12 @@ def train(options: Train) -> int:
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")
+    folder = options.output or default_model(options.scene)
+    known = known_offsets(folder) if options.resume else None
+    scene = match_cameras(scene, options.sync, known, quiet=options.json)
     if options.work.part:
         return _train_part(options, scene, settings, device)
-    run = open_run(
-        scene, options.output or default_model(options.scene), settings, resume=options.resume, device=device
-    )
+    run = open_run(scene, folder, settings, resume=options.resume, device=device)
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 
@@ -246,11 +256,13 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     require_torch()
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.trainer.pipeline import open_run
+    from airgs_codec.trainer.record import known_offsets
 
     pose_rig(scene, quiet=quiet)
-    views = with_held_out(open_scene(scene, fps=fps), None)
+    views, folder = with_held_out(open_scene(scene, fps=fps), None), default_model(scene)
     device = open_renderer(device).device
-    run = open_run(views, default_model(scene), default_settings(device), resume=True, device=device)
+    views = match_cameras(views, AUTO, known_offsets(folder), quiet=quiet)
+    run = open_run(views, folder, default_settings(device), resume=True, device=device)
     return run_training(run, quiet=quiet).folder
 
 

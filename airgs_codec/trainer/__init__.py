@@ -30,6 +30,8 @@ def train(
 ) -> Model:
     """Train a multi-view scene, open or at a path, into a model folder, which `open_sequence` opens.
 
+    Cameras of a scene at a path that are not in step are matched; a scene that is open is trained as it is.
+
     `folder`: by default SCENE.gaussians beside the scene. `settings`: by default those of `airgs-train` on the device.
     `resume`: go on where a run in the folder ended. `device`: auto, cpu or cuda. `progress`: a function, or a class of
     bars such as tqdm.auto.tqdm. Finished frames stay whatever happens, and a run that was stopped and resumed ends with
@@ -40,12 +42,18 @@ def train(
     """
     require_torch()
     from airgs_codec.render.backend import open_renderer
+    from airgs_codec.trainer.data.between import in_step
+    from airgs_codec.trainer.data.sync import find_timing
     from airgs_codec.trainer.pipeline import open_run, train_frames
+    from airgs_codec.trainer.record import known_offsets
 
     views = argument("scene", scene, MultiviewScene, "a multi-view scene or the path of one", _open)
     found = open_renderer(device).device
     chosen = argument("settings", settings or default_settings(found), TrainSettings, "TrainSettings")
     model = default_model(views.path) if folder is None else Path(folder)
+    if views is not scene:
+        known = known_offsets(model) if resume else None
+        views = in_step(views, find_timing(views, told(progress)).offsets if known is None else known)
     run = open_run(views, model, chosen, resume=resume, device=found)
     for _ in train_frames(run, told(progress)):
         pass

@@ -82,7 +82,9 @@ class Record:
         cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
         first = Path(str(scene.frames[0][0].source)).name
         named = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
-        same = {**named, "background": list(background)}
+        same: dict[str, Any] = {**named, "background": list(background)}
+        if scene.offsets:
+            same["offsets"] = dict(scene.offsets)
         return Record(same, settings.table(), len(scene), str(scene.fps))
 
     @property
@@ -256,6 +258,13 @@ def read_model(folder: Path) -> Model:
             raise ValueError(f"version {version} instead of {VERSION}")
         data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
         return Model(folder, Record(**data))
+
+
+def known_offsets(folder: Path) -> Mapping[str, float] | None:
+    """Frames that the cameras of the run in a folder were late; None where there is no run. Raises SceneError."""
+    if not (folder / RECORD_NAME).is_file():
+        return None
+    return dict(read_model(folder).record.scene.get("offsets", {}))
 
 
 def _continued(folder: Path, known: Record, new: Record) -> Record:

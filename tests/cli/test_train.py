@@ -11,12 +11,14 @@ import pytest
 
 from airgs_codec.cli import train as train_command
 from airgs_codec.cli.encode import main as encode_main
+from airgs_codec.cli.matching import match_cameras
 from airgs_codec.cli.train import main as train_main
 from airgs_codec.media.image import read_picture, to_bytes, write_png
 from airgs_codec.package.package import open_package
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.sync import Timing
 from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 from airgs_codec.trainer.record import read_model
 from tests.support.training import SETTINGS, write_blobs
@@ -61,6 +63,7 @@ def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
         (["SCENE", "--fps", "0"], "expected 0 < fps"),
         (["SCENE", "--max-size", "3"], "16 pixels"),
         (["SCENE", "--foreground"], "expected a mask"),
+        (["SCENE", "--sync", "nowhere.json"], "nowhere.json"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):
@@ -123,6 +126,35 @@ def test_a_psnr_that_no_fit_reaches_is_said_once(blobs, tmp_path, capsys):
 def test_an_option_is_given_once(blobs, capsys):
     assert train_main([str(blobs), "--seed", "1", "--seed", "2"]) == 2
     assert capsys.readouterr().err == "airgs-train: argument --seed: expected one value, got another one: '2'\n"
+
+
+def test_offsets_of_a_file_are_those_of_the_run(blobs, tmp_path, capsys):
+    late, other = tmp_path / "late.json", tmp_path / "other.json"
+    late.write_text('{"cam01": 1, "cam02": -0.5}')
+    other.write_text('{"cam01": 1, "cam02": -1}')
+    words = [str(blobs), "-o", str(tmp_path / "m"), "--min-psnr", "0", *QUICK]
+    assert train_main([*words, "--sync", str(late)]) == 0
+    assert capsys.readouterr().out.count("\nframe") == 3  # of 5: from frame 1, and cam01 has no frame 5
+    assert read_model(tmp_path / "m").record.scene["offsets"] == {"cam01": 1.0, "cam02": -0.5}
+    assert train_main([*words, "--sync", str(other), "--resume"]) == 2
+    assert "the run there has offsets" in capsys.readouterr().err
+    assert train_main([*words, "--resume"]) == 0  # what was found is not looked for again
+
+
+def test_cameras_out_of_step_are_said_and_wrong_ones_warned_of(blobs, capsys, monkeypatch):
+    timing = Timing({"cam01": 1.25, "cam02": -2.0})
+    monkeypatch.setattr("airgs_codec.trainer.data.sync.find_timing", lambda *_: timing)
+    monkeypatch.setattr("airgs_codec.trainer.data.doubt.find_doubtful", lambda *_: ["cam03"])
+    scene = open_scene(blobs)
+    assert match_cameras(scene, "auto", None, quiet=False).offsets == timing.offsets
+    out, err = capsys.readouterr()
+    assert out == (
+        "cam02 is 2 frames early, cam01 is 1.25 frames late: matched, all have 1 of 5 frames; --sync off leaves it\n"
+    )
+    assert err.startswith("warning: cam03: ") and err.count("\n") == 1
+    assert match_cameras(scene, "off", None, quiet=True) is scene
+    assert match_cameras(scene, "auto", {"cam01": 1.0}, quiet=False).offsets == {"cam01": 1.0}
+    assert capsys.readouterr().out == ""
 
 
 def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, capsys):

@@ -52,6 +52,9 @@ class Drawn:
         """(H, W, 3) the picture, which has the size of its camera. Raises SceneError for a broken frame."""
         return self.drawing.draw(self.frame, self.camera)
 
+    def check(self, size: tuple[int, int]) -> None:
+        """Nothing: there is one, of the size of its camera."""
+
     def __str__(self) -> str:
         """Name the place in a message."""
         return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
@@ -45,6 +45,9 @@ class Readable(Protocol):
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
         """Read the picture, as `Source` does."""
+
+    def check(self, size: tuple[int, int]) -> None:
+        """Check that there is one, as `Source` does."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,7 @@ class MultiviewScene:
     points: Points | None = None  # of the first frame; None: the scene has none
     background: Background = BLACK  # what its pictures show behind the scene
     given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`data.drawn`)
+    offsets: Mapping[str, float] = field(default_factory=dict)  # frames that cameras were late, of `between.in_step`
 
     def __len__(self) -> int:
         return len(self.frames)

@@ -19,7 +19,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.media.image import check_picture, read_mask, resize, to_bytes, to_floats, undistort
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
-from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source
+from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
 from airgs_codec.trainer.data.recent import Recent
 from airgs_codec.trainer.settings import RANDOM, TrainSettings, named_background
 
@@ -130,7 +130,7 @@ class Pictures:
             for index, shot in enumerate(shots):
                 if frame == 0 and not shot.camera.held_out:
                     self._stored.get((frame, index))
-                elif isinstance(shot.source, Source):
+                else:
                     shot.source.check(_full_size(shot))
                     self._check_mask(shot)
 

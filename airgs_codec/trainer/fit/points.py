@@ -186,7 +186,7 @@ def triangulate(views: Sequence[View]) -> Points:
     first = np.concatenate([[0], np.cumsum([len(f[0]) for f in features])])
     links = [
         match_features(features[a][1], features[b][1], RATIO) + np.array([first[a], first[b]])
-        for a, b in _neighbours([view.camera for view in views])
+        for a, b in neighbours([view.camera for view in views], NEIGHBOURS)
     ]
     pairs = np.concatenate(links) if links else np.empty((0, 2), np.intp)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(first[-1], first[-1]))
@@ -212,8 +212,8 @@ def _features(view: View) -> tuple[NDArray[np.float64], NDArray[np.float32], NDA
     return places, descriptors, picture[rows, columns]
 
 
-def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
-    """Pairs of cameras (a, b), a < b, that look most alike: in direction, and in place."""
+def neighbours(cameras: Sequence[Camera], count: int) -> list[tuple[int, int]]:
+    """Pairs of cameras (a, b), a < b, each with the `count` that are most like it: in direction, and in place."""
     forward = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
     place = np.stack([camera.position for camera in cameras])
     apart = np.linalg.norm(place[:, None] - place[None], axis=2)
@@ -221,7 +221,7 @@ def _neighbours(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     unlike = (1 - forward @ forward.T) + apart / farthest
     pairs = set()
     for a, row in enumerate(unlike):
-        for b in np.argsort(row, kind="stable")[: NEIGHBOURS + 1]:
+        for b in np.argsort(row, kind="stable")[: count + 1]:
             if a != b:
                 pairs.add((min(a, int(b)), max(a, int(b))))
     return sorted(pairs)

@@ -1,0 +1,219 @@
+"""Cameras that are not in step are found and matched, and those that are plainly wrong are named."""
+
+import json
+import pickle
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from airgs_codec.errors import SceneError
+from airgs_codec.jobs.work import Work
+from airgs_codec.media.image import between, write_png
+from airgs_codec.places.results import open_store
+from airgs_codec.scene.camera import BLACK
+from airgs_codec.trainer.data.between import Between, in_step, read_offsets
+from airgs_codec.trainer.data.doubt import doubted, find_doubtful
+from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source, content_of, read_contents
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.sync import FEWEST, find_timing
+from airgs_codec.trainer.record import Record
+from airgs_codec.trainer.settings import TrainSettings
+from tests.support.multiview_files import plain
+from tests.support.paths import FOX_VIEWS
+from tests.support.rigs import film_rig, rig
+from tests.support.views import ring
+
+FRAMES = 20
+SIZE = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """A picture in memory, in place of a `Source`."""
+
+    rgb: np.ndarray
+    files = ()
+    content = None
+
+    def read(self, size):
+        return self.rgb
+
+    def check(self, size):
+        pass
+
+
+def drawn(camera, time, still=False):
+    """What a camera sees of three balls that hurry about, each in its own way, at a time in frames."""
+    picture = np.full((SIZE, SIZE, 3), 40, np.uint8)
+    for ball in range(0 if still else 3):
+        phase = 0.55 * time / (1 + 0.4 * ball) + 2 * ball
+        place = np.array([np.sin(phase), 0.7 * np.sin(1.7 * phase + ball), np.cos(0.8 * phase)]) * 0.9
+        x, y, depth = camera.world_to_camera[:3, :3] @ place + camera.world_to_camera[:3, 3]
+        at = (camera.fx * x / depth + camera.cx - 0.5, camera.fy * y / depth + camera.cy - 0.5)
+        radius = 0.2 * camera.fx / depth
+        cv2.circle(picture, [round(16 * v) for v in at], round(16 * radius), (220, 200, 90), -1, cv2.LINE_AA, shift=4)
+    return picture
+
+
+def filmed(late, frames=FRAMES, still=False):
+    """Six cameras all around, each late by so many frames, and a little noise."""
+    rng = np.random.default_rng(0)
+
+    def shown(camera, time):
+        noisy = drawn(camera, time, still) + rng.normal(0, 1.5, (SIZE, SIZE, 3))
+        return Shot(camera, Shown(np.clip(noisy, 0, 255).astype(np.uint8)))
+
+    cameras = ring(6, SIZE)
+    shots = (tuple(shown(c, t - late.get(c.name, 0.0)) for c in cameras) for t in range(frames))
+    return MultiviewScene(Path("balls"), Fraction(30), tuple(shots))
+
+
+def test_offsets_are_found_to_a_quarter_of_a_frame():
+    late = {"cam01": 2.0, "cam02": -1.25, "cam04": 3.5}
+    found = find_timing(filmed(late)).offsets
+    assert found.keys() == late.keys()
+    assert all(abs(found[name] - late[name]) <= 0.25 for name in late)
+
+
+def test_a_rig_in_step_is_left_alone():
+    timing = find_timing(filmed({}))
+    assert timing.offsets == {} and min(timing.likeness.values()) > 0.5
+
+
+@pytest.mark.parametrize("scene", [filmed({}, still=True), filmed({"cam01": 2.0}, frames=FEWEST - 1)])
+def test_nothing_is_said_where_nothing_moves_or_too_little_is_seen(scene):
+    assert find_timing(scene).offsets == {}
+
+
+def test_cameras_that_move_are_not_looked_at():
+    scene = filmed({"cam01": 2.0})
+    turned = replace(scene.cameras[0], world_to_camera=scene.cameras[1].world_to_camera)
+    frames = list(scene.frames)
+    frames[3] = (replace(frames[3][0], camera=turned), *frames[3][1:])
+    moving = replace(scene, frames=tuple(frames))
+    assert find_timing(moving).offsets == {}
+    with pytest.raises(SceneError, match="stand still"):
+        in_step(moving, {"cam01": 2.0})
+
+
+def test_a_scene_in_step_shows_each_camera_at_its_own_time():
+    late = {"cam01": 2.0, "cam02": -1.0}
+    scene = filmed(late)
+    matched = in_step(scene, late)
+    assert len(matched) == FRAMES - 3 and matched.offsets == late
+    assert matched.frames[0][0] is scene.frames[1][0]  # frame 0 of the first camera would be frame -1 of cam02
+    assert matched.frames[0][1] is scene.frames[3][1] and matched.frames[0][2] is scene.frames[0][2]
+    assert matched.frames[-1][1] is scene.frames[-1][1]
+    assert find_timing(matched).offsets == {}
+    assert in_step(scene, {"cam01": 0.0}) is scene
+
+
+def test_a_picture_between_two_is_nearer_the_truth_than_either_or_both():
+    camera = ring(1, SIZE)[0]
+    first, truth, second = (drawn(camera, time).astype(float) for time in (4.0, 4.125, 4.5))
+    made = Between(Shown(first.astype(np.uint8)), Shown(second.astype(np.uint8)), 0.25).read((SIZE, SIZE))
+    error = np.square(made - truth).mean()
+    assert error < 0.6 * min(np.square(other - truth).mean() for other in (first, 0.75 * first + 0.25 * second))
+    assert not np.array_equal(made, between(first.astype(np.uint8), second.astype(np.uint8), 0.75))
+
+
+def files(folder, masks=False):
+    """A scene of pictures in files: two cameras, five frames, brighter with time."""
+    cameras = ring(2, 32)
+    frames = []
+    for t in range(5):
+        shots = []
+        for camera in cameras:
+            path, mask = folder / f"{camera.name}-{t}.png", folder / f"mask-{camera.name}-{t}.png"
+            write_png(path, plain(20 * t + 10, (32, 32)))
+            write_png(mask, plain(255, (32, 32)))
+            shots.append(Shot(camera, Source(path), None, mask))
+        frames.append(tuple(shots))
+    return MultiviewScene(folder, Fraction(30), tuple(frames), None, BLACK)
+
+
+def test_a_fraction_of_a_frame_is_named_by_both_pictures_and_has_the_nearer_mask(tmp_path):
+    scene = files(tmp_path)
+    matched = in_step(scene, {"cam01": 0.75})
+    shot = matched.frames[1][1]
+    assert shot.source.files == (tmp_path / "cam01-1.png", tmp_path / "cam01-2.png")
+    assert shot.mask == tmp_path / "mask-cam01-2.png"
+    assert abs(int(shot.source.read((32, 32)).mean()) - 45) <= 1
+    assert pickle.loads(pickle.dumps(shot.source)) == shot.source
+    contents = read_contents(matched, Work(open_store(tmp_path / "work")))
+    other = in_step(scene, {"cam01": 0.625})  # the same files, and masks
+    assert content_of(matched, contents)[2][1] != content_of(other, contents)[2][1]
+
+
+def test_pictures_on_both_sides_are_checked(tmp_path):
+    matched = in_step(files(tmp_path), {"cam01": 0.5})
+    write_png(tmp_path / "cam01-4.png", plain(9, (30, 32)))
+    with pytest.raises(SceneError, match=r"cam01-4\.png: expected a picture of 32x32"):
+        Pictures(matched).check()
+
+
+def test_the_record_of_a_run_has_its_offsets(tmp_path):
+    scene, settings = files(tmp_path), TrainSettings()
+    assert Record.of(in_step(scene, {"cam01": 1.0}), BLACK, settings).scene["offsets"] == {"cam01": 1.0}
+    assert "offsets" not in Record.of(scene, BLACK, settings).scene
+
+
+@pytest.mark.parametrize(
+    ("offsets", "message"), [({"cam09": 1}, "no camera cam09"), ({"cam01": 5}, "leave a frame of 5 to all cameras")]
+)
+def test_offsets_that_cannot_be(tmp_path, offsets, message):
+    with pytest.raises(SceneError, match=message):
+        in_step(files(tmp_path), offsets)
+
+
+@pytest.mark.parametrize("text", ["[1]", '{"cam01": "2"}', '{"cam01": NaN}', '{"cam01": true}', "{"])
+def test_a_file_of_offsets_that_is_none(tmp_path, text):
+    path = tmp_path / "offsets.json"
+    path.write_text(text)
+    with pytest.raises(SceneError, match=r"offsets\.json"):
+        read_offsets(path)
+    path.write_text(json.dumps({"cam01": -2}))
+    assert read_offsets(path) == {"cam01": -2.0}
+
+
+@pytest.fixture(scope="module")
+def corner(tmp_path_factory):
+    """Eight cameras that look into a corner of pictures, one frame."""
+    folder = tmp_path_factory.mktemp("corner")
+    cameras = rig(8)
+    film_rig(folder, cameras, frames=1)
+    shots = tuple(Shot(camera, Source(folder / f"{camera.name}.mp4", 0)) for camera in cameras)
+    return MultiviewScene(folder, Fraction(30), (shots,))
+
+
+def test_cameras_that_fit_are_not_doubted(corner):
+    assert find_doubtful(corner, {}) == []
+    assert find_doubtful(open_scene(FOX_VIEWS), {}) == []
+
+
+def test_two_whose_pictures_are_swapped_are_doubted(corner):
+    shots = list(corner.frames[0])
+    shots[1], shots[6] = (replace(shots[a], source=shots[b].source) for a, b in ((1, 6), (6, 1)))
+    assert find_doubtful(replace(corner, frames=(tuple(shots),)), {}) == ["cam01", "cam06"]
+
+
+@pytest.mark.parametrize("made", [lambda rgb: rgb[:, ::-1], lambda rgb: np.full_like(rgb, 90)])
+def test_a_mirrored_picture_and_one_that_shows_nothing_of_it_are_doubted(corner, made):
+    shots = list(corner.frames[0])
+    rgb = shots[3].source.read((shots[3].camera.width, shots[3].camera.height))
+    shots[3] = replace(shots[3], source=Shown(np.ascontiguousarray(made(rgb))))
+    assert find_doubtful(replace(corner, frames=(tuple(shots),)), {}) == ["cam03"]
+
+
+def test_motion_that_is_alike_clears_a_camera_of_few_features():
+    found, agreeing = np.full(9, 60), np.array([2] + 8 * [30])
+    unknown, same, other = (np.array([first] + 8 * [0.8]) for first in (np.nan, 0.75, 0.1))
+    assert doubted(found, agreeing, np.full(9, np.nan))[0]
+    assert doubted(found, agreeing, other)[0] and doubted(found, agreeing, unknown)[0]
+    assert not doubted(found, agreeing, same).any()
+    assert not doubted(found, agreeing // 5, other).any()  # where cameras have little in common nothing can be told
