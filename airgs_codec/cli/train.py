@@ -33,7 +33,7 @@ from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
-from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
+from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
 from airgs_codec.trainer.data.readers import is_unposed, open_scene
 from airgs_codec.trainer.data.rig import find_poses
 from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
@@ -140,7 +140,7 @@ def train(options: Train) -> int:
         say(f"{options.scene}: its pictures are before a background of {colour}")
     folder = options.output or default_model(options.scene)
     known = known_offsets(folder) if options.resume else None
-    scene = match_cameras(scene, options.sync, known, quiet=options.json)
+    scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
     if options.work.part:
         return _train_part(options, scene, settings, device)
     run = open_run(scene, folder, settings, resume=options.resume, device=device)
@@ -192,7 +192,8 @@ def _scene(options: Train) -> MultiviewScene:
     if options.pose_frame < 0:
         raise ConfigError(f"--pose-frame: expected a frame of at least 0, got {options.pose_frame}")
     pose_rig(options.scene, frame=options.pose_frame, shared_lens=options.lenses == "shared", quiet=options.json)
-    scene = open_scene(options.scene, fps=options.fps, frames=parse_frames(options.frames))
+    scene = open_scene(options.scene, fps=options.fps)
+    frames_of(scene, parse_frames(options.frames))  # those that are not there are told before anything is read
     names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
     scene = with_held_out(scene, names)
     return scene if options.near is None else with_near(scene, options.near)
@@ -261,7 +262,7 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     pose_rig(scene, quiet=quiet)
     views, folder = with_held_out(open_scene(scene, fps=fps), None), default_model(scene)
     device = open_renderer(device).device
-    views = match_cameras(views, AUTO, known_offsets(folder), quiet=quiet)
+    views = match_cameras(views, (0, None), AUTO, known_offsets(folder), quiet=quiet)
     run = open_run(views, folder, default_settings(device), resume=True, device=device)
     return run_training(run, quiet=quiet).folder
 

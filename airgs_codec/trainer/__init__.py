@@ -53,7 +53,7 @@ def train(
     model = default_model(views.path) if folder is None else Path(folder)
     if views is not scene:
         known = known_offsets(model) if resume else None
-        views = in_step(views, find_timing(views, told(progress)).offsets if known is None else known)
+        views = in_step(views, find_timing(views, progress=told(progress)).offsets if known is None else known)
     run = open_run(views, model, chosen, resume=resume, device=found)
     for _ in train_frames(run, told(progress)):
         pass

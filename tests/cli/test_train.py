@@ -142,18 +142,19 @@ def test_offsets_of_a_file_are_those_of_the_run(blobs, tmp_path, capsys):
 
 
 def test_cameras_out_of_step_are_said_and_wrong_ones_warned_of(blobs, capsys, monkeypatch):
-    timing = Timing({"cam01": 1.25, "cam02": -2.0})
+    alike = dict.fromkeys(("cam00", "cam01", "cam02", "cam03"), 0.6)
+    timing = Timing({"cam01": 1.25, "cam02": -2.0}, {**alike, "cam03": 0.1, "cam04": 0.1})
     monkeypatch.setattr("airgs_codec.trainer.data.sync.find_timing", lambda *_: timing)
     monkeypatch.setattr("airgs_codec.trainer.data.doubt.find_doubtful", lambda *_: ["cam03"])
     scene = open_scene(blobs)
-    assert match_cameras(scene, "auto", None, quiet=False).offsets == timing.offsets
+    assert match_cameras(scene, (0, None), "auto", None, quiet=False).offsets == timing.offsets
     out, err = capsys.readouterr()
     assert out == (
         "cam02 is 2 frames early, cam01 is 1.25 frames late: matched, all have 1 of 5 frames; --sync off leaves it\n"
     )
-    assert err.startswith("warning: cam03: ") and err.count("\n") == 1
-    assert match_cameras(scene, "off", None, quiet=True) is scene
-    assert match_cameras(scene, "auto", {"cam01": 1.0}, quiet=False).offsets == {"cam01": 1.0}
+    assert "cam04: what moves there is like in no other camera" in err and "\nwarning: cam03: pictures do not" in err
+    assert match_cameras(scene, (0, None), "off", None, quiet=True).frames == scene.frames
+    assert match_cameras(scene, (0, None), "auto", {"cam01": 1.0}, quiet=False).offsets == {"cam01": 1.0}
     assert capsys.readouterr().out == ""
 
 

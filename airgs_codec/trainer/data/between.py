@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import between
 from airgs_codec.scene.files import expecting, read_object
-from airgs_codec.trainer.data.multiview import MultiviewScene, Readable, Shot
+from airgs_codec.trainer.data.multiview import MultiviewScene, Readable, Shot, frames_of
 from airgs_codec.trainer.data.plates import stands_still
 
 WHOLE = 1e-3  # frames: an offset that is as near to a whole number is one
@@ -57,31 +57,35 @@ class Between:
         return f"{self.first} + {self.share:g}"
 
 
-def in_step(scene: MultiviewScene, offsets: Mapping[str, float]) -> MultiviewScene:
-    """The scene in whose frame t each camera shows what it took at frame t + its offset, in frames: 0 unless named.
+def in_step(
+    scene: MultiviewScene, offsets: Mapping[str, float], span: tuple[int, int | None] = (0, None)
+) -> MultiviewScene:
+    """The frames [A, B) of a scene, in whose frame t each camera shows what it took at t + its offset, in frames.
 
-    An offset is positive where a camera is late. Frames that not all cameras have are left out. A mask between two
-    frames is that of the nearer one.
+    An offset is positive where a camera is late, and 0 unless named. Frames that not all cameras have are left out. A
+    mask between two frames is that of the nearer one. Points are those of the first frame of the scene.
 
-    Raises SceneError for a name that no camera has, cameras that move, and offsets that leave no frame.
+    Raises SceneError for frames that are not there, a name that no camera has, cameras that move, and offsets that
+    leave no frame.
     """
+    first, end = frames_of(scene, span)
     late = {name: offset for name, offset in offsets.items() if offset}
     if not late:
-        return scene
+        return replace(scene, frames=scene.frames[first:end], points=None if first else scene.points)
     names = [camera.name for camera in scene.cameras]
     if unknown := sorted(set(late) - set(names)):
         raise SceneError(f"{scene.path}: no camera {', '.join(unknown)}; there are {', '.join(names)}")
     if not stands_still(scene):
         raise SceneError(f"{scene.path}: expected cameras that stand still, where they are not in step")
     of = [late.get(name, 0.0) for name in names]
-    start = max(0, math.ceil(-min(of) - WHOLE))
-    stop = min(len(scene), math.floor(len(scene) - 1 - max(of) + WHOLE) + 1)
+    start = max(first, math.ceil(-min(of) - WHOLE))
+    stop = min(end, math.floor(len(scene) - 1 - max(of) + WHOLE) + 1)
     if start >= stop:
-        raise SceneError(f"{scene.path}: expected offsets that leave a frame of {len(scene)} to all cameras")
+        raise SceneError(f"{scene.path}: expected offsets that leave a frame of {end - first} to all cameras")
     frames = tuple(
         tuple(_shot_at(scene, index, frame + offset) for index, offset in enumerate(of)) for frame in range(start, stop)
     )
-    return replace(scene, frames=frames, offsets=late)
+    return replace(scene, frames=frames, offsets=late, points=None if first else scene.points)
 
 
 def _shot_at(scene: MultiviewScene, index: int, time: float) -> Shot:

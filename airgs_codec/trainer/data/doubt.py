@@ -26,6 +26,8 @@ USUAL = 12  # matches of a camera that agree, by the median, from which somethin
 ANYHOW = 5  # matches that may agree by chance, however few there are
 FEW, RARE = 0.1, 0.15  # of the medians of what agrees, and of its share: what either is below, where motion is unknown
 MOVES = 0.4  # median likeness of motion from which it tells something
+ALONE = 1 / 3  # of the median: the motion of a camera that is like no other's; those of the three rigs have 0.58 and
+# more, but for a camera that is some 15 frames early
 UNLIKE = 0.75  # of the median: the motion of a camera that may be wrong
 
 
@@ -65,6 +67,15 @@ def doubted(found: NDArray[np.int_], agreeing: NDArray[np.int_], motion: NDArray
         return np.asarray(weak & ~(motion > UNLIKE * usual), np.bool_)
     rare = (agreeing <= FEW * np.median(agreeing)) | (share <= RARE * np.median(share))
     return np.asarray(weak & rare, np.bool_)
+
+
+def moving_alone(likeness: Mapping[str, float]) -> list[str]:
+    """Names of the cameras whose motion is like no other's, where that of the others is alike.
+
+    `likeness`: what `sync.Timing` has.
+    """
+    usual = float(np.median(list(likeness.values()))) if likeness else 0.0
+    return [name for name, alike in likeness.items() if usual >= MOVES and alike < ALONE * usual]
 
 
 def epipolar_distances(

@@ -142,6 +142,14 @@ def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tu
     return tuple(map(tuple, frames.values()))
 
 
+def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int, int]:
+    """The frames [A, B) of a scene; None: its end. Raises SceneError where it does not have them."""
+    start, stop = span[0], len(scene) if span[1] is None else span[1]
+    if not 0 <= start < stop <= len(scene):
+        raise SceneError(f"{scene.path}: expected frames inside 0:{len(scene)}, got {start}:{stop}")
+    return start, stop
+
+
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:
     """The scene whose cameras draw no Gaussian nearer than `near` world units."""
     return _with_cameras(scene, lambda camera: replace(camera, near=near))

@@ -24,7 +24,7 @@ from airgs_codec.scene.files import expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames
 from airgs_codec.trainer.data.colmap import has_colmap, has_hifi4g, read_colmap, read_hifi4g
-from airgs_codec.trainer.data.multiview import MultiviewScene, Points, Shot, Source, in_frames
+from airgs_codec.trainer.data.multiview import MultiviewScene, Points, Shot, Source, frames_of, in_frames
 from airgs_codec.trainer.data.rig import has_rig, read_rig
 from airgs_codec.trainer.data.videos import VIDEO_SUFFIXES, CameraFilm, read_poses_bounds, scene_from_films
 
@@ -129,12 +129,10 @@ def open_scene(
     Raises SceneError when no format fits, a file is broken or missing, or the frames are not there.
     """
     scene = _read(folder)
-    start, stop = frames[0], len(scene) if frames[1] is None else frames[1]
-    if not 0 <= start < stop <= len(scene):
-        raise SceneError(f"{folder}: expected frames inside 0:{len(scene)}, got {start}:{stop}")
     for number, shots in enumerate(scene.frames):
         if not shots:
             raise SceneError(f"{folder}: expected pictures of frame {number}, got none")
+    start, stop = frames_of(scene, frames)
     points = scene.points or (_read_points(folder) if start == 0 else None)
     return replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
 

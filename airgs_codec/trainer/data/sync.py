@@ -21,7 +21,7 @@ from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
-from airgs_codec.trainer.data.multiview import MultiviewScene
+from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.plates import stands_still
 from airgs_codec.trainer.fit.points import neighbours
@@ -29,7 +29,7 @@ from airgs_codec.trainer.fit.points import neighbours
 REACH = 5  # frames that a camera may be early or late
 STEPS = 4  # offsets are found in so many parts of a frame
 LAGS = np.arange(-2 * REACH * STEPS, 2 * REACH * STEPS + 1)
-FEWEST, MOST = 12, 120  # frames, the first ones, that tell it
+FEWEST, MOST = 12, 120  # frames that tell it
 SIDE = 240  # pixels, the longest side of the pictures that are compared
 BINS = 96  # of the angle around the line between two cameras
 LEAST_ANGLE = 0.05  # radians that both must see
@@ -57,8 +57,10 @@ class Timing:
     likeness: Mapping[str, float] = field(default_factory=dict)  # mean correlation with neighbours, at best 1
 
 
-def find_timing(scene: MultiviewScene, progress: Progress = silent) -> Timing:
+def find_timing(scene: MultiviewScene, span: tuple[int, int | None] = (0, None), progress: Progress = silent) -> Timing:
     """The offsets of a scene's cameras against their median, at most about REACH frames, in quarters of a frame.
+
+    `span`: the frames [A, B) that are wanted; those around them tell it as well, where they are few.
 
     A camera has none where its offset is less than half a frame, or is not sure: where too few of its pairs agree, or
     it is hardly better than none. Nothing is told, and no picture read, of cameras that move, of fewer than three, or
@@ -67,9 +69,10 @@ def find_timing(scene: MultiviewScene, progress: Progress = silent) -> Timing:
     Raises SceneError for a picture that cannot be read.
     """
     names = [camera.name for camera in scene.cameras]
-    if len(scene) < FEWEST or len(names) < 3 or not stands_still(scene):
+    frames = around(scene, span)
+    if len(frames) < FEWEST or len(names) < 3 or not stands_still(scene):
         return Timing()
-    curves = compare(scene, progress)
+    curves = compare(scene, frames, progress)
     solution = solve(curves, len(names))
     judged = [_judged(curves, solution, camera) for camera in range(len(names))]
     agreed = [_agrees(curve, int(solution[b] - solution[a])) for (a, b), curve in curves.items()]
@@ -78,7 +81,14 @@ def find_timing(scene: MultiviewScene, progress: Progress = silent) -> Timing:
     return Timing(offsets, {names[c]: likeness for c, (_, likeness) in enumerate(judged)})
 
 
-def compare(scene: MultiviewScene, progress: Progress = silent) -> Curves:
+def around(scene: MultiviewScene, span: tuple[int, int | None]) -> range:
+    """The frames that tell how cameras are out of step at the frames [A, B)."""
+    start, stop = frames_of(scene, span)
+    first = max(0, start - REACH)
+    return range(first, min(len(scene), max(stop, start + 2 * FEWEST) + REACH, first + MOST))
+
+
+def compare(scene: MultiviewScene, frames: range, progress: Progress = silent) -> Curves:
     """The correlation of neighbouring cameras for each lag. Raises SceneError for a picture that cannot be read."""
     pictures = Pictures(scene, max_size=SIDE, picture_bytes=1, target_bytes=1)
     cameras = pictures.cameras()
@@ -88,7 +98,7 @@ def compare(scene: MultiviewScene, progress: Progress = silent) -> Curves:
             bins[a][a, b], bins[b][a, b] = shared
     signals = []
     for index, seen in enumerate(bins):
-        signals.append(_signals(pictures, index, min(len(scene), MOST), seen) if seen else {})
+        signals.append(_signals(pictures, index, frames, seen) if seen else {})
         progress("looking for cameras out of step", index + 1, len(cameras))
     pairs = sorted({pair for found in signals for pair in found})
     return {(a, b): correlate(signals[a][a, b], signals[b][a, b]) for a, b in pairs}
@@ -125,20 +135,20 @@ def _rays(camera: Camera) -> NDArray[np.float64]:
 
 
 def _signals(
-    pictures: Pictures, index: int, frames: int, bins: Mapping[Pair, NDArray[np.intp]]
+    pictures: Pictures, index: int, frames: range, bins: Mapping[Pair, NDArray[np.intp]]
 ) -> dict[Pair, NDArray[np.float64]]:
     """(T - 1, B) for each pair of a camera: mean motion of the pixels in each bin, from each frame to the next."""
     sizes = {pair: np.maximum(np.bincount(places, minlength=BINS + 1)[:BINS], 1) for pair, places in bins.items()}
-    out = {pair: np.zeros((frames - 1, BINS)) for pair in bins}
+    out = {pair: np.zeros((len(frames) - 1, BINS)) for pair in bins}
     before = None
-    for frame in range(frames):
+    for place, frame in enumerate(frames):
         grey = 255 * pictures.view(frame, index).target.rgb.mean(axis=2).ravel()
         if before is not None:
             motion = np.abs(grey - before)
             motion = np.clip(motion - 3 * np.median(motion) / 0.6745, 0, STRONGEST)  # a camera's noise is no motion
             moving = np.flatnonzero(motion)
             for pair, places in bins.items():
-                out[pair][frame - 1] = np.bincount(places[moving], motion[moving], BINS + 1)[:BINS] / sizes[pair]
+                out[pair][place - 1] = np.bincount(places[moving], motion[moving], BINS + 1)[:BINS] / sizes[pair]
         before = grey
     return out
 

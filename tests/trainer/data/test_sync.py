@@ -110,7 +110,7 @@ def test_a_scene_in_step_shows_each_camera_at_its_own_time():
     assert matched.frames[0][1] is scene.frames[3][1] and matched.frames[0][2] is scene.frames[0][2]
     assert matched.frames[-1][1] is scene.frames[-1][1]
     assert find_timing(matched).offsets == {}
-    assert in_step(scene, {"cam01": 0.0}) is scene
+    assert in_step(scene, {"cam01": 0.0}).frames == scene.frames
 
 
 def test_a_picture_between_two_is_nearer_the_truth_than_either_or_both():
