@@ -17,7 +17,6 @@ SETTINGS = TrainSettings(
     frame_iterations=25,
     max_growth=0.4,
     max_drop_db=3.0,
-    min_psnr_db=18.0,
 )
 APPEARS = 3  # frame of `write_blobs`
 
