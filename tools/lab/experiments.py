@@ -48,7 +48,6 @@ EXPERIMENTS = (
     _bench("start", "How long does a user wait before anything happens?", "10 s"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _room("tiles", "What do spatial tiles cost and save?", "30 min"),
-    _bench("training-plan", "What does training take in memory and time?", "1 min"),
     _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(

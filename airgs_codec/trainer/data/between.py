@@ -62,8 +62,9 @@ def in_step(
 ) -> MultiviewScene:
     """The frames [A, B) of a scene, in whose frame t each camera shows what it took at t + its offset, in frames.
 
-    An offset is positive where a camera is late, and 0 unless named. Frames that not all cameras have are left out. A
-    mask between two frames is that of the nearer one. Points are those of the first frame of the scene.
+    An offset is positive where a camera is late, and 0 unless named. Frames that not all cameras have are left out, and
+    as many behind them taken in, where they are there. A mask between two frames is that of the nearer one. Points are
+    those of the first frame of the scene.
 
     Raises SceneError for frames that are not there, a name that no camera has, cameras that move, and offsets that
     leave no frame.
@@ -79,7 +80,7 @@ def in_step(
         raise SceneError(f"{scene.path}: expected cameras that stand still, where they are not in step")
     of = [late.get(name, 0.0) for name in names]
     start = max(first, math.ceil(-min(of) - WHOLE))
-    stop = min(end, math.floor(len(scene) - 1 - max(of) + WHOLE) + 1)
+    stop = min(start + end - first, math.floor(len(scene) - 1 - max(of) + WHOLE) + 1)
     if start >= stop:
         raise SceneError(f"{scene.path}: expected offsets that leave a frame of {end - first} to all cameras")
     frames = tuple(

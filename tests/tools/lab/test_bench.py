@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.media.metrics import psnr
 from tests.support.paths import FOX, GOLDEN
-from tools.lab.bench import engines, link, play, serve, start, training_plan, viewpoints
+from tools.lab.bench import engines, link, play, serve, start, viewpoints
 from tools.lab.command import Lab
 from tools.lab.serving import airgs_serve
 
@@ -51,13 +51,6 @@ def test_answers_of_a_server_are_compared_with_the_files():
 def test_a_real_session_is_compared_with_a_simulated_one(tmp_path):
     ((row,),) = rows_of(link.run(link.Options(PACKAGE, ("const:5",), seconds=0.2), Lab.at(tmp_path)))
     assert 0 < row["same batches"] <= row["of"] and row["PSNR, dB"] > 30 and row["worst"] >= row["arrivals off, mean"]
-
-
-def test_an_iteration_is_taken_apart(tmp_path):
-    options = training_plan.Options(FOX, FOX / "transforms.json", rows=200, size="32x24", cameras=2)
-    parts, frames, memory = rows_of(training_plan.run(options, Lab.at(tmp_path)))
-    assert len(parts) == 6 and len(frames) == 3 and all(row["minutes"] > 0 for row in frames)
-    assert memory[-1]["MiB"] == pytest.approx(sum(row["MiB"] for row in memory[:-1]))
 
 
 def test_found_viewpoints_are_compared_with_true_ones(tmp_path):

@@ -106,6 +106,11 @@ def test_a_scene_in_step_shows_each_camera_at_its_own_time():
     scene = filmed(late)
     matched = in_step(scene, late)
     assert len(matched) == FRAMES - 3 and matched.offsets == late
+    few = in_step(scene, late, (0, 4))
+    assert few.frames == matched.frames[:4]  # as many as are wanted, from the first that all cameras have
+    assert len(in_step(scene, late, (FRAMES - 6, None))) == 4 and in_step(scene, {}, (2, 5)).frames == scene.frames[2:5]
+    with pytest.raises(SceneError, match="frames inside"):
+        in_step(scene, late, (3, FRAMES + 1))
     assert matched.frames[0][0] is scene.frames[1][0]  # frame 0 of the first camera would be frame -1 of cam02
     assert matched.frames[0][1] is scene.frames[3][1] and matched.frames[0][2] is scene.frames[0][2]
     assert matched.frames[-1][1] is scene.frames[-1][1]
