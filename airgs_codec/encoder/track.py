@@ -143,7 +143,7 @@ def _track(
         f"tracked: {len(starts)} key{'s' * (len(starts) > 1)} for {len(shown)} frames; against what was given "
         f"{np.mean(shown):.1f} dB in {len(cameras)} views, {shown[worst]:.1f} at frame {worst}, the worst"
     )
-    return Tracked(replace(given, keyframes=None, breaks=tuple(starts[1:])), (note,), views)
+    return Tracked(replace(given, keyframes=None, breaks=tuple(starts[1:]), notes=sequence.notes), (note,), views)
 
 
 def track_settings(sequence: GaussianSequence) -> TrainSettings:

@@ -68,6 +68,7 @@ def test_tracking_takes_fewer_bytes_and_shows_no_less(clean, given, tmp_path):
     assert after < 0.7 * before
     assert np.mean(list(map(mse, tracked, clean))) < np.mean(list(map(mse, apart, clean)))
     assert any(line.startswith("tracked: 1 key for 5 frames; against what was given") for line in decisions)
+    assert not any("trained model" in line for line in decisions)  # it was not trained from pictures
 
 
 def test_a_run_that_was_cut_off_goes_on(given, tmp_path):
