@@ -23,7 +23,7 @@ from airgs_codec.cli.common import (
     report,
 )
 from airgs_codec.cli.common import frames as frames_option
-from airgs_codec.cli.matching import match_cameras
+from airgs_codec.cli.matching import match_cameras, pose_rig
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
@@ -34,8 +34,7 @@ from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
-from airgs_codec.trainer.data.readers import is_unposed, open_scene
-from airgs_codec.trainer.data.rig import find_poses
+from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
@@ -46,6 +45,7 @@ SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody shoul
 DEFAULTS = TrainSettings()
 FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
+MATCHED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
@@ -267,21 +267,6 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     return run_training(run, quiet=quiet).folder
 
 
-def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: bool) -> None:
-    """Find the poses of a rig that has none (`find_poses`), and say what came of it; other scenes are left alone."""
-    if not is_unposed(scene):
-        return
-    if not quiet:
-        say(f"{scene}: videos without poses; COLMAP finds them from frame {frame}, which takes minutes")
-    with closing(Bar(quiet)) as bar:
-        report = find_poses(scene, frame=frame, shared_lens=shared_lens, progress=bar)
-    if not quiet:
-        say("\n".join([*report.lines(), f"{scene / 'sparse'}: {report.summary()}"]))
-    if report.failed:
-        names = ", ".join(camera.name for camera in report.failed)
-        warn(f"warning: trained without cameras that have no pose: {names}")
-
-
 def run_training(run: Run, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
     """Train frame after frame with a progress bar, and say what it takes and what is done.
 
@@ -341,6 +326,8 @@ def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:
 def frame_line(r: FrameRecord) -> str:
     """One finished frame in words; PSNR is the mean over training views."""
     held_out = "" if r.held_out_psnr is None else f", held-out {r.held_out_psnr:.2f}"
+    if r.held_out_psnr and r.held_out_matched and r.held_out_matched - r.held_out_psnr >= MATCHED_DB:
+        held_out += f" ({r.held_out_matched:.2f} with exposure matched)"
     kind = {"first": "  first frame", "frame": "", "key": f"  keyframe, {r.added:+,} Gaussians"}[r.kind]
     if r.rejected_psnr is not None:
         other = "as a keyframe" if r.kind == "frame" else "in the old group"
