@@ -85,8 +85,9 @@ def foretell(trainer: Trainer, views: Sequence[View], frames: int, done: int = 0
     plan = Plan.of(trainer.settings, len(views), frames)
     seconds = (plan.before(frames) - plan.before(done)) * seconds_a_unit(trainer, views)
     pixels = sum(view.camera.width * view.camera.height for view in views)
-    read, targets = min(PICTURE_BYTES, 3 * pixels * frames), min(TARGET_BYTES, TARGET * pixels)
-    drawn = (targets + min(REST_BYTES, HELD * pixels)) if frames > 1 and trainer.settings.knows_rest else 0
+    read, targets = min(PICTURE_BYTES, 3 * pixels * frames), min(TARGET_BYTES, TARGET * pixels * frames)
+    rest = frames > 1 and trainer.settings.knows_rest
+    drawn = min(TARGET_BYTES, TARGET * pixels) + min(REST_BYTES, HELD * pixels) if rest else 0
     return (SPREAD[0] * seconds, SPREAD[1] * seconds), LIBRARIES + read + targets + drawn
 
 
