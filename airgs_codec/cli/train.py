@@ -130,9 +130,9 @@ def train(options: Train) -> int:
         say(f"{options.scene}: its pictures are before a background of {colour}")
     if options.work.part:
         return _train_part(options, scene, settings, device)
-    run = open_run(
-        scene, options.output or default_model(options.scene), settings, resume=options.resume, device=device
-    )
+    folder = options.output or default_model(options.scene)
+    with closing(Bar(options.json)) as bar:
+        run = open_run(scene, folder, settings, resume=options.resume, device=device, progress=bar)
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 

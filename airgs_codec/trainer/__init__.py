@@ -46,8 +46,9 @@ def train(
     found = open_renderer(device).device
     chosen = argument("settings", settings or default_settings(found), TrainSettings, "TrainSettings")
     model = default_model(views.path) if folder is None else Path(folder)
-    run = open_run(views, model, chosen, resume=resume, device=found)
-    for _ in train_frames(run, told(progress)):
+    tell = told(progress)
+    run = open_run(views, model, chosen, resume=resume, device=found, progress=tell)
+    for _ in train_frames(run, tell):
         pass
     return run.model
 
