@@ -79,13 +79,29 @@ def learn_colours(foreground: NDArray[np.uint8], background: NDArray[np.uint8]) 
     return found
 
 
-def cut_out(picture: NDArray[np.uint8], near: Mask, colours: Colours) -> Mask:
-    """What has the colours of the foreground in a picture (H, W, 3) within the mask `near`, along its edges."""
+def unlike_background(pixels: NDArray[np.uint8], colours: Colours) -> NDArray[np.float64]:
+    """(N,) how improbable the background makes pixels (N, 3): the negative logarithm of their density."""
+    weights, means, covariances = np.split(colours.background[0], [5, 20])
+    density = np.full(len(pixels), np.finfo(np.float64).tiny)
+    for weight, mean, covariance in zip(weights, means.reshape(5, 3), covariances.reshape(5, 3, 3), strict=True):
+        if weight > 0:
+            inverse, away = np.linalg.inv(covariance), pixels - mean
+            distance = np.einsum("ni,ij,nj->n", away, inverse, away)
+            density += weight * np.sqrt(np.linalg.det(inverse)) * np.exp(-distance / 2)
+    return -np.log(density)
+
+
+def cut_out(picture: NDArray[np.uint8], near: Mask, sure: Mask, colours: Colours) -> Mask:
+    """What has the colours of the foreground in a picture (H, W, 3) within the mask `near`, along its edges.
+
+    `sure`: what is foreground whatever its colours.
+    """
     if not near.any():
         return near
     rows, columns = (np.flatnonzero(near.any(axis=axis)) for axis in (1, 0))
     window = slice(max(0, rows[0] - 1), rows[-1] + 2), slice(max(0, columns[0] - 1), columns[-1] + 2)
     kinds = np.where(near[window], cv2.GC_PR_FGD, cv2.GC_BGD).astype(np.uint8)
+    kinds[(near & sure)[window]] = cv2.GC_FGD
     back, front = colours.background.copy(), colours.foreground.copy()
     cv2.grabCut(np.ascontiguousarray(picture[window]), kinds, ANYWHERE, back, front, 1, cv2.GC_EVAL_FREEZE_MODEL)
     cut = np.zeros(near.shape, np.bool_)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from urllib.parse import quote
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import box_mean, to_bytes
 from airgs_codec.media.masks import (
+    Colours,
     Mask,
     closed,
     cut_out,
@@ -31,6 +33,7 @@ from airgs_codec.media.masks import (
     opened,
     scaled,
     touching,
+    unlike_background,
     write_mask,
 )
 from airgs_codec.progress import Progress, silent
@@ -125,7 +128,7 @@ def find_masks(scene: MultiviewScene, progress: Progress = silent) -> Found:
     return Found(masks, agreement)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Film:
     """The pictures (H, W, 3) of one camera."""
 
@@ -135,6 +138,11 @@ class _Film:
 
     def __getitem__(self, frame: int) -> NDArray[np.uint8]:
         return to_bytes(self.pictures.view(frame, self.camera).target.rgb)
+
+    @cached_property
+    def plate(self) -> Plate:
+        """What it shows where nothing moves."""
+        return plate_of([self[frame] for frame in self.spread(SAMPLES)])
 
     @property
     def reach(self) -> int:
@@ -163,8 +171,7 @@ def _expect_plates(scene: MultiviewScene) -> None:
 
 def _first_masks(film: _Film) -> Masks:
     """What one camera alone tells."""
-    plate = plate_of([film[frame] for frame in film.spread(SAMPLES)])
-    moving = Masks(_moves(film[frame], plate) for frame in range(film.frames))
+    moving = Masks(_moves(film[frame], film.plate) for frame in range(film.frames))
     around = (range(max(0, frame - SOON), min(film.frames, frame + SOON + 1)) for frame in range(film.frames))
     return _cut(film, Masks(_enclosed(np.any([moving[i] for i in near], axis=0), film.reach) for near in around))
 
@@ -195,10 +202,20 @@ def _cut(film: _Film, priors: Sequence[Mask]) -> Masks:
     def cut(frame: int) -> Mask:
         if colours is None:
             return np.zeros_like(priors[frame])
-        found = opened(cut_out(film[frame], grown(priors[frame], reach), colours), 1)
+        sure = priors[frame] & _stands_before(film[frame], film.plate, colours)
+        found = opened(cut_out(film[frame], grown(priors[frame], reach), sure, colours), 1)
         return touching(found, priors[frame])
 
     return Masks(cut(frame) for frame in range(film.frames))
+
+
+def _stands_before(picture: NDArray[np.uint8], plate: Plate, colours: Colours) -> Mask:
+    """Where a picture (H, W, 3) differs from its plate, and the plate is more like the background."""
+    moves = _moves(picture, plate)
+    now, rest = (unlike_background(values[moves], colours) for values in (picture, plate.rgb))
+    sure = np.zeros_like(moves)
+    sure[moves] = now > rest
+    return opened(sure, 1)
 
 
 def _iou(a: Mask, b: Mask) -> float:
