@@ -1,7 +1,8 @@
 """Masks of what moves before cameras that stand still, for scenes that have none.
 
 A camera's first masks are what its pictures differ from its plate in now or soon, with what that encloses, cut along
-edges by colours (GrabCut) that are those of the whole run. Their visual hull is what the cameras agree on: its
+edges by colours (GrabCut) that are those of the whole run; what stands before a plate that looks more like the
+background is kept whatever its colours. Their visual hull is what the cameras agree on: its
 silhouettes, cut in the same way, are the masks. They have parts that a camera alone would miss, and nothing that no
 others support. How well first masks and silhouettes agree tells whether there is one subject that they show.
 

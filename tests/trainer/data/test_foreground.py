@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.media.image import fit_lens, read_mask, undistort, write_png
-from airgs_codec.media.masks import distorted, write_mask
+from airgs_codec.media.masks import cut_out, distorted, filled, learn_colours, unlike_background, write_mask
 from airgs_codec.render import render
 from airgs_codec.trainer.data import foreground as data_foreground
 from airgs_codec.trainer.data.foreground import Found, find_masks, with_found_masks
@@ -164,6 +164,29 @@ def test_a_run_trains_the_subject_alone_and_goes_on_with_its_masks(scene, masked
 def test_parts_of_a_run_do_not_find_masks(scene, tmp_path):
     with pytest.raises(ConfigError, match="--part: expected masks beside the pictures"):
         train_part(scene, AUTO, "cpu", None)
+
+
+def test_a_cut_follows_colours_and_keeps_what_is_sure():
+    rng = np.random.default_rng(0)
+    wall, red = rng.integers(95, 125, (48, 48, 3), np.uint8), np.array([220, 40, 40], np.uint8)
+    picture, inside = wall.copy(), np.zeros((48, 48), np.bool_)
+    inside[12:36, 12:36] = True
+    picture[12:36, 12:24] = red + rng.integers(0, 20, (24, 12, 3), np.uint8)  # its right half looks like the wall
+    near = np.zeros_like(inside)
+    near[8:40, 8:40] = True
+    colours = learn_colours(picture[near], picture[~near])
+    assert np.diff(unlike_background(np.stack([wall[0, 0], red]), colours))[0] > 5
+    assert (cut_out(picture, near, np.zeros_like(near), colours) == inside & (np.arange(48) < 24)).mean() > 0.99
+    assert (cut_out(picture, near, inside, colours) == inside).mean() > 0.99
+    assert learn_colours(picture[near][:20], picture[~near]) is None
+
+
+def test_filled_masks_have_neither_holes_nor_small_parts():
+    mask = np.zeros((40, 40), np.bool_)
+    mask[5:20, 5:20] = True
+    whole = mask.copy()
+    mask[10:12, 10:12], mask[30:32, 30:32] = False, True
+    assert (filled(mask, 10) == whole).all()
 
 
 @pytest.mark.parametrize("fisheye", [False, True])
