@@ -51,11 +51,12 @@ def train(
     found = open_renderer(device).device
     chosen = argument("settings", settings or default_settings(found), TrainSettings, "TrainSettings")
     model = default_model(views.path) if folder is None else Path(folder)
+    tell = told(progress)
     if views is not scene:
         known = known_offsets(model) if resume else None
-        views = in_step(views, find_timing(views, progress=told(progress)).offsets if known is None else known)
-    run = open_run(views, model, chosen, resume=resume, device=found)
-    for _ in train_frames(run, told(progress)):
+        views = in_step(views, find_timing(views, progress=tell).offsets if known is None else known)
+    run = open_run(views, model, chosen, resume=resume, device=found, progress=tell)
+    for _ in train_frames(run, tell):
         pass
     return run.model
 

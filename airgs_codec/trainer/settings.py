@@ -19,6 +19,8 @@ PRESETS = ("default", "paper")
 UNITS = ("step", "raw")
 STATIC = ("auto", "off")
 MATCHES = AUTO, ON, OFF = ("auto", "on", "off")
+GIVEN = "given"
+FOREGROUNDS = (OFF, GIVEN, AUTO)
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
 PAPER_CAPACITY = 1_000_000  # where nothing but the inflation loss shall hold Gaussians back
 RANDOM = "random"  # a background: another colour at every step
@@ -129,7 +131,12 @@ class TrainSettings:
         metavar="COLOUR",
         default="the scene's own, else black",
     )
-    foreground: bool = setting(False, "train only what the scene's masks show")
+    foreground: str = setting(
+        OFF,
+        "train only what masks show: those of the scene (given), or else those found where its cameras stand still "
+        "(auto)",
+        choices=FOREGROUNDS,
+    )
     match_exposure: str = setting(
         "auto",
         "find a gain and an offset for each camera at the first frame; auto: where cameras differ",
@@ -153,6 +160,7 @@ class TrainSettings:
         choices: list[tuple[str, str, tuple[str, ...]]] = [
             ("deltas", self.deltas, DELTAS),
             ("static", self.static, STATIC),
+            ("foreground", self.foreground, FOREGROUNDS),
             ("match_exposure", self.match_exposure, MATCHES),
             ("densify", self.densify, DENSIFY),
             ("a temporal unit of", self.temporal.unit, UNITS),

@@ -62,8 +62,10 @@ def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
         (["SCENE", "--near", "-1"], "expected a positive distance"),
         (["SCENE", "--fps", "0"], "expected 0 < fps"),
         (["SCENE", "--max-size", "3"], "16 pixels"),
-        (["SCENE", "--foreground"], "expected a mask"),
         (["SCENE", "--sync", "nowhere.json"], "nowhere.json"),
+        (["SCENE", "--foreground", "given"], "expected a mask"),
+        (["SCENE", "--foreground", "all"], "off, given, auto"),
+        (["SCENE", "--foreground", "auto", "--frames", "0:3"], "at least 5 frames, got 3: give masks"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):
@@ -71,7 +73,7 @@ def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, messag
     assert train_main([*words, "-o", str(tmp_path / "m")]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
-    assert not list(tmp_path.glob("m/*.ply"))
+    assert not list(tmp_path.glob("m/*"))
 
 
 def test_a_wrong_folder_is_refused_before_torch_is_loaded(tmp_path):

@@ -21,7 +21,7 @@ from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
 from airgs_codec.trainer.data.recent import Recent
-from airgs_codec.trainer.settings import RANDOM, TrainSettings, named_background
+from airgs_codec.trainer.settings import OFF, RANDOM, TrainSettings, named_background
 
 PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
 TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
@@ -208,7 +208,8 @@ class _Shown:
 
 def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
     """The pictures that a run with these settings is trained on."""
-    return Pictures(scene, max_size=settings.max_size, foreground=settings.foreground, background=settings.background)
+    masked = settings.foreground != OFF
+    return Pictures(scene, max_size=settings.max_size, foreground=masked, background=settings.background)
 
 
 def _full_size(shot: Shot) -> tuple[int, int]:
