@@ -70,8 +70,9 @@ class Capture:
 
     def with_first(self, first: First) -> Capture:
         """The same whose first frame is known."""
-        capacity = self.settings.capacity or round(CAPACITY * len(first.gaussians))
-        return replace(self.with_exposure(first.exposure), settings=replace(self.settings, capacity=capacity))
+        s = self.settings
+        capacity = s.capacity or max(s.budget or 1, round(CAPACITY * len(first.gaussians)))
+        return replace(self.with_exposure(first.exposure), settings=replace(s, capacity=capacity))
 
     def with_plates(self, plates: Iterable[Plate]) -> Capture:
         """The same that knows what rests; `plates`: of every training camera, or none at all."""

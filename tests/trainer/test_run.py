@@ -205,3 +205,14 @@ def test_python_trains_a_path_into_a_folder_beside_it_and_encodes_that(blobs, tm
     assert [frame.frame for frame in model.record.frames] == list(range(len(airgs.open_sequence(model.folder))))
     with pytest.raises(ConfigError, match="scene: expected a multi-view scene or the path of one, got int 5"):
         airgs.train(5)
+
+
+def test_keyframes_may_have_half_as_many_more_than_the_first_frame(blobs, tmp_path):
+    """Unless the settings say how many, which may be fewer than they wished the first frame to have."""
+    few = replace(SETTINGS, budget=4000, capacity=None, first_iterations=20, key_iterations=60, max_growth=9.0)
+    model = train(open_scene(blobs), tmp_path / "m", few)
+    counts = [frame.gaussians for frame in model.record.frames]
+    assert counts[0] < counts[-1] <= 4000
+    model = train(open_scene(blobs), tmp_path / "n", replace(few, budget=None))
+    counts = [frame.gaussians for frame in model.record.frames]
+    assert counts[0] < counts[-1] <= 1.5 * counts[0]
