@@ -22,7 +22,7 @@ from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
 from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
-from airgs_codec.trainer.fit.first import BACK_SHARE, fit_first
+from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
 from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim, static_shares
 from airgs_codec.trainer.fit.parameters import Parameters
@@ -158,7 +158,7 @@ def chunks(frames: int, group_frames: int | None) -> list[Span]:
 
 def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
-    begun, trainer, views = time.perf_counter(), capture.trainer, with_last(capture.views(0), BACK_SHARE)
+    begun, trainer, views = time.perf_counter(), capture.trainer, capture.views(0)
     named = capture.told(progress).of(0)
     model = _exposures(views, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
     if capture.scene.given is None:
@@ -170,12 +170,6 @@ def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     group = trainer.start_group(g, exposed.views(0))
     fitted = _Fitted(g, "first", group.first_psnr, group)
     return replace(_trained(exposed, 0, fitted, begun), exposure=exposure)
-
-
-def with_last(views: Sequence[View], share: int) -> list[View]:
-    """The views, one in `share` of them last, each from the middle of as many."""
-    last = range(share // 2, len(views) // share * share, share)
-    return [v for i, v in enumerate(views) if i not in last] + [views[i] for i in last]
 
 
 def train_chunk(

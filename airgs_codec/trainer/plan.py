@@ -14,13 +14,13 @@ import numpy as np
 from airgs_codec.progress import Progress
 from airgs_codec.trainer.data.pictures import PICTURE_BYTES, TARGET_BYTES, View
 from airgs_codec.trainer.fit.active import REST_BYTES
-from airgs_codec.trainer.fit.first import BACK_SHARE, GROWN_ITERATIONS, START_OPACITY
+from airgs_codec.trainer.fit.first import START_OPACITY, usual_budget
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import from_gaussians
 from airgs_codec.trainer.fit.points import from_points, looked_at
 from airgs_codec.trainer.fit.trainer import Trainer
 from airgs_codec.trainer.fit.variables import PerGaussian
-from airgs_codec.trainer.settings import LEAST_BUDGET, TrainSettings
+from airgs_codec.trainer.settings import TrainSettings
 
 FOLLOWED = 0.6  # units of an iteration of a frame that follows another
 BEFORE = 0.6  # mean share of the Gaussians of a first frame over its iterations
@@ -41,9 +41,7 @@ class Plan:
     @staticmethod
     def of(settings: TrainSettings, views: int, frames: int) -> Plan:
         """The units of a run of so many frames, the first of which is seen by so many views."""
-        tried = 2 * GROWN_ITERATIONS if settings.budget is None and views >= BACK_SHARE else 0
-        first = settings.iterations_from_scratch(views) + tried
-        return Plan(first, FOLLOWED * settings.frame_iterations, frames)
+        return Plan(settings.iterations_from_scratch(views), FOLLOWED * settings.frame_iterations, frames)
 
     def before(self, frame: int) -> float:
         """Units of the frames before one."""
@@ -94,7 +92,7 @@ def foretell(trainer: Trainer, views: Sequence[View], frames: int, done: int = 0
 def seconds_a_unit(trainer: Trainer, views: Sequence[View]) -> float:
     """Seconds of an iteration of a first frame, from some of a cloud that fills what a view sees."""
     s, camera, rng = trainer.settings, views[0].camera, np.random.default_rng(0)
-    rows = max(1, round(BEFORE * (s.budget or LEAST_BUDGET)))
+    rows = max(1, round(BEFORE * (s.budget or usual_budget([view.camera for view in views]))))
     away = float(np.linalg.norm(looked_at([view.camera for view in views]) - camera.position)) or trainer.extent
     u, v = rng.uniform(0, (camera.width, camera.height), (rows, 2)).T
     seen = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(rows)], axis=1)

@@ -49,9 +49,9 @@ class TrainSettings:
 
     budget: int | None = setting(
         None,
-        f"Gaussians of the first frame; None: {LEAST_BUDGET}, and twice as many as often as pictures gain by it that "
-        "are held back from the fit",
-        default=f"{LEAST_BUDGET} or more, by need",
+        f"Gaussians of the first frame; None: as many as its pictures can tell, {LEAST_BUDGET} to {MOST_BUDGET}, and "
+        f"{LEAST_BUDGET} where few cameras are far apart",
+        default="by the size of the pictures",
     )
     capacity: int | None = setting(
         None, "most Gaussians that there may ever be", default="1.5 times those of the first frame"
