@@ -109,6 +109,8 @@ class Record:
         trained = f"{np.mean([f.psnr for f in self.frames]):.1f} dB to the pictures it was trained on"
         held_out = [f.held_out_psnr for f in self.frames if f.held_out_psnr is not None]
         unseen = f" and {np.mean(held_out):.1f} dB to those held out" if held_out else ""
+        matched = [f.held_out_matched for f in self.frames if f.held_out_matched is not None]
+        unseen += f", {np.mean(matched):.1f} with their exposure matched" if matched and self.exposure else ""
         return f"qualities are those of the coding: the trained model is itself at {trained}{unseen}"
 
     def warnings(self) -> list[str]:

@@ -87,3 +87,13 @@ def test_what_is_there_is_never_lost(run, blobs, tmp_path):
     with pytest.raises(ConfigError, match="a folder with other files"):
         train(scene, tmp_path / "other", SETTINGS)
     assert (tmp_path / "other" / "thesis.txt").read_text() == "mine"
+
+
+def test_the_quality_of_a_run_is_said_with_exposure_matched_where_it_differs(run):
+    alike = replace(run.record, exposure={})
+    assert "held out" in alike.quality() and "matched" not in alike.quality()
+    exposed = replace(alike, exposure={"cam00": [1.1, 1.0, 1.0, 0.0, 0.0, 0.0]})
+    assert exposed.quality().endswith(" with their exposure matched")
+    first = replace(alike.frames[0], held_out_psnr=None, held_out_matched=None)
+    trained = f"the trained model is itself at {first.psnr:.1f} dB to the pictures it was trained on"
+    assert replace(exposed, frames=(first,)).quality() == f"qualities are those of the coding: {trained}"
