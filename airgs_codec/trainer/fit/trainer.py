@@ -187,7 +187,7 @@ class Trainer:
     @property
     def capacity(self) -> int:
         """Return how many Gaussians there may ever be."""
-        return MOST_BUDGET if self.settings.capacity is None else self.settings.capacity
+        return self.settings.capacity or max(MOST_BUDGET, self.settings.budget or 1)
 
     @property
     def least_opacity(self) -> float:

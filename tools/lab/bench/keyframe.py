@@ -14,6 +14,7 @@ import torch
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.data.between import in_step
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.readers import open_scene
@@ -21,9 +22,9 @@ from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.trainer.frames import Capture, frame_before
+from airgs_codec.trainer.frames import Capture, First, frame_before
 from airgs_codec.trainer.pipeline import rested
-from airgs_codec.trainer.record import Model, read_model
+from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
 from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
 
@@ -89,8 +90,9 @@ def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_siz
     settings = settings_from_table(model.record.settings)
     if max_size is not None:
         settings = replace(settings, max_size=max_size)
-    scene = with_held_out(open_scene(scene_folder), None)
-    capture = rested(Capture.of(scene, settings, "cpu")).with_exposure(model.record.exposure)
+    scene = with_held_out(in_step(open_scene(scene_folder), known_offsets(model_folder) or {}), None)
+    first = First(model.read(0), model.record.exposure)
+    capture = rested(Capture.of(scene, settings, "cpu")).with_first(first)
     before, pictures = frame_before(model, frame), capture.pictures
     steps = capture.trainer.steps(before.gaussians, pictures.train(frame - 1))
     return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, pictures.held_out(frame))

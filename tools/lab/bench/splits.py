@@ -33,11 +33,12 @@ from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.scene.camera import BLACK, NEAR
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
+from airgs_codec.trainer.data.between import in_step
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.points import looked_at
-from airgs_codec.trainer.record import Model, read_model
+from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
 from tools.lab import Lab, Page, Section, Table, required, rows_of, setting
 
@@ -91,7 +92,8 @@ def run(options: Options, lab: Lab) -> Page:
         held_out = [names[i] for i in order[number * options.hold : (number + 1) * options.hold]]
         folder = lab.folder / f"split-{number}"
         train(options.scene, folder, held_out, ["--frames", options.frames, *shlex.split(options.train)])
-        scene = with_held_out(open_scene(options.scene, frames=parse_frames(options.frames)), held_out)
+        late = known_offsets(folder) or {}
+        scene = with_held_out(in_step(open_scene(options.scene), late, parse_frames(options.frames)), held_out)
         judged.append(judge(number, scene, folder))
         lab.tell(summary(judged))
     rows = [row for split in judged for row in split.rows]
