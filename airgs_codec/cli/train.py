@@ -41,7 +41,6 @@ if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.trainer.pipeline import Run
     from airgs_codec.trainer.record import FrameRecord, Model
 
-SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which somebody should know
 DEFAULTS = TrainSettings()
 FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
@@ -122,7 +121,7 @@ def train(options: Train) -> int:
     scene = _scene(options)
 
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.trainer.fit.points import degrees_apart
+    from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
     from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.record import known_offsets
     from airgs_codec.trainer.report import write_report

@@ -134,6 +134,9 @@ def _see_together(cameras: Sequence[Camera]) -> bool:
     return False
 
 
+SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which views between them are soft
+
+
 def degrees_apart(cameras: Sequence[Camera]) -> float:
     """Median angle between a camera and the nearest other one, from where they look at; 0 for fewer than two."""
     towards = np.stack([camera.position for camera in cameras]) - looked_at(cameras)

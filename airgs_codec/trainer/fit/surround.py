@@ -24,7 +24,16 @@ from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.plates import Masks
 from airgs_codec.trainer.fit.grow import CANDIDATES, hull_of, one_per_cell, surface_of
-from airgs_codec.trainer.fit.points import from_points, looked_at, project, scene_extent, seen_colours, triangulate
+from airgs_codec.trainer.fit.points import (
+    SPARSE_DEGREES,
+    degrees_apart,
+    from_points,
+    looked_at,
+    project,
+    scene_extent,
+    seen_colours,
+    triangulate,
+)
 
 FEWEST = 4  # cameras that can surround a scene
 PARTS = 20  # of each side of a picture
@@ -62,11 +71,13 @@ class Cloud:
 def sparse_cloud(given: Points | None, views: Sequence[View], most: int, rng: np.random.Generator) -> Cloud | None:
     """What stands around a rig, and in it: the points `given` of a scene, or those found; up to `most` of both.
 
-    None where cameras do not stand around a scene, or points that are given or triangulated tell all of it, or there is
-    nothing around it.
+    None where cameras stand close together, or not around a scene, or points that are given or triangulated tell all of
+    it, or there is nothing around it.
     """
     cameras = [view.camera for view in views]
-    if not surround(cameras) or _plain(views) or _covered((given or triangulate(views)).positions, cameras) >= COVERED:
+    if degrees_apart(cameras) <= SPARSE_DEGREES or not surround(cameras) or _plain(views):
+        return None
+    if _covered((given or triangulate(views)).positions, cameras) >= COVERED:
         return None
     around = surroundings(views)
     seen = np.zeros(len(around), np.bool_)

@@ -78,6 +78,12 @@ def test_points_that_cover_a_part_stay_and_the_rest_is_found(views):
     assert (np.linalg.norm(cloud.points.positions, axis=1) > 0.6 * RADIUS).sum() > 1000
 
 
+def test_cameras_that_stand_close_together_are_no_sparse_rig(room):
+    dense = views_of(room, inside(24))
+    assert surround([view.camera for view in dense])
+    assert sparse_cloud(None, dense, 4000, np.random.default_rng(0)) is None
+
+
 def test_points_that_tell_the_scene_are_left_alone_and_so_is_what_was_cut_out(views):
     rng = np.random.default_rng(0)
     walls = rng.normal(size=(3000, 3))
