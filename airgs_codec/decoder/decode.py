@@ -158,7 +158,7 @@ def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Itera
         transform = unpack_matrix(m.groups[base].colour_transform, m.colour_channels)
         yield join_canonical(list(_decode_unit(package, base, unit, quality)), transform).kept(kept.rows, kept.depths)
     if len(sidecar.codes):
-        steps = KEY.steps(g.key_steps, m.colour_channels) * m.qualities[quality].factor
+        steps = KEY.steps(g.key_steps, m.colour_channels) * (m.qualities[quality].factor * g.units[unit].factor)
         transform = unpack_matrix(g.colour_transform, m.colour_channels)
 
         def values(rows: slice) -> NDArray[np.float32]:

@@ -56,12 +56,12 @@ STEPS = {
 }
 # m: bytes saved by a step e times as large; b: the error of a step f times as large is b f^2
 Slope = tuple[float, float]
-# Of each level: the factor on every step, its key quality, its key tiers. A rung costs what a package with only that
-# rung would: all steps grow alike, and with their square the price of a byte.
-LEVELS = ((1.0, 0, 3), (1.6, 1, 3), (2.3, 1, 2), (3.4, 2, 2), (4.8, 2, 1))
+# Of each level: the factor on every step, its key quality. A rung costs what a package with only that rung would: all
+# steps grow alike, and with their square the price of a byte.
+LEVELS = ((1.0, 0), (1.6, 1), (2.5, 1), (3.8, 2), (5.8, 2))
+TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own key steps. More cost more positions than they save steps
 FACTORS = (0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.4, 3.5, 5.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
-CORES = (0.9, 0.8, 0.7, 0.6, 0.5, 0.42, 0.35, 0.28)  # of the rows, in the first key tiers together, tried
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,6 +92,7 @@ class Subject:
             classes=layout.classes[index],
             sensitivity=layout.sensitivity.take(index),
             moving=np.ones(len(index), bool),
+            factors=np.array(layout.factors)[layout.units[index]],
             row_ratio=len(layout.rows) / len(index),
             group_frames=len(self.frames),
             segment_frames=segment,
@@ -185,34 +186,33 @@ def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
     return saved / np.log(TRIAL), (remaining.error - subject.layout.removal_error) / (TRIAL**2 - 1)
 
 
-def choose_tiers(sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float) -> tuple[float, ...]:
-    """Share of the rows in each key tier, from the price of a byte at the top level.
+def choose_levels(
+    sample: CalibrationSample, subject: Subject, steps: StepSettings, price: float
+) -> tuple[LevelSettings, ...]:
+    """The levels of LEVELS, which withhold nothing yet, each with as many key tiers as are worth their bytes to it.
 
-    The first tiers have the rows whose keys are worth their bytes at the levels that fetch no others; what pictures
-    miss without the others is rendered for some of CORES.
+    What pictures miss without the others is rendered. `price` is that of a byte a frame at factor 1.
     """
-    most = max(tiers for _, _, tiers in LEVELS)
-    if subject.layout.removal_error == 0:
-        return (1.0,)
-    rows = len(subject.pruning.within(steps.rows).rows)
-    bounds = [0.0]
-    for count in range(1, most):
-        factor = float(np.exp(np.mean([np.log(f) for f, _, tiers in LEVELS if tiers == count])))
-        size = factor**2 * price * sample.code_key(steps, factor)[0]
-        shares = [share for share in CORES if share > bounds[-1]]
-        bounds.append(min(shares, key=lambda s: subject.pruning.error_of(round(s * rows)) + size * s, default=1.0))
-    return tuple(stop - start for start, stop in itertools.pairwise([*bounds, 1.0]))
-
-
-def make_levels(tiers: int) -> tuple[LevelSettings, ...]:
-    """The levels of LEVELS, which withhold nothing yet, where there are `tiers` key tiers."""
-    return tuple(LevelSettings(0.0, factor, min(count, tiers), quality) for factor, quality, count in LEVELS)
+    layout, pruning = subject.layout, subject.pruning
+    counts = range(1, layout.tiers + 1)
+    own = layout.tier_of_rows
+    missing = [pruning.error_of(int((own < count).sum())) for count in counts] if layout.removal_error > 0 else []
+    parts = [sample.take(own[sample.index] < count) for count in counts]
+    most = layout.tiers
+    levels: list[LevelSettings] = []
+    for factor, quality in LEVELS:
+        if levels and missing:
+            sizes = [part.code_key(steps, factor)[0] for part in parts[:most]]
+            costs = [error + factor**2 * price * size for error, size in zip(missing, sizes, strict=False)]
+            most = 1 + int(np.argmin(costs))
+        levels.append(LevelSettings(0.0, factor, most, quality))
+    return tuple(levels)
 
 
 def key_factors() -> tuple[float, ...]:
     """Factors on the key steps: of each key quality the geometric mean of its levels' factors, to four digits."""
-    qualities = sorted({quality for _, quality, _ in LEVELS})
-    means = [np.exp(np.mean([np.log(f) for f, q, _ in LEVELS if q == quality])) for quality in qualities]
+    qualities = sorted({quality for _, quality in LEVELS})
+    means = [np.exp(np.mean([np.log(f) for f, q in LEVELS if q == quality])) for quality in qualities]
     return tuple(float(f"{mean:.4g}") for mean in means)
 
 
@@ -328,7 +328,9 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
 
     Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
     """
-    subject = Subject.of(sequence, survey, replace(settings, quality=1.0, tiles=1))
+    tiers = TIERS if settings.calibrate == "ladder" else settings.tiers
+    ladder = replace(settings, quality=1.0, tiles=1, calibrate="none", tiers=tiers)
+    subject = Subject.of(sequence, survey, ladder)
     sample, withholding = subject.sample(float(sequence.fps)), Withholding.of(subject)
     top = sample
     if settings.calibrate == "ladder":
@@ -340,6 +342,6 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     if subject.layout.removal_error > 0:
         expected += subject.pruning.within(steps.rows).error
     if not shares:
-        return Calibration(steps, (LevelSettings(0.0),), (1.0,), (1.0,), (), price, expected)
-    tiers = choose_tiers(top, subject, steps, price)
-    return Calibration(steps, make_levels(len(tiers)), tiers, key_factors(), shares, price, expected)
+        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected)
+    levels = choose_levels(top, subject, steps, price)
+    return Calibration(steps, levels, TIERS, key_factors(), shares, price, expected)

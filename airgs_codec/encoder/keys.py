@@ -116,12 +116,10 @@ def _differences(
     half a code; half a cell. Changes are in steps and in cells.
     """
     values, means = layout.key_values()[:, rows], layout.key.means[rows].astype(np.float64)
-    steps = KEY.steps(layout.key_steps, layout.colours)[:, None]
+    steps = layout.row_steps()[:, rows]
     cells = layout.grid.step * np.exp2(cell_bits(layout.classes, layout.grid))[rows]
-    promised = np.concatenate(
-        [np.broadcast_to(PROMISED * steps, values.shape), np.broadcast_to(cells / 2, (3, len(rows)))]
-    )
-    units = np.concatenate([np.broadcast_to(steps, values.shape), np.broadcast_to(cells, (3, len(rows)))])
+    promised = np.concatenate([PROMISED * steps, np.broadcast_to(cells / 2, (3, len(rows)))])
+    units = np.concatenate([steps, np.broadcast_to(cells, (3, len(rows)))])
     decoded = np.concatenate([base.values(layout, there, 0) - values, (base.spaces[0].means[there] - means).T])
     before = np.concatenate([base.originals(layout, there) - values, (base.layout.key.means[there] - means).T])
     return np.abs(decoded) / promised, np.abs(before) / units
@@ -156,19 +154,19 @@ class CodedKeys:
 def code_keys(layout: GroupLayout, settings: EncodeSettings) -> CodedKeys:
     """Quantise the key of a group for every unit and key quality, without the rows that are reused."""
     values = layout.key_values()
-    steps = KEY.steps(layout.key_steps, layout.colours)
     omissions = KeyOmissions.of(layout, values)
     omitted, planes = omissions.planes(settings.scaled_price)
     coarser = settings.coarser
 
-    def code(rows: slice, quality: int) -> CodedAtlas:
+    def code(unit: int, quality: int) -> CodedAtlas:
+        rows, steps = layout.coded_rows(unit), layout.unit_steps(unit)
         sidecar = layout.sidecar(rows, _static(layout))
         detail = detail_columns(sidecar, layout.grid, coarser[quality], coarser[-1])
         return _code_unit(values[None, :, rows], steps * settings.key_factors[quality], omitted, detail)
 
     qualities = range(len(settings.key_factors))
-    units = [layout.coded_rows(unit) for unit in range(layout.tiles * layout.tiers)]
-    coded = tuple(tuple(code(rows, quality) for quality in qualities) for rows in units)
+    units = range(layout.tiles * layout.tiers)
+    coded = tuple(tuple(code(unit, quality) for quality in qualities) for unit in units)
     return CodedKeys(coded, coarser, tuple(note for note in (omissions.gaussians(), planes) if note))
 
 
@@ -265,8 +263,7 @@ def decode_base(
     `pictures` are those of `encode_keys`; `base` is the canonical space, in that quality, of the group whose rows are
     reused.
     """
-    steps = KEY.steps(layout.key_steps, layout.colours) * settings.key_factors[quality]
-    channels, parts = [np.empty((len(steps), 0), np.float32)], []
+    channels, parts = [np.empty((KEY.width(layout.colours), 0), np.float32)], []
     for unit, of_quality in enumerate(pictures):
         gops, coded = of_quality[quality].gops, keys.units[unit][quality]
         reused = layout.reused_rows(unit)
@@ -280,7 +277,7 @@ def decode_base(
         sidecar = _read_positions(reader, layout, unit, keys.coarser[quality], keys.coarser[-1])
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))
         codes = read_codes(picture, coded.atlas, jumps.bases(0))
-        values = from_codes(codes, steps, qp_step(KEY_QP))
+        values = from_codes(codes, layout.unit_steps(unit) * settings.key_factors[quality], qp_step(KEY_QP))
         channels.append(values)
         coarser = keys.coarser[quality]
         parts.append(dequantise_key(values, sidecar, layout.transform, layout.grid, layout.key_steps, coarser))

@@ -22,7 +22,7 @@ from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Pictures, Survey
 from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.layout import KEY, STATE
+from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, LeftOut, StateSteps
 from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, draw_still
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
@@ -164,11 +164,12 @@ class KeyOmissions:
     @staticmethod
     def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
         """Estimate the cost of every channel."""
-        steps = KEY.steps(layout.key_steps, layout.colours)[:, None]
         coded = layout.base_rows == CODED_HERE
         centres = np.median(values[:, coded], axis=1) if coded.any() else np.zeros(len(values))
-        weights = layout.key_weights()[:, coded]
-        sizes, guesses = estimate_cost(values[None][:, :, coded] / steps, centres / steps[:, 0], weights)
+        weights, factors = layout.key_weights()[:, coded], np.array(layout.factors)[layout.units[coded]]
+        steps = layout.row_steps()[:, coded]
+        apart = (values[:, coded] - centres[:, None]) / steps
+        sizes, guesses = estimate_cost(apart[None], np.zeros(len(centres)), weights * factors**2)
         return KeyOmissions(layout, values, centres, sizes / layout.span.frames, guesses)
 
     def gaussians(self) -> LeftOut | None:

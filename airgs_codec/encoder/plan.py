@@ -22,13 +22,14 @@ from airgs_codec.coding.motion import channel_weights, classify_motion, withheld
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Survey
-from airgs_codec.package.layout import STATE
+from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATIC, Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 
 INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
+MOST_FACTOR = 3.0  # of a unit on key steps, times the least of any
 CODED_HERE = -1  # in place of a row of an earlier group
 
 
@@ -170,6 +171,7 @@ class GroupLayout:
     tiles: int
     tiers: int  # of a tile
     units: NDArray[np.uint16]  # (N,) ascending
+    factors: tuple[float, ...]  # of each unit, on the key steps
     codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a unit
     classes: NDArray[np.int16]  # (N,) motion classes
     usage: RowUsage
@@ -232,6 +234,14 @@ class GroupLayout:
             STATE.slice("means").stop :
         ]
 
+    def unit_steps(self, unit: int) -> NDArray[np.float64]:
+        """(7 + C,) steps of the key channels of a unit at quality factor 1."""
+        return KEY.steps(self.key_steps, self.colours) * self.factors[unit]
+
+    def row_steps(self) -> NDArray[np.float64]:
+        """(7 + C, N) the same of every row."""
+        return np.outer(KEY.steps(self.key_steps, self.colours), np.array(self.factors)[self.units])
+
     def key_values(self) -> NDArray[np.float64]:
         """(7 + C, N) key channels."""
         return key_channels(self.key, self.transform, self.key_steps)
@@ -262,7 +272,7 @@ def lay_out(
     order = np.lexsort((codes, units))
     rows = written.rows[order]
     transform = colour_transform(canonical.take(order), steps.key)
-    return GroupLayout(
+    layout = GroupLayout(
         span=survey.span,
         pictures=survey.checks,
         segments=split_segments(survey.span, settings.segment_s, fps),
@@ -274,6 +284,7 @@ def lay_out(
         tiles=settings.tiles,
         tiers=len(settings.tiers),
         units=units[order],
+        factors=(1.0,) * (settings.tiles * len(settings.tiers)),
         codes=codes[order],
         classes=classes[order],
         usage=RowUsage(score[rows], survey.usage.measure("hits")[rows], None if moved is None else moved[rows]),
@@ -285,6 +296,27 @@ def lay_out(
         base_rows=np.full(len(rows), CODED_HERE),
         renderer=survey.renderer,
     )
+    return replace(layout, factors=unit_factors(layout.key_weights().sum(axis=0), layout.units, len(layout.factors)))
+
+
+def unit_factors(weights: NDArray[np.float64], units: NDArray[np.integer], count: int) -> tuple[float, ...]:
+    """A factor on the key steps of each of `count` units, with which bytes are least at the error of no factors.
+
+    `weights` (N,) are the errors that a squared step makes in the rows. Where steps are small against values, bytes
+    fall with the logarithm of a factor and error grows with its square, so that all units should err alike: factor^2
+    is the mean weight of all rows over that of the unit (reverse water-filling; Cover and Thomas, Elements of
+    Information Theory, 10.3.3). No factor is more than MOST_FACTOR times another: what the given views hardly see may
+    be seen from others, and coarse steps err by more than their square.
+    """
+    rows = np.bincount(units, minlength=count)
+    sums = np.bincount(units, weights=weights, minlength=count)
+    total = float(sums.sum())
+    if total == 0:
+        return (1.0,) * count
+    means = sums / np.maximum(rows, 1)
+    wanted = np.sqrt(total / rows.sum() / np.maximum(means, means.max() / MOST_FACTOR**2))
+    error = float(sums @ wanted**2)
+    return tuple(float(f"{factor:.3g}") for factor in wanted * (total / error) ** 0.5)
 
 
 def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:

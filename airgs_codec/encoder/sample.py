@@ -76,6 +76,7 @@ class CalibrationSample:
     classes: NDArray[np.int16]  # (n,)
     sensitivity: Sensitivity  # (n,)
     moving: NDArray[np.bool_]  # (n,) rows that some level carries
+    factors: NDArray[np.float64]  # (n,) on the key steps
     row_ratio: float  # rows of the group for each of the sample
     group_frames: int  # frames of the group
     segment_frames: int  # frames of a state segment
@@ -90,6 +91,7 @@ class CalibrationSample:
             classes=self.classes[rows],
             sensitivity=self.sensitivity.take(np.flatnonzero(rows)),
             moving=self.moving[rows],
+            factors=self.factors[rows],
         )
 
     def cost(self, steps: StepSettings, attributes: Sequence[str] = STATE.attributes) -> Cost:
@@ -130,8 +132,10 @@ class CalibrationSample:
         if not chosen.any():
             return channels, 0.0
         step = KEY.steps(steps, len(transform))[chosen] * factor
-        sizes, decoded = encode_and_decode(values[None, chosen], step, key_codec(PRESET))
-        channels[chosen] = decoded[0]
+        centres = np.median(values[chosen], axis=1, keepdims=True)
+        apart = (values[chosen] - centres) / self.factors
+        sizes, decoded = encode_and_decode(apart[None], step, key_codec(PRESET))
+        channels[chosen] = centres + decoded[0] * self.factors
         return channels, float(sizes[0])
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
@@ -289,6 +293,7 @@ class _Trial:
             classes=classes[index],
             sensitivity=sensitivity.take(index),
             moving=np.ones(len(index), bool),
+            factors=np.ones(len(index)),
             row_ratio=len(rows) / len(index),
             group_frames=window.frames,
             segment_frames=1,

@@ -215,7 +215,7 @@ def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
         atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
     media = [files.get(key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
     sidecar = files.get(key_sidecar_path(*place, group.number), NO_FILE)
-    return GroupTier(rows, reused, sidecar, atlases, media)
+    return GroupTier(rows, reused, layout.factors[unit], sidecar, atlases, media)
 
 
 def _bounded(

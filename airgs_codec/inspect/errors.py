@@ -117,7 +117,7 @@ def _decode_unit(package: Package, index: int, unit: int, quality: int) -> NDArr
     m = package.manifest
     group, base = m.groups[index], m.base_of(index)
     codes, sidecar = decode_key(package, index, unit, quality)
-    steps = KEY.steps(group.key_steps, m.colour_channels) * m.qualities[quality].factor
+    steps = KEY.steps(group.key_steps, m.colour_channels) * (m.qualities[quality].factor * group.units[unit].factor)
     coded = from_codes(codes, steps, m.key_gain)
     if base is None or not len(sidecar.kept.rows):
         return coded

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.scene.gaussians import SH_REST
 
-VERSION = 3
+VERSION = 4
 
 MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 100_000_000  # 38 days at 30 frames a second
@@ -286,6 +286,7 @@ class GroupTier:
 
     count: Count  # rows; a tier without rows has no files
     kept: Count  # rows of `count`, the first ones, that are rows of the same unit of the group `keeps`
+    factor: Factor  # on the key steps of the rows that are not kept, beside that of the key quality
     sidecar: FileEntry  # shared by all its qualities
     qualities: list[Atlas]  # of the rows that are not kept
     pictures: list[FileEntry]  # the picture in each quality; none where all rows are kept

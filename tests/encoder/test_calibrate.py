@@ -122,7 +122,7 @@ def test_a_scene_that_stands_still_has_one_level(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300)]))
     survey = survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24))
     found = calibrate(sequence, survey, FAST)
-    assert found.levels == (LevelSettings(0.0),) and found.tiers == found.key_factors == (1.0,)
+    assert found.levels == (LevelSettings(0.0),) and found.key_factors == (1.0,)
     assert found.steps.state == StepSettings().state
 
 

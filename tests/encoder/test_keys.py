@@ -120,10 +120,10 @@ def test_what_changed_is_coded_anew_and_is_the_next_base(tmp_path):
 
 
 def test_what_changed_by_less_than_the_codec_errs_is_kept_and_what_changed_by_more_is_not(tmp_path):
-    """Colours of half of the rows change by a twentieth of a step, those of a quarter by three steps."""
+    """Colours of half of the rows change by a twentieth of a step, those of a quarter by thirty."""
     one, step = random_gaussians(400), SETTINGS.steps.key.sh_dc
     change = np.zeros((400, 3), np.float32)
-    change[:200, 0], change[200:300, 0] = 0.05 * step, 3 * step
+    change[:200, 0], change[200:300, 0] = 0.05 * step, 30 * step
     other = replace(one, sh_dc=one.sh_dc + change)
     package, sequence = encoded(tmp_path, [one] * GROUP + [other] * GROUP)
     kept = sum(t.kept for t in package.manifest.groups[1].units)

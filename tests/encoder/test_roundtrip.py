@@ -137,10 +137,12 @@ def test_key_codes_are_within_the_codecs_error_of_the_source(fox):
     group = m.groups[0]
     layout = laid_out(sequence, 0, group)
     values = layout.key_values()
-    steps = KEY.steps(group.key_steps, m.colour_channels)
+    factors = [unit.factor for unit in group.units]
+    assert factors[0] < 1 < factors[1]
+    steps = np.outer(KEY.steps(group.key_steps, m.colour_channels), np.repeat(factors, [t.count for t in group.units]))
     for q, quality in enumerate(m.qualities):
         codes = np.concatenate([decode_key(fox, 0, t, q)[0] for t in range(2)], axis=1)
-        error = codes / m.key_gain - values / (steps * quality.factor)[:, None]
+        error = codes / m.key_gain - values / (steps * quality.factor)
         assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5
 
 

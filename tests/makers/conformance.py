@@ -20,7 +20,6 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
 from airgs_codec.encoder.tables import add_sound
 from airgs_codec.media.sound import encode_sound
-from airgs_codec.package.layout import INIT_NAME
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import open_package
@@ -105,7 +104,7 @@ def write_live() -> None:
     m = package.manifest
     first = replace(m, frames=m.groups[0].stop, live=True, groups=Groups.of(m.groups[:1]))
     live = Folder(VALID / "live")
-    for path in (INIT_NAME, *first.group_files(0)):
+    for path in (*first.shared_files(), *first.group_files(0)):
         live.write(path, package.read(path))
     moment = datetime(2026, 1, 1, tzinfo=UTC)
     write_tables(live, first, LiveClock(moment, moment))

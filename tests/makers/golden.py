@@ -37,7 +37,7 @@ def main() -> None:
     fox = {frame: source.read(frame).take(rows) for frame in range(3, 8)}
     fine = StepSettings(grid=0.00007)
     coarse = EncodeSettings(
-        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)), keys=APART
+        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)), keys=APART, keep_all=True
     )
     cases = {
         "fox": ([fox[frame] for frame in range(3, 7)], coarse),
@@ -45,8 +45,8 @@ def main() -> None:
             [fox[frame] for frame in range(5, 8)],
             replace(coarse, levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
         ),
-        "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True)),
-        "tiles": (room_frames(ROWS // 2, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True, tiles=3)),
+        "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT)),
+        "tiles": (room_frames(ROWS // 2, 4, degree=1), replace(coarse, keys=KEPT, tiles=3)),
     }
     for name, (cut, settings) in cases.items():
         with tempfile.TemporaryDirectory() as folder:

@@ -75,7 +75,9 @@ def tiny_manifest(
         )
 
     units = [
-        mf.GroupTier(10, 0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row])
+        mf.GroupTier(
+            10, 0, 1.0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
+        )
         for row in key_bytes
     ]
     tables = [

@@ -163,7 +163,9 @@ def _key_rows(t: Tables, package: Package, unit: tuple[int, int, int]) -> list[t
     named = t.root["qualities"][quality]
     grid = package.manifest.groups[group].grid
     means = grid_means(sidecar.codes, sidecar.classes, grid, named["coarser"]).tolist()
-    key = Coding(t.groups[group]["key_steps"], named["factor"], t.root["key_gain"], _transform(t, group))
+    table = t.groups[group]
+    factor = named["factor"] * table["tiles"][0]["tiers"][tier]["factor"]
+    key = Coding(table["key_steps"], factor, t.root["key_gain"], _transform(t, group))
     rows = [key_row(line, key, mean) for line, mean in zip(codes.T.tolist(), means, strict=True)]
     coded = list(zip(rows, sidecar.classes.tolist(), sidecar.depths.tolist(), strict=True))
     base, kept = t.base_of(group), sidecar.kept

@@ -135,6 +135,7 @@ def sample_of(g: Gaussians) -> CalibrationSample:
         classes=classify_motion(sensitivity.means, frames[0]),
         sensitivity=sensitivity,
         moving=np.ones(len(g), bool),
+        factors=np.ones(len(g)),
         row_ratio=1.0,
         group_frames=FRAMES,
         segment_frames=FRAMES,

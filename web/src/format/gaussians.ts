@@ -33,9 +33,6 @@ export function canonicalGaussians(
   canonical: Canonical,
   base: Group | null = null,
 ): Gaussians {
-  const [coding, baseCoding] = [group, base].map((table) => {
-    return table && codingOf(root, table, keySteps(root, table, canonical.quality), table.key_steps);
-  });
   const { means } = canonical;
   const rows = means.length / 3;
   const gaussians = {
@@ -46,9 +43,11 @@ export function canonicalGaussians(
     colours: new Float32Array(colourChannels(root.sh_degree) * rows),
   };
   let first = 0;
-  for (const { atlas, kept, luma, bases } of canonical.parts) {
+  for (const { atlas, factor, kept, luma, bases } of canonical.parts) {
     const codes = readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
-    setKey(gaussians, first, kept ? codesOf(codes, atlas.rows, kept) : codes, (kept ? baseCoding : coding)!);
+    const table = kept ? base! : group;
+    const coding = codingOf(root, table, keySteps(root, table, canonical.quality, factor), table.key_steps);
+    setKey(gaussians, first, kept ? codesOf(codes, atlas.rows, kept) : codes, coding);
     first += kept ? kept.length : atlas.rows;
   }
   expectFinite(gaussians, "canonical space");

@@ -44,6 +44,8 @@ export interface BaseChanges {
 /** The key pictures of a tier, or those of a tier of the base whose rows are kept: FORMAT.md, section 3. */
 export interface KeyPart {
   atlas: Atlas;
+  /** On the key steps of its group, beside that of the key quality. */
+  factor: number;
   /** Which rows of the base's atlas are kept, ascending; null: all rows of an atlas of the group itself. */
   kept: Uint32Array | null;
   /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */

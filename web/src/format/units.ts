@@ -16,6 +16,8 @@ const NONE: Media = { checksums: new Uint32Array(), columns: null, samples: [] }
 /** A key unit but for its picture. K rows of the tier are kept, M are its own. */
 export interface KeyUnit {
   atlas: Atlas;
+  /** On the key steps, beside that of the key quality. */
+  factor: number;
   /** (K) rows of the same unit of the base. */
   kept: Uint32Array;
   /** (3M) canonical means, world units. */
@@ -56,7 +58,7 @@ export function readKeyUnit(
 ): KeyUnit {
   const folder = tileFolder(tile, root.tiles);
   const where = keyMediaPath(folder, tier, quality, group + 1);
-  const { count, kept, qualities } = table.tiles[tile]!.tiers[tier]!;
+  const { count, kept, factor, qualities } = table.tiles[tile]!.tiers[tier]!;
   const atlas = qualities[quality]!;
   const coarser = root.qualities[quality]!.coarser;
   const coarsest = root.qualities.at(-1)!.coarser;
@@ -71,6 +73,7 @@ export function readKeyUnit(
   if (!means.every(Number.isFinite)) throw new FormatError("bad_value", where, "means decode to numbers not finite");
   return {
     atlas,
+    factor,
     kept: shared.kept,
     means,
     units: motionUnits(rows.classes),

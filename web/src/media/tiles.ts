@@ -44,8 +44,8 @@ export async function decodeCanonical(
   const tiers = readTiers(tables, read, name);
   const parts: KeyPart[] = [];
   for (const { unit, kept } of tiers.flatMap(runsOf)) {
-    const { atlas, pages, checksums, bases, where } = unit;
-    const take = (_: number, luma: Uint8Array) => parts.push({ atlas, kept, luma, bases });
+    const { atlas, factor, pages, checksums, bases, where } = unit;
+    const take = (_: number, luma: Uint8Array) => parts.push({ atlas, factor, kept, luma, bases });
     await decoder.decode({ pages, checksums, atlas, frames: 1, where }, take, options);
   }
   return { ...name, ...joinPositions(tiers), parts };

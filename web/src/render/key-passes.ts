@@ -17,9 +17,11 @@ export interface RowTextures {
   readonly layers: Texture;
 }
 
-/** What the key channels of a group count in: their steps, those of SH DC and SH rest, and the colour transform. */
+/** What the key channels of a group count in: their steps at the factor of a tier, those of SH DC and SH rest, and the
+ * colour transform.
+ */
 export interface KeyCoding {
-  steps: Float32Array;
+  steps(factor: number): Float32Array;
   tintSteps: [number, number];
   transform: Texture;
 }
@@ -70,14 +72,15 @@ export class KeyPasses {
   ) {
     const picked = new Uint32Array(into.rows);
     let first = 0;
-    for (const { atlas, kept, luma, bases } of parts) {
+    for (const { atlas, factor, kept, luma, bases } of parts) {
       const samples = new Samples(gl, atlas);
       samples.setLuma(luma);
       if (bases) samples.change(bases);
       samples.upload();
       const rows = Math.min(kept ? kept.length : atlas.rows, into.rows - first);
       const coding = (kept && base) ?? own;
-      this.#parts.push({ samples, codes: codeTable(atlas, coding.steps, KEY_AT.colour), coding, first, rows });
+      const codes = codeTable(atlas, coding.steps(factor), KEY_AT.colour);
+      this.#parts.push({ samples, codes, coding, first, rows });
       for (let i = 0; i < rows; i++) picked[first + i] = kept ? kept[i] : i;
       first += rows;
     }

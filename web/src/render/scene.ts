@@ -75,7 +75,7 @@ export class Scene {
     writeRows(gl, this.places, interleave(canonical), 4);
     this.tintSteps = dcAndRest(group.state_steps, channels);
     const coding = (table: Group, transform: Texture) => ({
-      steps: keySteps(root, table, canonical.quality),
+      steps: (factor: number) => keySteps(root, table, canonical.quality, factor),
       tintSteps: dcAndRest(table.key_steps, channels),
       transform,
     });

@@ -102,12 +102,16 @@ export class Decoded {
       means: this.#array(means),
       units: this.#array(units),
       depths: this.#array(depths),
-      parts: parts.map((part) => ({
-        atlas: (part.kept ? baseOf(tables, group)! : tables[group]).tiles[0].tiers[part.tier].qualities[quality],
-        kept: part.kept && this.#array<Uint32Array>(part.kept),
-        luma: this.#array<Uint8Array>(part.luma!),
-        bases: this.#changes(part),
-      })),
+      parts: parts.map((part) => {
+        const { qualities, factor } = (part.kept ? baseOf(tables, group)! : tables[group]).tiles[0].tiers[part.tier];
+        return {
+          atlas: qualities[quality],
+          factor,
+          kept: part.kept && this.#array<Uint32Array>(part.kept),
+          luma: this.#array<Uint8Array>(part.luma!),
+          bases: this.#changes(part),
+        };
+      }),
     };
   }
 }

@@ -235,13 +235,14 @@ test("kept rows look as the table of the base says", () => {
   };
   const group = { key_steps: steps, colour_transform: transform(1, 0, 0, 0, 1, 0, 0, 0, 1) } as Group;
   const base = {
-    key_steps: { ...steps, log_scales: 2, sh_dc: 10 },
+    key_steps: { ...steps, log_scales: 1, opacity: 0.5, sh_dc: 5 },
     colour_transform: transform(0, 1, 0, 1, 0, 0, 0, 0, 1),
   } as Group;
   const own = partOf([[1, 0, 0, 0, 0, 0, 5, 1, 2, 3]], null);
   const other = partOf(
     [0, 1, 2].map((row) => [row, 0, 0, 0, 0, 0, row, 4, 5, row]),
     Uint32Array.of(0, 2),
+    2,
   );
   const canonical: Canonical = {
     ...{ group: 1, tile: 0, quality: 0, tiers: 1 },
@@ -257,7 +258,7 @@ test("kept rows look as the table of the base says", () => {
 });
 
 /** A picture of codes by row and channel, one plane a channel below the other. */
-function partOf(codes: number[][], kept: Uint32Array | null): KeyPart {
+function partOf(codes: number[][], kept: Uint32Array | null, factor = 1): KeyPart {
   const planes = codes[0]!.map((_, channel) => channel);
   const luma = new Uint8Array(256 * planes.length).fill(128);
   const place = [0, 1, 16]; // of the first three rows
@@ -266,7 +267,7 @@ function partOf(codes: number[][], kept: Uint32Array | null): KeyPart {
   }
   const size = { plane_width: 16, columns: 1, width: 16, height: 16 * planes.length };
   const atlas = { rows: codes.length, centres: planes.map(() => 0), planes, max_error: [], ...size };
-  return { atlas, kept, luma, bases: null };
+  return { atlas, factor, kept, luma, bases: null };
 }
 
 test("what a file of kept rows says is read to its end", () => {
