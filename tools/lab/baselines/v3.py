@@ -27,7 +27,7 @@ from airgs_codec.scene.gaussians import Gaussians, morton_encode
 from airgs_codec.trainer.fit.first import FIRST_REGULARISERS, fit_first
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
+from airgs_codec.trainer.fit.trainer import MOVING_RATES, FrameViews, Trainer, make_trainer
 from airgs_codec.trainer.fit.variables import PerGaussian, Rates
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
@@ -39,7 +39,7 @@ CODES = 255  # steps of an 8-bit picture
 FIELD_RATE, FIELD_LAST = 1e-2, 0.1  # learning rate of the hash grid, and the share of it that is left at the end
 DISPLACEMENT = 0.01  # of the scene's extent: what an output of 1 of the hash grid means
 BOX_SHARE, BOX_MARGIN = 0.01, 0.02  # rows left out at each side of the field's box; its margin, of the scene's extent
-RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of fine-tuning
+PRUNED_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of a keyframe; MOVING_RATES of frames
 GRID_BITS = 10  # of each axis, for the order of rows
 
 
@@ -277,7 +277,7 @@ def fit_key(
     points = footage.points if target.frame == 0 else None  # they are of the first frame
     g = fit_first(trainer, target, points, progress=progress)
     kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
-    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, RATES, regularisers=FIRST_REGULARISERS)
+    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, PRUNED_RATES, regularisers=FIRST_REGULARISERS)
     schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)
     optimise(fitted, target.views, schedule, _rng(settings, target.frame, 0), progress=progress)
     g = to_gaussians(fitted.detached())
@@ -295,7 +295,7 @@ def fit_frame(
     optimise(field_driven, target.views, stage, rng, progress=progress)
     start = {name: value - base[name] for name, value in field_driven.detached().items()}
     losses = ResidualLoss(base, settings.temporal, settings.entropy, int(rng.integers(2**31)), settings.form)
-    tuned = Finetuned(base, trainer.extent, RATES, start, losses=losses)
+    tuned = Finetuned(base, trainer.extent, MOVING_RATES, start, losses=losses)
     stage = _schedule(trainer, "fine-tuning", settings.frame_iterations, settings.coarse)
     optimise(tuned, target.views, stage, rng, progress=progress)
     return to_gaussians(tuned.detached())
