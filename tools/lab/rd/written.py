@@ -20,15 +20,19 @@ from tools.lab.rd.programs import SPZ
 from tools.lab.rd.subject import Coded, Subject, Trial
 from tools.lab.timing import seconds_of
 
+TSOG_SETTINGS = ((256, 1 << 16), (64, 1 << 12), (32, 1 << 10), (16, 1 << 8), (8, 1 << 6))  # levels, entries of palettes
 SPZ_BITS = (12, 10, 8)  # of the fraction of a position; SH in all 8 bits, which splat-transform does not keep
 Piece = tuple[int, Sequence[Gaussians]]  # the first frame, frames
 Write = Callable[[Path, Sequence[Gaussians], float], None]
 
 
 def written_trials() -> Iterator[Trial]:
-    """TSOG with files of different lengths, FTGS, and .spz with positions of different depths."""
-    for name, cut in (("one file", _whole), ("a file a group", _groups), ("a file a frame", _frames)):
-        yield Trial("TSOG", name, lambda subject, cut=cut: _clips("tsog", write_tsog, cut(subject), subject))  # type: ignore[misc]
+    """TSOG in files of different lengths and depths, FTGS, and .spz with positions of different depths."""
+    for name, cut in CUTS.items():
+        yield Trial("TSOG", name, partial(_tsog, cut, TSOG_SETTINGS[0]))
+    for setting in TSOG_SETTINGS[1:]:
+        name = f"a file a group, {setting[0]} levels, palette of {setting[1]}"
+        yield Trial("TSOG", name, partial(_tsog, _groups, setting))
     yield Trial("FTGS", "the longest files it can hold", _ftgs)
     for bits in SPZ_BITS:
         yield Trial(SPZ, f"gsply, version 3, {bits} bits", partial(_spz, bits))
@@ -44,6 +48,14 @@ def _groups(subject: Subject) -> list[Piece]:
 
 def _frames(subject: Subject) -> list[Piece]:
     return [(start + i, [frame]) for start, frames in subject.groups for i, frame in enumerate(frames)]
+
+
+CUTS = {"one file": _whole, "a file a group": _groups, "a file a frame": _frames}
+
+
+def _tsog(cut: Callable[[Subject], list[Piece]], setting: tuple[int, int], subject: Subject) -> Coded:
+    write = partial(write_tsog, levels=setting[0], palette=setting[1])
+    return _clips("tsog", write, cut(subject), subject)
 
 
 def _ftgs(subject: Subject) -> Coded:
