@@ -56,13 +56,18 @@ def _our_package(target_db: float, keep_all: bool, subject: Subject) -> Coded:
     return Coded(size / m.frames, frames, report.survey_s + report.calibrate_s + report.encode_s, took.wall)
 
 
+def v3_name(form: str, preset: str) -> str:
+    """The coder that V^3's layout in a form is at a preset."""
+    return f"{V3}, {form}, {preset}"
+
+
 def layout_trials() -> Iterator[Trial]:
     """V^3's layout in both forms and MPEG's, at both presets."""
     for preset in PRESETS:
         for form in V3_FORMS:
             for qp in V3_QPS:
                 layout: Layout = partial(v3_layout, qp=qp, preset=preset, form=form)
-                yield Trial(f"{V3}, {form}, {preset}", f"qp {qp}", partial(_group_by_group, layout))
+                yield Trial(v3_name(form, preset), f"qp {qp}", partial(_group_by_group, layout))
         for rate, qps in enumerate(MPEG_QPS):
             layout = partial(mpeg_anchor_layout, qps=qps, preset=preset)
             yield Trial(f"{MPEG}, {preset}", f"rate {rate}", partial(_group_by_group, layout))

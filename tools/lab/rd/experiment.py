@@ -23,7 +23,7 @@ from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
 from tools.lab.page import Row
-from tools.lab.rd.coders import OURS, PRESETS, V3, layout_trials, our_trials
+from tools.lab.rd.coders import OURS, PRESETS, layout_trials, our_trials, v3_name
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.layouts import V3_FORMS
 from tools.lab.rd.points import RdPoint, bd_rate, best_of, curves, kb_at
@@ -39,6 +39,7 @@ COUNTED = (
     "both manifests, tables and sidecars; of the layouts every packet, parameter set and range; of the other "
     "formats their files."
 )
+BETTER = "better form"
 STYLES = {"published": ":", "veryslow": "-", "keeps all": "--"}  # by the last words of a coder's name
 ENDS_COLUMNS = {
     "coder": ("coder", ""), "small_kb": ("smallest point, kB a frame", ".1f"), "small_psnr": ("dB", ".1f"),
@@ -123,8 +124,7 @@ def measure(subject: Subject, wanted: Iterator[Trial], lab: Lab) -> Iterator[RdP
 
 def _better_form(points: Sequence[RdPoint], preset: str) -> list[RdPoint]:
     """V^3's layout in the form that is better at each rate."""
-    forms = {f"{V3}, {form}, {preset}": form for form in V3_FORMS}
-    return best_of(points, forms, f"{V3}, better form, {preset}")
+    return best_of(points, {v3_name(form, preset): form for form in V3_FORMS}, v3_name(BETTER, preset))
 
 
 def _with_ours(points: Sequence[RdPoint], among: Sequence[RdPoint] | None = None) -> list[Row]:
@@ -137,9 +137,14 @@ def ends(points: Sequence[RdPoint], options: Options) -> list[Row]:
     """A row for each coder: the ends of its curve, and how much smaller or larger `airgs` is at equal PSNR."""
     ours = curves(points).get(OURS, [])
     our_kb = kb_at(ours, options.at)
+    at = {name: kb_at(curve, options.at) for name, curve in curves(points).items()}
+    for preset in PRESETS:  # between points of both forms is none of either
+        at[v3_name(BETTER, preset)] = min(
+            (kb for form in V3_FORMS if (kb := at.get(v3_name(form, preset)))), default=None
+        )
     rows: list[Row] = []
     for name, curve in curves(points).items():
-        their_kb = kb_at(curve, options.at)
+        their_kb = at[name]
         rows.append({
             "coder": name, "small_kb": curve[0].kb_per_frame, "small_psnr": curve[0].psnr,
             "large_kb": curve[-1].kb_per_frame, "large_psnr": curve[-1].psnr,
