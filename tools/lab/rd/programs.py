@@ -32,7 +32,8 @@ STATIC_SETTINGS = (  # coder, setting, ending, options
     ("SOG", "50 rounds", "sog", ("--iterations", "50")),
     ("compressed .ply", "default", "compressed.ply", ()),
 )
-# Bounds of position (thousandths of a world unit), colour (8-bit levels), rotation (1/128) and scale (per cent).
+# Bounds of position (thousandths of a world unit), colour (8-bit levels), rotation (1/128) and scale (per cent); the
+# last ones for scenes of less than a unit.
 SPLAT4D_BOUNDS = (
     (0.1, 0, 0, 0.25),
     (0.25, 1, 0, 0.5),
@@ -41,6 +42,11 @@ SPLAT4D_BOUNDS = (
     (2, 4, 0, 2),
     (4, 6, 1, 4),
     (8, 8, 2, 8),
+    (16, 12, 2, 12),
+    (32, 16, 4, 16),
+    (0.1, 8, 2, 8),
+    (0.2, 8, 2, 8),
+    (0.4, 8, 2, 8),
 )
 
 
@@ -67,11 +73,11 @@ def _static(command: list[str], ending: str, options: Sequence[str], subject: Su
 
 
 def splat4d_trials(command: str) -> Iterator[Trial]:
-    """From finer to coarser bounds than its defaults, at its strongest compression of them."""
+    """Finer and coarser bounds than its defaults, at its strongest compression of them."""
     names = ("--pos-mm", "--color-levels", "--rot-steps", "--scale-pct")
     for bounds in SPLAT4D_BOUNDS:
         options = [word for pair in zip(names, map(str, bounds), strict=True) for word in pair]
-        yield Trial("splat4d", f"{bounds[0]:g} mm", partial(_splat4d, shlex.split(command), options))
+        yield Trial("splat4d", " ".join(map(str, bounds)), partial(_splat4d, shlex.split(command), options))
 
 
 def _splat4d(command: list[str], options: list[str], subject: Subject) -> Coded:
