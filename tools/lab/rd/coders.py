@@ -20,7 +20,7 @@ from tools.lab.timing import seconds_of
 OURS, OURS_WHOLE = "airgs", "airgs, keeps all"
 V3, MPEG = "V3 layout", "MPEG anchor layout"
 PRESETS = (PUBLISHED, "veryslow")  # of the layouts; the second is the one that airgs uses by default
-V3_QPS = (6, 10, 14, 18, 22, 26, 30, 34)
+V3_QPS = (6, 10, 14, 18, 22, 26, 30, 34, 40, 46)
 # The MPEG anchor's published rate points, finest first, from its lowest QPs up.
 MPEG_QPS = (
     {"opacity": 1, "quaternions": 1, "log_scales": 1, "sh_dc": 1, "sh_rest": 4},
