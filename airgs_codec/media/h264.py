@@ -185,16 +185,17 @@ class _Encoder:
         for packet in packets:
             if packet.pts is None:
                 raise CodecError("a packet has no presentation time")
-            units = [(unit[0] & 31, struct.pack(">I", len(unit)) + unit) for unit in _units(bytes(packet))]
-            data = b"".join(unit for kind, unit in units if kind != _SEI)
+            units = [(unit[0] & 31, struct.pack(">I", len(unit)) + unit) for unit in units_without_sei(bytes(packet))]
+            data = b"".join(unit for _, unit in units)
             size = sum(len(unit) for kind, unit in units if kind in _SLICES)
             out.append(CodedPicture(data, packet.pts, size, any(kind == _IDR for kind, _ in units)))
         return out
 
 
-def _units(stream: bytes) -> list[bytes]:
-    """The NAL units of a byte stream (ISO/IEC 14496-10, Annex B); none of them ends in a zero byte."""
-    return [unit.rstrip(b"\0") for unit in stream.split(b"\0\0\1")[1:]]
+def units_without_sei(stream: bytes) -> list[bytes]:
+    """The NAL units of a byte stream (ISO/IEC 14496-10, Annex B) but for SEI; none of them ends in a zero byte."""
+    units = [unit.rstrip(b"\0") for unit in stream.split(b"\0\0\1")[1:]]
+    return [unit for unit in units if unit[0] & 31 != _SEI]
 
 
 def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:

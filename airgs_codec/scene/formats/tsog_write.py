@@ -19,15 +19,24 @@ from airgs_codec.scene.formats.sog import LABELS_A_LINE, META_NAME, Meta, Pixels
 from airgs_codec.scene.formats.tsog_meta import LAST_CODE, MOST_DISCRETE, PROFILE, VERSION
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
 
-_LEVELS = 256  # of a codebook
+LEVELS = 256  # of a codebook, at most
 _ROUNDS = 12  # of fitting a codebook
-_PALETTE = 1 << 16  # entries
+PALETTE = 1 << 16  # entries of the palette of SH, at most
 _PALETTE_NAME, _LABELS = "shN_centroids.webp", "shN_labels.webp"
 _SOUND = "sound.m4a"
 
 
-def write_tsog(path: Path, frames: Iterable[Gaussians], fps: float, sound: bytes = b"") -> None:
+def write_tsog(
+    path: Path,
+    frames: Iterable[Gaussians],
+    fps: float,
+    sound: bytes = b"",
+    levels: int = LEVELS,
+    palette: int = PALETTE,
+) -> None:
     """Write frames of unit quaternions and one SH degree, with a sound in MP4; all rows are in memory at once.
+
+    Fewer `levels` of sizes and colours (at least 2) and fewer entries of the palette make a smaller and coarser file.
 
     Where their Gaussians move evenly (`even_motion`), the file is continuous, else discrete. Raises SceneError for more
     frames than a timeline can number.
@@ -45,7 +54,7 @@ def write_tsog(path: Path, frames: Iterable[Gaussians], fps: float, sound: bytes
         g = join_rows(parts)
         alpha, pixels = g.opacities(), _discrete(meta, [len(part) for part in parts])
     meta["count"] = len(g)
-    pixels |= _rows(meta, g, alpha)
+    pixels |= _rows(meta, g, alpha, (levels, palette))
     if sound:
         meta["audio"] = {"file": _SOUND, "mimeType": "audio/mp4"}
     _write_archive(path, meta, pixels, sound)
@@ -68,19 +77,19 @@ def _continuous(meta: Meta, m: Moving) -> dict[str, Pixels]:
     return _two(meta["timeline"], "timeline", codes) | _two(meta["temporal"]["means"], "velocity", speeds)
 
 
-def _rows(meta: Meta, g: Gaussians, alpha: NDArray[np.float32]) -> dict[str, Pixels]:
-    """What a SOG has as well."""
+def _rows(meta: Meta, g: Gaussians, alpha: NDArray[np.float32], most: tuple[int, int]) -> dict[str, Pixels]:
+    """What a SOG has as well; `most` levels of a codebook and entries of the palette."""
     pixels: dict[str, Pixels] = {}
     meta["means"], codes = _ranged(np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64))))
     pixels |= _two(meta["means"], "means", codes)
     for part, values, opacity in (("scales", g.log_scales, None), ("sh0", g.sh_dc, np.rint(alpha * 255))):
-        book, codes = _codebook(values)
+        book, codes = _codebook(values, most[0])
         meta[part] = {"codebook": book, "files": [f"{part}.webp"]}
         pixels[f"{part}.webp"] = _opaque(codes, opacity)
     meta["quats"], pixels["quats.webp"] = {"files": ["quats.webp"]}, _rotation_pixels(g.quaternions)
     if g.sh_degree:
-        palette, labels = _palette(g.sh_rest.reshape(len(g), -1))
-        book, codes = _codebook(palette)
+        palette, labels = _palette(g.sh_rest.reshape(len(g), -1), most[1])
+        book, codes = _codebook(palette, most[0])
         meta["shN"] = {"bands": g.sh_degree, "count": len(palette), "codebook": book, "files": [_PALETTE_NAME, _LABELS]}
         pixels[_PALETTE_NAME] = _opaque(codes.reshape(-1, 3))
         pixels[_LABELS] = _opaque(np.stack([labels % 256, labels // 256], axis=1))
@@ -133,12 +142,12 @@ def _rotation_pixels(quaternions: NDArray[np.float32]) -> Pixels:
     return _opaque(np.rint(np.clip((kept + 1) / 2, 0, 1) * 255), 252 + largest)
 
 
-def _codebook(values: NDArray[np.float32]) -> tuple[list[float], NDArray[np.int64]]:
-    """At most 256 levels, and the nearest of each value: Lloyd's iterations from quantiles and even steps."""
+def _codebook(values: NDArray[np.float32], most: int) -> tuple[list[float], NDArray[np.int64]]:
+    """At most so many levels, and the nearest of each value: Lloyd's iterations from quantiles and even steps."""
     flat = values.astype(np.float64).ravel()
     levels = np.unique(flat)
-    if len(levels) > _LEVELS:
-        half = _LEVELS // 2
+    if len(levels) > most:
+        half = most // 2
         levels = np.unique(
             [*np.quantile(flat, (np.arange(half) + 0.5) / half), *np.linspace(levels[0], levels[-1], half)]
         )
@@ -151,8 +160,8 @@ def _codebook(values: NDArray[np.float32]) -> tuple[list[float], NDArray[np.int6
     return levels.tolist(), codes.reshape(values.shape)
 
 
-def _palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """(P, D) means of at most 65536 cells of (N, D) rows, and the cell of each row.
+def _palette(rows: NDArray[np.float32], most: int) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """(P, D) means of at most so many cells of (N, D) rows, and the cell of each row.
 
     All cells are halved again and again, each at its mean along the axis on which it spreads most.
     """
@@ -166,6 +175,6 @@ def _palette(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
         axis = spread.argmax(axis=1)
         upper = np.take_along_axis(apart, axis[labels][:, None], axis=1)[:, 0] > 0
         split = np.unique(2 * labels + upper, return_inverse=True)[1]
-        if split.max() + 1 == cells or split.max() >= _PALETTE:
+        if split.max() + 1 == cells or split.max() >= most:
             return means.astype(np.float32), labels
         labels = split

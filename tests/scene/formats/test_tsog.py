@@ -22,6 +22,7 @@ from airgs_codec.scene.formats.form import Losses
 from airgs_codec.scene.formats.ftgs import FTGS
 from airgs_codec.scene.formats.moving import Moving
 from airgs_codec.scene.formats.tsog import TSOG
+from airgs_codec.scene.formats.tsog_write import write_tsog
 from airgs_codec.scene.gaussians import sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.chirps import moment, write_chirping
@@ -192,13 +193,12 @@ def test_frames_are_written_discretely_and_come_back_within_a_step(tmp_path, deg
     assert meta["profile"]["version"] == 1 and meta["timeline"]["N"] == 3
 
 
-def test_a_palette_of_more_rows_than_it_holds_keeps_the_nearest(tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.scene.formats.tsog_write._PALETTE", 64)
+def test_a_palette_of_more_rows_than_it_holds_keeps_the_nearest(tmp_path):
     clusters = np.repeat(random_gaussians(32, 1).sh_rest, 100, axis=0)
     g = replace(random_gaussians(3200, 1), sh_rest=clusters + np.float32(1e-3) * random_gaussians(3200, 1).sh_rest)
-    TSOG.write(tmp_path / "a.tsog", [Losses(TSOG.holds, "").fit(g, "a")], FPS)
+    write_tsog(tmp_path / "a.tsog", [Losses(TSOG.holds, "").fit(g, "a")], FPS, levels=32, palette=64)
     back = open_sequence(tmp_path / "a.tsog").read(0)
-    assert len(np.unique(back.sh_rest, axis=0)) <= 64
+    assert len(np.unique(back.sh_rest, axis=0)) <= 64 and len(np.unique(back.sh_dc)) <= 32
     assert np.abs(back.sh_rest - g.sh_rest).max() < np.ptp(clusters) / 20
 
 

@@ -1,5 +1,7 @@
 """The comparison itself: BD-rate on curves whose answer is known, and layouts that decode to what they were given."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,14 +11,17 @@ from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames
 from tools.lab.page import Picture, write_picture
+from tools.lab.rd import layouts
 from tools.lab.rd.coders import MPEG_QPS
-from tools.lab.rd.experiment import draw, ends
-from tools.lab.rd.layouts import mpeg_anchor_layout, v3_layout
-from tools.lab.rd.points import RdPoint, bd_rate
-from tools.lab.rd.programs import fourdgs_trials
+from tools.lab.rd.experiment import Options, draw, ends
+from tools.lab.rd.fourdgs import fourdgs_trials
+from tools.lab.rd.layouts import PUBLISHED, V3_FORMS, mpeg_anchor_layout, v3_layout
+from tools.lab.rd.points import RdPoint, bd_rate, best_of, kb_at
 from tools.lab.rd.subject import Subject
+from tools.lab.rd.written import written_trials
 
 PRESET = "medium"
+ACTIVATED, STORED = V3_FORMS
 
 
 def curve(*pairs):
@@ -43,10 +48,29 @@ def test_points_beaten_at_fewer_bytes_do_not_count():
     assert bd_rate(WIDE, [*WIDE, *curve((30, 40))]) == pytest.approx(0)
 
 
-def test_both_layouts_decode_to_what_they_were_given():
+def test_bytes_at_a_quality_are_between_points_and_never_beyond_them():
+    assert kb_at(WIDE, 44) == pytest.approx(20)
+    assert kb_at(WIDE, 42.5) == pytest.approx((14 * 20) ** 0.5)
+    assert kb_at(WIDE, 37) is None is kb_at(WIDE[:1], 38)
+
+
+def test_of_two_forms_the_better_one_at_each_rate_is_taken():
+    one = curve((10, 38), (20, 44))
+    other = [RdPoint("d", "0", 15, 43, None, 0.0, 0.0), RdPoint("d", "1", 30, 43.5, None, 0.0, 0.0)]
+    better = best_of([*one, *other, RdPoint("e", "0", 1, 60, None, 0.0, 0.0)], {"c": "first", "d": "second"}, "both")
+    assert [(p.coder, p.setting, p.kb_per_frame) for p in better] == [
+        ("both", "first, 0", 10),
+        ("both", "second, 0", 15),
+        ("both", "first, 1", 20),
+    ]
+
+
+@pytest.mark.parametrize("preset", [PRESET, PUBLISHED])
+def test_all_layouts_decode_to_what_they_were_given(preset):
     frames = repair(moving_frames(300, 3, degree=1), "scene").frames
     rows = slice(None)
-    for coded in (v3_layout(frames, 6, PRESET), mpeg_anchor_layout(frames, MPEG_QPS[0], PRESET)):
+    forms = [v3_layout(frames, 6, preset, form) for form in V3_FORMS]
+    for coded in (*forms, mpeg_anchor_layout(frames, MPEG_QPS[0], preset)):
         assert len(coded.frames) == 3 and coded.bytes > 1000
         for shown, given in zip(coded.frames, frames, strict=True):
             assert shown.sh_rest.shape == given.sh_rest.shape
@@ -58,18 +82,53 @@ def test_both_layouts_decode_to_what_they_were_given():
 
 def test_frames_pay_for_their_packets_and_an_equal_part_of_the_rest():
     frames = repair(moving_frames(300, 5), "scene").frames
-    for coded in (v3_layout(frames, 10, PRESET), mpeg_anchor_layout(frames, MPEG_QPS[0], PRESET)):
+    for coded in (v3_layout(frames, 10, PRESET, ACTIVATED), mpeg_anchor_layout(frames, MPEG_QPS[0], PRESET)):
         assert len(coded.frame_bytes) == 5 and coded.bytes == sum(coded.frame_bytes)
         assert coded.frame_bytes[0] > 2 * max(coded.frame_bytes[1:])  # the picture that needs no other
-    one = v3_layout(frames[:1], 10, PRESET)
+    one = v3_layout(frames[:1], 10, PRESET, STORED)
     assert one.frame_bytes == [one.bytes]
 
 
 def test_finer_settings_cost_more():
     frames = repair(moving_frames(300, 3), "scene").frames
-    assert v3_layout(frames, 6, PRESET).bytes > v3_layout(frames, 26, PRESET).bytes
+    for form in V3_FORMS:
+        assert v3_layout(frames, 6, PRESET, form).bytes > v3_layout(frames, 26, PRESET, form).bytes
     finest, coarsest = (mpeg_anchor_layout(frames, qps, PRESET) for qps in (MPEG_QPS[0], MPEG_QPS[-1]))
     assert finest.bytes > coarsest.bytes
+
+
+def test_small_and_faint_gaussians_keep_their_logarithms_in_the_stored_form():
+    """One Gaussian of a thousand times the size takes all codes of activated scales."""
+    frames = repair(moving_frames(300, 3), "scene").frames
+    frames = [replace(g, log_scales=np.where(np.arange(len(g))[:, None], g.log_scales, 5)) for g in frames]
+    off = {
+        form: np.abs(v3_layout(frames, 6, PRESET, form).frames[0].log_scales - frames[0].log_scales).max()
+        for form in V3_FORMS
+    }
+    assert off[STORED] < 0.2 < 1 < off[ACTIVATED]
+
+
+def test_no_layout_pays_for_sei(monkeypatch):
+    frames = repair(moving_frames(300, 3), "scene").frames
+    stripped = v3_layout(frames, 26, PRESET, STORED)
+    monkeypatch.setattr(layouts, "_stripped", bytes)
+    streams = 6 + 3 + 4 + 1 + 3
+    paid = v3_layout(frames, 26, PRESET, STORED)
+    assert paid.bytes - stripped.bytes > 500 * streams
+    np.testing.assert_array_equal(paid.frames[2].means, stripped.frames[2].means)
+
+
+def test_formats_that_the_package_writes_show_what_they_hold():
+    frames = repair(moving_frames(300, 4), "scene").frames
+    subject = Subject(open_sequence(FOX), [(0, frames[:2]), (2, frames[2:])], [], [0, 3], {}, {})
+    for trial in written_trials():
+        if trial.coder == "SPZ":
+            continue
+        coded = trial.code(subject)
+        assert set(coded.frames) == {0, 3} and coded.bytes_per_frame > 500
+        for number, shown in coded.frames.items():
+            assert len(shown) == 300
+            assert np.abs(shown.means - frames[number].means).max() <= 0.02 * np.ptp(frames[number].means)
 
 
 @pytest.mark.parametrize("program", ["false", "/nowhere/splat4d"])
@@ -82,7 +141,8 @@ def test_an_outside_program_that_fails_is_one_line(program):
 
 def test_the_report_has_a_row_for_every_coder(tmp_path):
     points = [*WIDE, RdPoint("airgs", "only", 9.0, 40.0, 31.0, 1.0, 1.0)]
-    first, last = ends(points, 41, 46)
+    first, last = ends(points, Options(FOX, FOX, at=43))
     assert first["coder"] == "c" and (last["small_kb"], last["large_psnr"]) == (9.0, 40.0)
+    assert 14 < first["at_kb"] < 20 and last["at_kb"] is None
     write_picture(Picture("rd", "", lambda figure: draw(points, "all", figure)), tmp_path / "rd.png")
     assert (tmp_path / "rd.png").stat().st_size > 5000

@@ -27,19 +27,19 @@ from airgs_codec.scene.gaussians import Gaussians, morton_encode
 from airgs_codec.trainer.fit.first import FIRST_REGULARISERS, fit_first
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
+from airgs_codec.trainer.fit.trainer import MOVING_RATES, FrameViews, Trainer, make_trainer
 from airgs_codec.trainer.fit.variables import PerGaussian, Rates
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown
-from tools.lab.rd.layouts import v3_layout
+from tools.lab.rd.layouts import V3_FORMS, v3_layout
 
 HELD = ("log_scales", "quaternions", "opacity_logits")  # what both losses hold
 CODES = 255  # steps of an 8-bit picture
 FIELD_RATE, FIELD_LAST = 1e-2, 0.1  # learning rate of the hash grid, and the share of it that is left at the end
 DISPLACEMENT = 0.01  # of the scene's extent: what an output of 1 of the hash grid means
 BOX_SHARE, BOX_MARGIN = 0.01, 0.02  # rows left out at each side of the field's box; its margin, of the scene's extent
-RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of fine-tuning
+PRUNED_RATES = Rates(factor=3.0, means=5.0 / 3, last=0.1, means_last=0.1)  # of a keyframe; MOVING_RATES of frames
 GRID_BITS = 10  # of each axis, for the order of rows
 
 
@@ -51,12 +51,13 @@ class ResidualLoss:
     temporal: float
     entropy: float
     seed: int  # of the noise
+    form: str = V3_FORMS[0]
     _shown: dict[str, torch.Tensor] = field(init=False)  # (N, C) as the codec codes it
     _steps: dict[str, torch.Tensor] = field(init=False)  # (C,) of the codec
     _noise: torch.Generator = field(init=False)
 
     def __post_init__(self) -> None:
-        self._shown = {name: coded_domain(name, self.before[name]) for name in HELD}
+        self._shown = {name: coded_domain(name, self.before[name], self.form) for name in HELD}
         spans = {name: values.amax(dim=0) - values.amin(dim=0) for name, values in self._shown.items()}
         self._steps = {n: torch.where(span > 0, span, torch.ones_like(span)) / CODES for n, span in spans.items()}
         self._noise = torch.Generator().manual_seed(self.seed)
@@ -71,13 +72,15 @@ class ResidualLoss:
         return total + self.entropy * estimated_bits(codes + noise)
 
     def _codes(self, name: str, residual: torch.Tensor) -> torch.Tensor:
-        now = coded_domain(name, self.before[name] + residual)
+        now = coded_domain(name, self.before[name] + residual, self.form)
         return (now - self._shown[name]) / self._steps[name]
 
 
-def coded_domain(name: str, values: torch.Tensor) -> torch.Tensor:
-    """(N, C) values of an attribute as V^3 codes them: scales and opacities activated."""
+def coded_domain(name: str, values: torch.Tensor, form: str) -> torch.Tensor:
+    """(N, C) values of an attribute as this form of V^3 codes them: scales and opacities activated, or as they are."""
     values = values.reshape(len(values), -1)
+    if form != V3_FORMS[0]:
+        return values
     return values.exp() if name == "log_scales" else values.sigmoid() if name == "opacity_logits" else values
 
 
@@ -114,6 +117,7 @@ class V3Settings:
     entropy: float = 1e-4  # weight of the residual entropy loss
     qp: int = 14  # of the attribute videos
     preset: str = "medium"  # of x264
+    form: str = V3_FORMS[0]  # in which the videos, and the losses, have scales and opacities
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -160,7 +164,7 @@ class V3:
                 g = self._trained(trainer, footage, t, group, progress)
                 group.append(g, time.perf_counter() - began)
             began = time.perf_counter()
-            coded = v3_layout([group.read(t) for t in range(start, stop)], s.qp, s.preset)
+            coded = v3_layout([group.read(t) for t in range(start, stop)], s.qp, s.preset, s.form)
             coding_s = (time.perf_counter() - began) / (stop - start)
             for t in range(max(start, done), stop):
                 i = t - start
@@ -273,7 +277,7 @@ def fit_key(
     points = footage.points if target.frame == 0 else None  # they are of the first frame
     g = fit_first(trainer, target, points, progress=progress)
     kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
-    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, RATES, regularisers=FIRST_REGULARISERS)
+    fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, PRUNED_RATES, regularisers=FIRST_REGULARISERS)
     schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)
     optimise(fitted, target.views, schedule, _rng(settings, target.frame, 0), progress=progress)
     g = to_gaussians(fitted.detached())
@@ -290,8 +294,8 @@ def fit_frame(
     stage = _schedule(trainer, "field", settings.field_iterations, 1.0)
     optimise(field_driven, target.views, stage, rng, progress=progress)
     start = {name: value - base[name] for name, value in field_driven.detached().items()}
-    losses = ResidualLoss(base, settings.temporal, settings.entropy, int(rng.integers(2**31)))
-    tuned = Finetuned(base, trainer.extent, RATES, start, losses=losses)
+    losses = ResidualLoss(base, settings.temporal, settings.entropy, int(rng.integers(2**31)), settings.form)
+    tuned = Finetuned(base, trainer.extent, MOVING_RATES, start, losses=losses)
     stage = _schedule(trainer, "fine-tuning", settings.frame_iterations, settings.coarse)
     optimise(tuned, target.views, stage, rng, progress=progress)
     return to_gaussians(tuned.detached())

@@ -13,14 +13,14 @@ from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import Gaussians
-from tools.lab.rd.layouts import CodedGroup, mpeg_anchor_layout, v3_layout
+from tools.lab.rd.layouts import PUBLISHED, V3_FORMS, CodedGroup, mpeg_anchor_layout, v3_layout
 from tools.lab.rd.subject import Coded, Subject, Trial
 from tools.lab.timing import seconds_of
 
 OURS, OURS_WHOLE = "airgs", "airgs, keeps all"
 V3, MPEG = "V3 layout", "MPEG anchor layout"
-PRESETS = ("medium", "veryslow")  # of the layouts; the second is the one that airgs uses by default
-V3_QPS = (6, 10, 14, 18, 22, 26)
+PRESETS = (PUBLISHED, "veryslow")  # of the layouts; the second is the one that airgs uses by default
+V3_QPS = (6, 10, 14, 18, 22, 26, 30, 34, 40, 46)
 # The MPEG anchor's published rate points, finest first, from its lowest QPs up.
 MPEG_QPS = (
     {"opacity": 1, "quaternions": 1, "log_scales": 1, "sh_dc": 1, "sh_rest": 4},
@@ -56,12 +56,18 @@ def _our_package(target_db: float, keep_all: bool, subject: Subject) -> Coded:
     return Coded(size / m.frames, frames, report.survey_s + report.calibrate_s + report.encode_s, took.wall)
 
 
+def v3_name(form: str, preset: str) -> str:
+    """The coder that V^3's layout in a form is at a preset."""
+    return f"{V3}, {form}, {preset}"
+
+
 def layout_trials() -> Iterator[Trial]:
-    """Both layouts at both presets."""
+    """V^3's layout in both forms and MPEG's, at both presets."""
     for preset in PRESETS:
-        for qp in V3_QPS:
-            layout: Layout = partial(v3_layout, qp=qp, preset=preset)
-            yield Trial(f"{V3}, {preset}", f"qp {qp}", partial(_group_by_group, layout))
+        for form in V3_FORMS:
+            for qp in V3_QPS:
+                layout: Layout = partial(v3_layout, qp=qp, preset=preset, form=form)
+                yield Trial(v3_name(form, preset), f"qp {qp}", partial(_group_by_group, layout))
         for rate, qps in enumerate(MPEG_QPS):
             layout = partial(mpeg_anchor_layout, qps=qps, preset=preset)
             yield Trial(f"{MPEG}, {preset}", f"rate {rate}", partial(_group_by_group, layout))

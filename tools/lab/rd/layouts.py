@@ -1,7 +1,8 @@
 """The published layouts that airgs is compared with, written from their descriptions. Not part of the package.
 
 T frames of a group, N rows (in Morton order: a favour to both), C channels. Every layout takes the frames of one group
-and gives the bytes it would send and the frames it decodes to. All bytes count: packets, parameter sets, ranges.
+and gives the bytes it would send and the frames it decodes to. All bytes count: packets, parameter sets, ranges; but
+SEI, in which x264 and x265 repeat their options, is left out as it is of our packages.
 """
 
 from __future__ import annotations
@@ -18,11 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.channels import colours, split_colours, to_opacity
+from airgs_codec.media.h264 import units_without_sei
 from airgs_codec.scene.gaussians import Gaussians
 
 RANGE_BYTES = 8  # two float32 for each range that is sent
 SMALLEST_SCALE = 1e-6  # world units; a scale that decodes to 0 has no logarithm
 V3_CAP = 22  # the highest QP of colour, scales and rotation in V^3
+V3_FORMS = (
+    "activated",
+    "stored",
+)  # compress_ckpt_2_image_precompute.py, which V^3's README names, and the one beside it
+PUBLISHED = "published"  # instead of a preset: FFmpeg's defaults and a QP, as the scripts of both call it
 Samples = NDArray[np.floating]
 
 
@@ -45,7 +52,7 @@ class Video:
     """Codes planes as video, one stream each, and adds up what they cost."""
 
     codec: str  # libx264 or libx265
-    preset: str
+    preset: str  # of both, or PUBLISHED
     packets: Counter[int] = field(default_factory=Counter)  # bytes of the packets of each frame
     shared: int = 0  # bytes of parameter sets and ranges
     decode_s: float = 0.0
@@ -81,21 +88,26 @@ class Video:
         encoder.time_base, encoder.framerate = Fraction(1, 30), Fraction(30)
         encoder.gop_size, encoder.thread_count = count, 1
         encoder.flags |= av.codec.context.Flags.global_header
-        encoder.options = {"preset": self.preset} | self._options(count, qp)
+        encoder.options = self._options(count, qp)
         packets: list[av.Packet] = []
         for i, picture in enumerate(pictures):
             frame = _frame_of(picture, encoder.pix_fmt)
             frame.pts = i
             packets += encoder.encode(frame)
         packets += encoder.encode(None)
-        return [(cast(int, p.pts), bytes(p)) for p in packets], bytes(encoder.extradata or b"")
+        extradata = bytes(encoder.extradata or b"")
+        strip = _stripped if self.codec == "libx264" else bytes  # x265 is told to write none
+        return [(cast(int, p.pts), strip(bytes(p))) for p in packets], extradata
 
     def _options(self, count: int, qp: int | None) -> dict[str, str]:
         if self.codec == "libx264":
-            return {"qp": str(qp), "x264-params": f"keyint={count}:scenecut=0:aq-mode=0:psy=0"}
-        rate = "lossless=1" if qp is None else f"qp={qp}"
-        common = f"log-level=none:keyint={count}:min-keyint={count}:scenecut=0:info=0:pools=1:frame-threads=1"
-        return {"x265-params": f"{rate}:{common}:psy-rd=0:psy-rdoq=0:aq-mode=0"}
+            plain = {"preset": self.preset, "x264-params": f"keyint={count}:scenecut=0:aq-mode=0:psy=0"}
+            return {"qp": str(qp)} | ({} if self.preset == PUBLISHED else plain)
+        rate = f"{'lossless=1' if qp is None else f'qp={qp}'}:log-level=none:info=0:pools=1:frame-threads=1"
+        if self.preset == PUBLISHED:
+            return {"x265-params": rate}
+        rate += f":keyint={count}:min-keyint={count}:scenecut=0:psy-rd=0:psy-rdoq=0:aq-mode=0"
+        return {"preset": self.preset, "x265-params": rate}
 
     def _decode(self, packets: list[bytes], extradata: bytes, bits: int) -> NDArray[np.uint16]:
         name = {"libx264": "h264", "libx265": "hevc"}[self.codec]
@@ -103,6 +115,11 @@ class Video:
         decoder.extradata, decoder.thread_count = extradata, 1
         frames = [frame for p in packets for frame in decoder.decode(av.Packet(p))] + decoder.decode(None)
         return np.stack([_samples_of(frame, bits).astype(np.uint16) for frame in frames])
+
+
+def _stripped(packet: bytes) -> bytes:
+    """A packet of H.264 without SEI."""
+    return b"".join(b"\0\0\0\1" + unit for unit in units_without_sei(packet))
 
 
 def _raster(rows: int, multiple: int) -> tuple[int, int]:
@@ -133,20 +150,24 @@ def _stack(frames: Sequence[Gaussians], name: str) -> NDArray[np.float64]:
     return values.reshape(*values.shape[:2], int(np.prod(values.shape[2:]))).astype(np.float64)
 
 
-def v3_layout(frames: Sequence[Gaussians], qp: int, preset: str) -> CodedGroup:
-    """V^3 (SIGGRAPH Asia 2024): activated domain, ranges for every frame and channel, 8 bit by truncation.
+def v3_layout(frames: Sequence[Gaussians], qp: int, preset: str, form: str) -> CodedGroup:
+    """V^3 (SIGGRAPH Asia 2024, github.com/AuthorityWang/VideoGS): ranges for every frame and channel, 8 bit, truncated.
 
-    Positions as two bytes, the high one at QP 0; one H.264 stream a plane (its dead chroma planes are not charged);
-    colour, scales and rotation at most at QP 22, SH rest and opacity at `qp`.
+    `form`, one of V3_FORMS: scales and opacities activated, or as they are stored, log and logit. Positions as two
+    bytes, the high one at QP 0; one H.264 stream a plane (its dead chroma planes are not charged); colour, scales and
+    rotation at most at QP 22, SH rest and opacity at `qp`.
     """
     video = Video("libx264", preset)
     capped = min(qp, V3_CAP)
-    scales = _v3_channels(video, np.exp(_stack(frames, "log_scales")), capped)
+    activated = form == V3_FORMS[0]
+    scales, opacity = _stack(frames, "log_scales"), _stack(frames, "opacity_logits")
+    scales = _v3_channels(video, np.exp(scales) if activated else scales, capped)
+    opacity = _v3_channels(video, to_opacity(opacity) if activated else opacity, qp)
     columns = {
         "means": _v3_means(video, _stack(frames, "means"), qp),
         "quaternions": _v3_channels(video, _stack(frames, "quaternions"), capped),
-        "log_scales": np.log(np.maximum(scales, SMALLEST_SCALE)),
-        "opacity_logits": to_logit(_v3_channels(video, to_opacity(_stack(frames, "opacity_logits")), qp)),
+        "log_scales": np.log(np.maximum(scales, SMALLEST_SCALE)) if activated else scales,
+        "opacity_logits": to_logit(opacity) if activated else opacity,
         "sh_dc": _v3_channels(video, _stack(frames, "sh_dc"), capped),
         "sh_rest": _v3_channels(video, _stack(frames, "sh_rest"), qp),
     }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -46,6 +46,23 @@ def bd_rate(ours: Sequence[RdPoint], theirs: Sequence[RdPoint], low: float = 0.0
         fit = PchipInterpolator([p.psnr for p in curve], [np.log(p.kb_per_frame) for p in curve])
         means.append(float(fit.integrate(low, high)) / (high - low))
     return float(np.expm1(means[0] - means[1]))
+
+
+def kb_at(curve: Sequence[RdPoint], psnr: float) -> float | None:
+    """kB a frame at which a curve reaches a PSNR in dB, log rate on straight lines over PSNR; None beyond its ends."""
+    rising = _rising(curve)
+    if len(rising) < 2 or not rising[0].psnr <= psnr <= rising[-1].psnr:
+        return None
+    return float(np.exp(np.interp(psnr, [p.psnr for p in rising], [np.log(p.kb_per_frame) for p in rising])))
+
+
+def best_of(points: Sequence[RdPoint], names: Mapping[str, str], coder: str) -> list[RdPoint]:
+    """The points of several coders that none of them beats at fewer bytes, as one coder.
+
+    `names`: each of these coders, and what the settings of its points begin with.
+    """
+    kept = _rising([p for p in points if p.coder in names])
+    return [replace(p, coder=coder, setting=f"{names[p.coder]}, {p.setting}") for p in kept]
 
 
 def _rising(points: Sequence[RdPoint]) -> list[RdPoint]:

@@ -87,7 +87,7 @@ def test_what_is_shown_is_what_its_bytes_decode_to(scene, tmp_path):
     footage = _footage(scene, tmp_path)
     shown = list(itertools.islice(V3(SMALL).frames(footage, 0, silent), 2))
     trained = [read_ply(tmp_path / "group" / f"{t:06d}.ply") for t in range(2)]
-    coded = v3_layout(trained, SMALL.qp, SMALL.preset)
+    coded = v3_layout(trained, SMALL.qp, SMALL.preset, SMALL.form)
     assert [frame.bytes for frame in shown] == coded.frame_bytes
     for frame, decoded, given in zip(shown, coded.frames, trained, strict=True):
         for name in ("means", "log_scales", "opacity_logits", "sh_dc"):
