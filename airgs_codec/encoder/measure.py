@@ -20,8 +20,8 @@ from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames,
 from airgs_codec.scene.sequence import GaussianSequence
 
 OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
-UNSURE = 0.06  # relative standard error of the top rung's mean squared error from which more pictures are measured
-ROUNDS = 4  # of pictures, at most
+UNSURE = 0.05  # relative standard error of the top rung's mean squared error from which more pictures are measured
+ROUNDS = 12  # of pictures, at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +94,9 @@ class Measured:
 
 def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> list[Pictures]:
     """Draw the pictures of a round for each segment of a group of a package, which has `total` segments in the end."""
-    first = m.segments_of(group).start
+    first = asked.number * total + m.segments_of(group).start
     return [
-        views.measure(asked.number * total + first + place, segment.start, segment.stop, asked.count)
+        views.measure(first + place, segment.start, segment.stop, asked.count, asked.number)
         for place, segment in enumerate(m.groups[group].segments)
     ]
 

@@ -86,10 +86,13 @@ class ViewPlan:
         """
         return _spread(frames, self.deciding[self.decided : self.decided + CHECKED])
 
-    def measure(self, index: int, start: int, stop: int, least: int) -> Pictures:
-        """Pictures of segment number `index`, the frames [start, stop): (number of the frame, view)."""
+    def measure(self, index: int, start: int, stop: int, least: int, turn: int = 0) -> Pictures:
+        """Pictures of segment number `index`, the frames [start, stop): (number of the frame, view).
+
+        Each `turn` has other frames, where a segment has more than are seen at once.
+        """
         count = self.measured(least)
-        numbers = middle_frames(start, stop, count)
+        numbers = middle_frames(start, stop, count, turn)
         rounds = -(-count // len(numbers))
         first = index * count % len(self.measuring)
         views = itertools.islice(itertools.cycle(self.measuring), first, first + count)
