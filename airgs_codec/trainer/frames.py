@@ -25,8 +25,8 @@ from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, s
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
 from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim, static_shares
-from airgs_codec.trainer.fit.parameters import Parameters
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
+from airgs_codec.trainer.fit.parameters import InMotion, Parameters
+from airgs_codec.trainer.fit.trainer import FrameViews, Group, Trainer, make_trainer
 from airgs_codec.trainer.fit.usage import group_usage
 from airgs_codec.trainer.plan import Plan, Told
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
@@ -98,6 +98,14 @@ class Capture:
             raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
         return settle(views, self.plates, self.pictures.exposure).views if self.plates else views
 
+    def first(self) -> FrameViews:
+        """The first frame of the run as it is fitted: cameras that saw it before its time saw it after that, too."""
+        views = self.views(0)
+        early = {i for i, view in enumerate(views) if view.after < 0}
+        behind = self.views(1) if early and len(self.scene) > 1 else []
+        later = [replace(view, after=view.after + 1) for i, view in enumerate(behind) if i in early]
+        return FrameViews(0, views, later=later)
+
     def target(self, frame: int, start: int) -> FrameViews:
         """A frame as it is fitted from the Gaussians of the frame `start`. Raises what `views` does."""
         if not self.plates:
@@ -133,7 +141,7 @@ class First:
 class Position:
     """The frame and the group that the next frame is fitted from."""
 
-    before: FrameBefore
+    before: InMotion
     group: Group
 
 
@@ -141,7 +149,7 @@ class Position:
 class _Fitted:
     """A frame that was fitted, and the group that it is in."""
 
-    gaussians: Gaussians
+    shown: InMotion
     kind: str  # first | frame | key
     psnr: float  # dB, mean over training views
     group: Group
@@ -158,18 +166,16 @@ def chunks(frames: int, group_frames: int | None) -> list[Span]:
 
 def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
-    begun, trainer, views = time.perf_counter(), capture.trainer, capture.views(0)
-    named = capture.told(progress).of(0)
-    model = _exposures(views, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
+    begun, trainer, target = time.perf_counter(), capture.trainer, capture.first()
+    named, views = capture.told(progress).of(0), target.views
+    model = _exposures(target, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
     if capture.scene.given is None:
-        g = fit_first(trainer, FrameViews(0, views), capture.scene.points, model, named)
+        found = fit_first(trainer, target, capture.scene.points, model, named)
     else:
-        g = _given_first(capture, 0, named)
+        found = InMotion(_given_first(capture, 0, named))
     exposure = model.table([view.camera.name for view in views]) if model and model.differs else {}
     exposed = capture.with_exposure(exposure)
-    group = trainer.start_group(g, exposed.views(0))
-    fitted = _Fitted(g, "first", group.first_psnr, group)
-    return replace(_trained(exposed, 0, fitted, begun), exposure=exposure)
+    return replace(_trained(exposed, 0, _begun(exposed, "first", found, exposed.views(0)), begun), exposure=exposure)
 
 
 def train_chunk(
@@ -183,20 +189,18 @@ def train_chunk(
     """
     if at is None and frames.start == 0:
         group = capture.trainer.start_group(first, capture.views(0))
-        at, frames = Position(FrameBefore(first, None), group), frames[1:]
+        at, frames = Position(InMotion(first), group), frames[1:]
     told = capture.told(progress)
     for frame in frames:
         begun, named = time.perf_counter(), told.of(frame)
         if at is None:
-            before, target = FrameBefore(first, None), capture.target(frame, 0)
+            before, target = InMotion(first), capture.target(frame, 0)
             steps = capture.trainer.steps(first, capture.views(0))
-            fitted = _keyframe(capture, target, before, _new_key(capture, target, before, steps, named))
+            fitted = _begun(capture, "key", _new_key(capture, target, before, steps, named), target.views, len(first))
         else:
-            before = at.before
             fitted = _fit_next(capture, capture.target(frame, frame - 1), at, named)
-        g = fitted.gaussians
-        velocity = g.means - before.gaussians.means if fitted.kind == "frame" else None
-        at = Position(FrameBefore(g, velocity), fitted.group)
+        shown = fitted.shown
+        at = Position(shown if fitted.kind == "frame" else InMotion(shown.gaussians), fitted.group)
         yield _trained(capture, frame, fitted, begun)
 
 
@@ -212,12 +216,12 @@ def position_after(capture: Capture, model: Model) -> Position:
     return Position(frame_before(model, last + 1), group)
 
 
-def frame_before(model: Model, frame: int) -> FrameBefore:
+def frame_before(model: Model, frame: int) -> InMotion:
     """Return what a frame, at least 1, starts from; its velocity is known from the third frame of a group on."""
     before = model.read(frame - 1)
     if frame - 1 == model.record.group_start(frame):
-        return FrameBefore(before, None)
-    return FrameBefore(before, before.means - model.read(frame - 2).means)
+        return InMotion(before)
+    return InMotion(before, before.means - model.read(frame - 2).means)
 
 
 def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> _Fitted:
@@ -227,20 +231,21 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
     """
     trainer, s = capture.trainer, capture.trainer.settings
     before, group = at.before, at.group
-    moved = _moved(capture, target, at, progress)
+    g = _moved(capture, target, at, progress)
+    moved = InMotion(g, g.means - before.gaussians.means)
     psnr = mean_psnr(moved, target.views, trainer.renderer)
-    static = static_shares(before.gaussians, moved, group.steps)
+    static = static_shares(before.gaussians, g, group.steps)
     second = round(psnr, 3) if group.second_psnr is None else group.second_psnr  # as the record has it
     fitted = _Fitted(moved, "frame", psnr, replace(group, second_psnr=second), static=static)
     first = -math.inf if capture.scene.given else group.first_psnr
     known = first if group.second_psnr is None else group.second_psnr
     if psnr >= s.min_psnr_db and psnr >= known - s.max_drop_db:
         return fitted
-    g = _new_key(capture, target, before, group.steps, progress)
-    key_psnr = mean_psnr(g, target.views, trainer.renderer)
+    key = _new_key(capture, target, before, group.steps, progress)
+    key_psnr = mean_psnr(key, target.views, trainer.renderer)
     if s.keep_better and key_psnr <= psnr:
         return replace(fitted, rejected_psnr=key_psnr)
-    return replace(_keyframe(capture, target, before, g), rejected_psnr=psnr)
+    return replace(_begun(capture, "key", key, target.views, len(g)), rejected_psnr=psnr)
 
 
 def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> Gaussians:
@@ -253,26 +258,24 @@ def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progres
         g = follow(trainer, before, capture.given(target.frame), target)
         if is_known(trainer, g, target.views):
             return g
-        before = FrameBefore(g, None)
+        before = InMotion(g)
     return trainer.fit_frame(target, before, at.group, progress)
 
 
-def _new_key(
-    capture: Capture, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress
-) -> Gaussians:
+def _new_key(capture: Capture, target: FrameViews, before: InMotion, steps: Parameters, progress: Progress) -> InMotion:
     """The Gaussians of a keyframe that goes on from another frame, whose values have these steps."""
     if capture.scene.given is None:
         return capture.trainer.fit_keyframe(target, before, steps, progress)
-    return _given_key(capture, target, before, progress)
+    return InMotion(_given_key(capture, target, before, progress))
 
 
-def _given_key(capture: Capture, target: FrameViews, before: FrameBefore, progress: Progress) -> Gaussians:
+def _given_key(capture: Capture, target: FrameViews, before: InMotion, progress: Progress) -> Gaussians:
     """The Gaussians of the frame before with what they lack, or those that are given where that does not show all."""
     trainer, given = capture.trainer, capture.given(target.frame)
     g = follow(trainer, before, given, target)
     g = join_rows([g, given.take(missing(trainer, g, given, target))])
     group = Group(math.inf, trainer.steps(g, target.views), None)
-    g = trainer.fit_frame(replace(target, moving=None), FrameBefore(g, None), group, progress)
+    g = trainer.fit_frame(replace(target, moving=None), InMotion(g), group, progress)
     if mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB:
         return g
     return _given_first(capture, target.frame, progress)
@@ -283,14 +286,14 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
     trainer, g = capture.trainer, capture.given(start)
     views = [capture.views(start)]
     steps, frames, floor = trainer.steps(g, views[0]), [g], 0.0
-    at = Position(FrameBefore(g, None), Group(math.inf, steps, None))
+    at = Position(InMotion(g), Group(math.inf, steps, None))
     behind = range(start + 1, min(start + WINDOW, len(capture.scene)))
     for frame in itertools.takewhile(lambda frame: capture.scene.frames[frame], behind):
         seen = capture.views(frame)
         target = FrameViews(frame, seen)
         moved = follow(trainer, at.before, capture.given(frame), target)
         if not is_known(trainer, moved, target.views[::2]):
-            moved = trainer.fit_frame(target, FrameBefore(moved, None), at.group, progress)
+            moved = trainer.fit_frame(target, InMotion(moved), at.group, progress)
         psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
         if psnr < max(floor, KNOWN_DB):
             break
@@ -303,40 +306,43 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
             at = replace(at, group=replace(at.group, steps=trainer.steps(frames[0], views[0])))
         frames.append(moved)
         views.append(seen)
-        at = replace(at, before=FrameBefore(moved, moved.means - frames[-2].means))
+        at = replace(at, before=InMotion(moved, moved.means - frames[-2].means))
     if len(frames) == 1:
         return g
     return fit_common(trainer, frames, [of[i % SHARES :: SHARES] for i, of in enumerate(views)], progress)
 
 
-def _keyframe(capture: Capture, target: FrameViews, before: FrameBefore, g: Gaussians) -> _Fitted:
-    """The Gaussians `g` as the first frame of a new group."""
-    group = capture.trainer.start_group(g, target.views)
-    return _Fitted(g, "key", group.first_psnr, group, added=len(g) - len(before.gaussians))
+def _begun(capture: Capture, kind: str, found: InMotion, views: Sequence[View], before: int | None = None) -> _Fitted:
+    """What was found as the first frame of a new group; `before`: Gaussians of the frame that it goes on from."""
+    group, count = capture.trainer.start_group(found.gaussians, views), len(found.gaussians)
+    # A run that goes on reads Gaussians alone, so their group is judged by those, where they are.
+    psnr = group.first_psnr if found.velocity is None else mean_psnr(found, views, capture.trainer.renderer)
+    return _Fitted(found, kind, psnr, group, added=0 if before is None else count - before)
 
 
-def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
-    names, s = [view.camera.name for view in views], trainer.settings
-    looks = None if s.match_exposure == ON else round(LOOKED_SHARE * s.iterations_from_scratch(len(views)))
-    return ExposureModel(len(views), trainer.device, names.index(s.reference) if s.reference else None, looks)
+def _exposures(target: FrameViews, trainer: Trainer) -> ExposureModel:
+    names, s, count = [view.camera.name for view in target.views], trainer.settings, len(target.views)
+    looks = None if s.match_exposure == ON else round(LOOKED_SHARE * s.iterations_from_scratch(count))
+    again = [names.index(view.camera.name) for view in target.later]
+    return ExposureModel(count, trainer.device, names.index(s.reference) if s.reference else None, looks, again)
 
 
 def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> TrainedFrame:
     """The frame with its record; `begun`: when its fit was, by `time.perf_counter`."""
     seconds = time.perf_counter() - begun
-    held_out, renderer = capture.pictures.held_out(frame), capture.trainer.renderer
+    held_out, renderer, shown = capture.pictures.held_out(frame), capture.trainer.renderer, fitted.shown
     rejected, networks = fitted.rejected_psnr, fitted.group.networks
     record = FrameRecord(
         frame=frame,
         kind=fitted.kind,
-        gaussians=len(fitted.gaussians),
+        gaussians=len(shown.gaussians),
         added=fitted.added,
         psnr=round(fitted.psnr, 3),
-        held_out_psnr=round(mean_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
-        held_out_matched=round(matched_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
-        held_out_ssim=round(mean_ssim(fitted.gaussians, held_out, renderer), 5) if held_out else None,
+        held_out_psnr=round(mean_psnr(shown, held_out, renderer), 3) if held_out else None,
+        held_out_matched=round(matched_psnr(shown, held_out, renderer), 3) if held_out else None,
+        held_out_ssim=round(mean_ssim(shown, held_out, renderer), 5) if held_out else None,
         rejected_psnr=None if rejected is None else round(rejected, 3),
         static={name: round(share, 4) for name, share in fitted.static.items()},
         seconds=round(seconds, 2),
     )
-    return TrainedFrame(fitted.gaussians, record, networks.arrays() if networks else None)
+    return TrainedFrame(shown.gaussians, record, networks.arrays() if networks else None)

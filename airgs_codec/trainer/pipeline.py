@@ -88,8 +88,9 @@ def _cameras(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
 
 
 def _first(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
-    """Frame 0; where Gaussians are given, the pictures of its chunk tell what it shares with others."""
-    return [Piece("frame 0", range(*chunks(len(scene), settings.group_frames)[0]) if scene.given else ())]
+    """Frame 0, and what else tells it: its chunk where Gaussians are given, frame 1 where cameras are not in step."""
+    given, early = range(*chunks(len(scene), settings.group_frames)[0]), any(s.after < 0 for s in scene.frames[0])
+    return [Piece("frame 0", given if scene.given else range(len(scene))[: 2 * early])]
 
 
 def _chunks(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:

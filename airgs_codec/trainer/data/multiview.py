@@ -103,6 +103,7 @@ class Shot:
     source: Readable
     lens: Lens | None = None  # None: the picture is that of a pinhole camera already
     mask: Path | None = None  # picture that is not 0 where the foreground is
+    after: float = 0.0  # frames that it was taken after the time of its frame, -0.5 to 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,8 +233,9 @@ def without_masks(scene: MultiviewScene) -> MultiviewScene:
 
 def _content(shot: Shot, contents: Contents) -> tuple[Any, ...]:
     source = shot.source
-    shown = [contents[file] for file in source.files]
-    return shot.camera, shot.lens, *shown, source.content, shot.mask and contents[shot.mask]
+    files = [contents[file] for file in source.files]
+    shown = (shot.camera, shot.lens, *files, source.content, shot.mask and contents[shot.mask])
+    return (*shown, shot.after) if shot.after else shown
 
 
 def _files(shot: Shot) -> list[Path]:
