@@ -151,6 +151,11 @@ def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int,
     return start, stop
 
 
+def seen_until(scene: MultiviewScene, stop: int) -> int:
+    """Where the frames end whose pictures show those before `stop`: one further where cameras are early."""
+    return min(len(scene), stop + any(shot.after < 0 for shot in scene.frames[0]))
+
+
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:
     """The scene whose cameras draw no Gaussian nearer than `near` world units."""
     return _with_cameras(scene, lambda camera: replace(camera, near=near))

@@ -15,13 +15,14 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import write_png
 from airgs_codec.places.results import open_store
 from airgs_codec.scene.camera import BLACK
+from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.between import in_step, read_offsets
 from airgs_codec.trainer.data.doubt import doubted, find_doubtful
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source, content_of, read_contents
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import FEWEST, find_timing
-from airgs_codec.trainer.frames import Capture
+from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.record import Record
 from airgs_codec.trainer.settings import TrainSettings
 from tests.support.multiview_files import plain
@@ -155,6 +156,17 @@ def test_a_first_frame_is_fitted_to_both_pictures_of_a_camera_that_was_early(tmp
     assert [(view.camera.name, view.after) for view in target.later] == [("cam01", 0.75)]
     assert abs(float(target.later[0].target.rgb.mean()) - 30 / 255) < 1e-3  # that of frame 1
     assert not Capture.of(files(tmp_path), TrainSettings(), "cpu").first().later
+
+
+def test_a_frame_that_begins_a_group_shows_nothing_from_before_it(tmp_path):
+    matched = in_step(files(tmp_path), {"cam01": 0.25})
+    capture = rested(Capture.of(matched, TrainSettings(), "cpu"))
+    for frame, seen in ((1, [("cam00", 0.0), ("cam01", 0.75)]), (len(matched) - 1, [("cam00", 0.0)])):
+        target = capture.key(capture.target(frame, frame - 1))
+        assert [(view.camera.name, view.after) for view in target.views] == seen
+        assert len(target.moving) == len(seen)
+    still = Capture.of(files(tmp_path), TrainSettings(), "cpu").target(1, 0)
+    assert capture.key(still) is still
 
 
 def test_the_record_of_a_run_has_its_offsets(tmp_path):

@@ -14,6 +14,7 @@ import torch
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.capture import Capture, First
 from airgs_codec.trainer.data.between import in_step
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.pictures import View
@@ -22,7 +23,7 @@ from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
-from airgs_codec.trainer.frames import Capture, First, frame_before
+from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
