@@ -203,25 +203,6 @@ def resize(picture: NDArray[np.float32], width: int, height: int) -> NDArray[np.
     return np.asarray(cv2.resize(picture, (width, height), interpolation=cv2.INTER_AREA), np.float32)
 
 
-def between(first: NDArray[np.uint8], second: NDArray[np.uint8], share: float) -> NDArray[np.uint8]:
-    """A picture at `share` of the time from one (H, W, C), RGB or with alpha, to another of the same shape.
-
-    Dense optical flow (DIS, Kroeger et al. 2016) both ways gives the flow from that time to both (Jiang et al. 2018,
-    "Super SloMo", 3.2), with which they are resampled, and blended.
-    """
-    x, y = (cv2.cvtColor(np.ascontiguousarray(picture[..., :3]), cv2.COLOR_RGB2GRAY) for picture in (first, second))
-    rest, (rows, columns) = 1 - share, first.shape[:2]
-    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_FAST)
-    there, back = (flow.calc(p, q, np.zeros((rows, columns, 2), np.float32)) for p, q in ((x, y), (y, x)))
-    grid = np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1).astype(np.float32)
-    to_first, to_second = share * (share * back - rest * there), rest * (rest * there - share * back)
-    a, b = (
-        cv2.remap(picture.astype(np.float32), grid + way, np.empty(0), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-        for picture, way in ((first, to_first), (second, to_second))
-    )
-    return np.rint(np.clip(rest * a + share * b, 0, 255)).astype(np.uint8)
-
-
 def box_mean(values: NDArray[np.float32], size: int) -> NDArray[np.float32]:
     """(H, W) means over `size` x `size` pixels around each; borders are mirrored."""
     return np.asarray(cv2.blur(values, (size, size), borderType=cv2.BORDER_REFLECT_101), np.float32)

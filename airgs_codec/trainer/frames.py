@@ -8,132 +8,32 @@ from __future__ import annotations
 import itertools
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-
-import torch
 
 from airgs_codec.analysis.flow import carry
-from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
-from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
-from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
+from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
 from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim, static_shares
-from airgs_codec.trainer.fit.parameters import Parameters
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Group, Trainer, make_trainer
-from airgs_codec.trainer.fit.usage import group_usage
-from airgs_codec.trainer.plan import Plan, Told
+from airgs_codec.trainer.fit.parameters import InMotion, Parameters
+from airgs_codec.trainer.fit.trainer import FrameViews, Group, Trainer
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
-from airgs_codec.trainer.settings import ON, TrainSettings
+from airgs_codec.trainer.settings import ON
 
-CAPACITY = 1.5  # times as many Gaussians as the first frame has may there ever be, unless settings say more
 LOOKED_SHARE = 0.6  # of the iterations of a first frame, which tell whether cameras are exposed differently
 WINDOW = 12  # frames that tell it
 SHARES = 3  # one view in so many of each of them does
-
-
-@dataclass(frozen=True, eq=False)
-class Capture:
-    """A scene with all that its frames are fitted with."""
-
-    scene: MultiviewScene
-    settings: TrainSettings
-    device: str  # cpu or cuda
-    pictures: Pictures
-    plates: Plates = field(default_factory=dict)  # of every training camera; none: nothing is known to rest
-    _moving: dict[int, Masks] = field(init=False, default_factory=dict)  # of the last frame that was a target
-
-    @staticmethod
-    def of(scene: MultiviewScene, settings: TrainSettings, device: str) -> Capture:
-        """A scene whose plates and exposure are not known. `device`: cpu or cuda."""
-        return Capture(scene, settings, device, pictures_for(scene, settings))
-
-    @cached_property
-    def trainer(self) -> Trainer:
-        """Open what all fits share when a fit asks for it: who only writes what others fitted needs no device.
-
-        Raises ConfigError where the device is not there.
-        """
-        if self.device == "cpu":
-            torch.set_num_threads(1)  # the kernels have their own threads, and two pools fight over the cores
-        return make_trainer(self.settings, self.pictures.train(0), self.scene.points, self.device)
-
-    def with_exposure(self, exposure: Exposure) -> Capture:
-        """The same, its pictures as the average camera would have exposed them."""
-        return replace(self, pictures=self.pictures.with_exposure(exposure)) if exposure else self
-
-    def with_first(self, first: First) -> Capture:
-        """The same whose first frame is known."""
-        s = self.settings
-        capacity = s.capacity or max(s.budget or 1, round(CAPACITY * len(first.gaussians)))
-        return replace(self.with_exposure(first.exposure), settings=replace(s, capacity=capacity))
-
-    def with_plates(self, plates: Iterable[Plate]) -> Capture:
-        """The same that knows what rests; `plates`: of every training camera, or none at all."""
-        names = [camera.name for camera in self.scene.cameras if not camera.held_out]
-        stored = [stored_plate(plate, len(names)) for plate in plates]
-        return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
-
-    def told(self, progress: Progress) -> Told:
-        """Progress of the whole run."""
-        cameras = [camera for camera in self.scene.cameras if not camera.held_out]
-        return Told(progress, Plan.of(self.settings, len(cameras), len(self.scene)))
-
-    def within(self, frames: Iterable[int]) -> Capture:
-        """The same for frames of a chunk: what they share with later ones is not looked for, where they are given."""
-        if self.scene.given is None:
-            return self
-        return replace(self, scene=with_frames(self.scene, {0, *frames}))
-
-    def views(self, frame: int) -> list[View]:
-        """The training views of a frame. Raises SceneError when there are none, or a picture cannot be read."""
-        views = self.pictures.train(frame)
-        if not views:
-            raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return settle(views, self.plates, self.pictures.exposure).views if self.plates else views
-
-    def target(self, frame: int, start: int) -> FrameViews:
-        """A frame as it is fitted from the Gaussians of the frame `start`. Raises what `views` does."""
-        if not self.plates:
-            return FrameViews(frame, self.views(frame))
-        exposure = self.pictures.exposure
-        before = self._moving.pop(start, None)  # pictures of a frame that is past may be out of memory
-        if before is None:
-            before = find_moving(self.pictures.train(start), self.plates, exposure)
-        now = settle(self.pictures.train(frame), self.plates, exposure)
-        self._moving.clear()
-        self._moving[frame] = now.moving
-        return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
-
-    def given(self, frame: int) -> Gaussians:
-        """The Gaussians that the pictures of a frame are drawn from, repaired. Raises SceneError for a broken file."""
-        assert self.scene.given is not None
-        return self.scene.given.load([frame]).frames[0]
-
-    def usage(self, read: Callable[[int], Gaussians], span: Span, progress: Progress = silent) -> Usage:
-        """The usage of a group over its frames [start, stop), which `read` gives, and all its training views."""
-        return group_usage(read, self.pictures, self.trainer.renderer, span, progress)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class First:
-    """The first frame of a run, which all chunks start from."""
-
-    gaussians: Gaussians
-    exposure: Exposure = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Position:
     """The frame and the group that the next frame is fitted from."""
 
-    before: FrameBefore
+    before: InMotion
     group: Group
 
 
@@ -141,7 +41,7 @@ class Position:
 class _Fitted:
     """A frame that was fitted, and the group that it is in."""
 
-    gaussians: Gaussians
+    shown: InMotion
     kind: str  # first | frame | key
     psnr: float  # dB, mean over training views
     group: Group
@@ -158,18 +58,16 @@ def chunks(frames: int, group_frames: int | None) -> list[Span]:
 
 def train_first(capture: Capture, progress: Progress = silent) -> TrainedFrame:
     """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does."""
-    begun, trainer, views = time.perf_counter(), capture.trainer, capture.views(0)
-    named = capture.told(progress).of(0)
-    model = _exposures(views, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
+    begun, trainer, target = time.perf_counter(), capture.trainer, capture.first()
+    named, views = capture.told(progress).of(0), target.views
+    model = _exposures(target, trainer) if trainer.settings.looks_for_exposure and not capture.scene.given else None
     if capture.scene.given is None:
-        g = fit_first(trainer, FrameViews(0, views), capture.scene.points, model, named)
+        found = fit_first(trainer, target, capture.scene.points, model, named)
     else:
-        g = _given_first(capture, 0, named)
+        found = InMotion(_given_first(capture, 0, named))
     exposure = model.table([view.camera.name for view in views]) if model and model.differs else {}
     exposed = capture.with_exposure(exposure)
-    group = trainer.start_group(g, exposed.views(0))
-    fitted = _Fitted(g, "first", group.first_psnr, group)
-    return replace(_trained(exposed, 0, fitted, begun), exposure=exposure)
+    return replace(_trained(exposed, 0, _begun(exposed, "first", found, exposed.views(0)), begun), exposure=exposure)
 
 
 def train_chunk(
@@ -183,20 +81,18 @@ def train_chunk(
     """
     if at is None and frames.start == 0:
         group = capture.trainer.start_group(first, capture.views(0))
-        at, frames = Position(FrameBefore(first, None), group), frames[1:]
+        at, frames = Position(InMotion(first), group), frames[1:]
     told = capture.told(progress)
     for frame in frames:
         begun, named = time.perf_counter(), told.of(frame)
         if at is None:
-            before, target = FrameBefore(first, None), capture.target(frame, 0)
+            before, target = InMotion(first), capture.target(frame, 0)
             steps = capture.trainer.steps(first, capture.views(0))
-            fitted = _keyframe(capture, target, before, _new_key(capture, target, before, steps, named))
+            fitted = _begun(capture, "key", _new_key(capture, target, before, steps, named), target.views, len(first))
         else:
-            before = at.before
             fitted = _fit_next(capture, capture.target(frame, frame - 1), at, named)
-        g = fitted.gaussians
-        velocity = g.means - before.gaussians.means if fitted.kind == "frame" else None
-        at = Position(FrameBefore(g, velocity), fitted.group)
+        shown = fitted.shown
+        at = Position(shown if fitted.kind == "frame" else InMotion(shown.gaussians), fitted.group)
         yield _trained(capture, frame, fitted, begun)
 
 
@@ -212,12 +108,12 @@ def position_after(capture: Capture, model: Model) -> Position:
     return Position(frame_before(model, last + 1), group)
 
 
-def frame_before(model: Model, frame: int) -> FrameBefore:
+def frame_before(model: Model, frame: int) -> InMotion:
     """Return what a frame, at least 1, starts from; its velocity is known from the third frame of a group on."""
     before = model.read(frame - 1)
     if frame - 1 == model.record.group_start(frame):
-        return FrameBefore(before, None)
-    return FrameBefore(before, before.means - model.read(frame - 2).means)
+        return InMotion(before)
+    return InMotion(before, before.means - model.read(frame - 2).means)
 
 
 def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> _Fitted:
@@ -227,20 +123,21 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
     """
     trainer, s = capture.trainer, capture.trainer.settings
     before, group = at.before, at.group
-    moved = _moved(capture, target, at, progress)
+    g = _moved(capture, target, at, progress)
+    moved = InMotion(g, g.means - before.gaussians.means)
     psnr = mean_psnr(moved, target.views, trainer.renderer)
-    static = static_shares(before.gaussians, moved, group.steps)
+    static = static_shares(before.gaussians, g, group.steps)
     second = round(psnr, 3) if group.second_psnr is None else group.second_psnr  # as the record has it
     fitted = _Fitted(moved, "frame", psnr, replace(group, second_psnr=second), static=static)
     first = -math.inf if capture.scene.given else group.first_psnr
     known = first if group.second_psnr is None else group.second_psnr
     if psnr >= s.min_psnr_db and psnr >= known - s.max_drop_db:
         return fitted
-    g = _new_key(capture, target, before, group.steps, progress)
-    key_psnr = mean_psnr(g, target.views, trainer.renderer)
+    key = _new_key(capture, target, before, group.steps, progress)
+    key_psnr = mean_psnr(key, target.views, trainer.renderer)
     if s.keep_better and key_psnr <= psnr:
         return replace(fitted, rejected_psnr=key_psnr)
-    return replace(_keyframe(capture, target, before, g), rejected_psnr=psnr)
+    return replace(_begun(capture, "key", key, target.views, len(g)), rejected_psnr=psnr)
 
 
 def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progress) -> Gaussians:
@@ -253,26 +150,24 @@ def _moved(capture: Capture, target: FrameViews, at: Position, progress: Progres
         g = follow(trainer, before, capture.given(target.frame), target)
         if is_known(trainer, g, target.views):
             return g
-        before = FrameBefore(g, None)
+        before = InMotion(g)
     return trainer.fit_frame(target, before, at.group, progress)
 
 
-def _new_key(
-    capture: Capture, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress
-) -> Gaussians:
+def _new_key(capture: Capture, target: FrameViews, before: InMotion, steps: Parameters, progress: Progress) -> InMotion:
     """The Gaussians of a keyframe that goes on from another frame, whose values have these steps."""
     if capture.scene.given is None:
-        return capture.trainer.fit_keyframe(target, before, steps, progress)
-    return _given_key(capture, target, before, progress)
+        return capture.trainer.fit_keyframe(capture.key(target), before, steps, progress)
+    return InMotion(_given_key(capture, target, before, progress))
 
 
-def _given_key(capture: Capture, target: FrameViews, before: FrameBefore, progress: Progress) -> Gaussians:
+def _given_key(capture: Capture, target: FrameViews, before: InMotion, progress: Progress) -> Gaussians:
     """The Gaussians of the frame before with what they lack, or those that are given where that does not show all."""
     trainer, given = capture.trainer, capture.given(target.frame)
     g = follow(trainer, before, given, target)
     g = join_rows([g, given.take(missing(trainer, g, given, target))])
     group = Group(math.inf, trainer.steps(g, target.views), None)
-    g = trainer.fit_frame(replace(target, moving=None), FrameBefore(g, None), group, progress)
+    g = trainer.fit_frame(replace(target, moving=None), InMotion(g), group, progress)
     if mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB:
         return g
     return _given_first(capture, target.frame, progress)
@@ -283,14 +178,14 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
     trainer, g = capture.trainer, capture.given(start)
     views = [capture.views(start)]
     steps, frames, floor = trainer.steps(g, views[0]), [g], 0.0
-    at = Position(FrameBefore(g, None), Group(math.inf, steps, None))
+    at = Position(InMotion(g), Group(math.inf, steps, None))
     behind = range(start + 1, min(start + WINDOW, len(capture.scene)))
     for frame in itertools.takewhile(lambda frame: capture.scene.frames[frame], behind):
         seen = capture.views(frame)
         target = FrameViews(frame, seen)
         moved = follow(trainer, at.before, capture.given(frame), target)
         if not is_known(trainer, moved, target.views[::2]):
-            moved = trainer.fit_frame(target, FrameBefore(moved, None), at.group, progress)
+            moved = trainer.fit_frame(target, InMotion(moved), at.group, progress)
         psnr = mean_psnr(moved, target.views[::2], trainer.renderer)
         if psnr < max(floor, KNOWN_DB):
             break
@@ -303,40 +198,43 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
             at = replace(at, group=replace(at.group, steps=trainer.steps(frames[0], views[0])))
         frames.append(moved)
         views.append(seen)
-        at = replace(at, before=FrameBefore(moved, moved.means - frames[-2].means))
+        at = replace(at, before=InMotion(moved, moved.means - frames[-2].means))
     if len(frames) == 1:
         return g
     return fit_common(trainer, frames, [of[i % SHARES :: SHARES] for i, of in enumerate(views)], progress)
 
 
-def _keyframe(capture: Capture, target: FrameViews, before: FrameBefore, g: Gaussians) -> _Fitted:
-    """The Gaussians `g` as the first frame of a new group."""
-    group = capture.trainer.start_group(g, target.views)
-    return _Fitted(g, "key", group.first_psnr, group, added=len(g) - len(before.gaussians))
+def _begun(capture: Capture, kind: str, found: InMotion, views: Sequence[View], before: int | None = None) -> _Fitted:
+    """What was found as the first frame of a new group; `before`: Gaussians of the frame that it goes on from."""
+    group, count = capture.trainer.start_group(found.gaussians, views), len(found.gaussians)
+    # A run that goes on reads Gaussians alone, so their group is judged by those, where they are.
+    psnr = group.first_psnr if found.velocity is None else mean_psnr(found, views, capture.trainer.renderer)
+    return _Fitted(found, kind, psnr, group, added=0 if before is None else count - before)
 
 
-def _exposures(views: Sequence[View], trainer: Trainer) -> ExposureModel:
-    names, s = [view.camera.name for view in views], trainer.settings
-    looks = None if s.match_exposure == ON else round(LOOKED_SHARE * s.iterations_from_scratch(len(views)))
-    return ExposureModel(len(views), trainer.device, names.index(s.reference) if s.reference else None, looks)
+def _exposures(target: FrameViews, trainer: Trainer) -> ExposureModel:
+    names, s, count = [view.camera.name for view in target.views], trainer.settings, len(target.views)
+    looks = None if s.match_exposure == ON else round(LOOKED_SHARE * s.iterations_from_scratch(count))
+    again = [names.index(view.camera.name) for view in target.later]
+    return ExposureModel(count, trainer.device, names.index(s.reference) if s.reference else None, looks, again)
 
 
 def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> TrainedFrame:
     """The frame with its record; `begun`: when its fit was, by `time.perf_counter`."""
     seconds = time.perf_counter() - begun
-    held_out, renderer = capture.pictures.held_out(frame), capture.trainer.renderer
+    held_out, renderer, shown = capture.pictures.held_out(frame), capture.trainer.renderer, fitted.shown
     rejected, networks = fitted.rejected_psnr, fitted.group.networks
     record = FrameRecord(
         frame=frame,
         kind=fitted.kind,
-        gaussians=len(fitted.gaussians),
+        gaussians=len(shown.gaussians),
         added=fitted.added,
         psnr=round(fitted.psnr, 3),
-        held_out_psnr=round(mean_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
-        held_out_matched=round(matched_psnr(fitted.gaussians, held_out, renderer), 3) if held_out else None,
-        held_out_ssim=round(mean_ssim(fitted.gaussians, held_out, renderer), 5) if held_out else None,
+        held_out_psnr=round(mean_psnr(shown, held_out, renderer), 3) if held_out else None,
+        held_out_matched=round(matched_psnr(shown, held_out, renderer), 3) if held_out else None,
+        held_out_ssim=round(mean_ssim(shown, held_out, renderer), 5) if held_out else None,
         rejected_psnr=None if rejected is None else round(rejected, 3),
         static={name: round(share, 4) for name, share in fitted.static.items()},
         seconds=round(seconds, 2),
     )
-    return TrainedFrame(fitted.gaussians, record, networks.arrays() if networks else None)
+    return TrainedFrame(shown.gaussians, record, networks.arrays() if networks else None)

@@ -18,18 +18,20 @@ from airgs_codec.jobs.job import Job, Stored
 from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.beside import Usage
+from airgs_codec.trainer.capture import Capture, First
 from airgs_codec.trainer.data.foreground import finds_masks, with_found_masks
 from airgs_codec.trainer.data.multiview import (
     Contents,
     MultiviewScene,
     content_of,
     read_contents,
+    seen_until,
     with_frames,
     without_masks,
 )
 from airgs_codec.trainer.data.plates import Plate, find_plate, plate_sources
 from airgs_codec.trainer.fit.points import expect_overlap
-from airgs_codec.trainer.frames import Capture, First, chunks, position_after, train_chunk, train_first
+from airgs_codec.trainer.frames import chunks, position_after, train_chunk, train_first
 from airgs_codec.trainer.record import MASKS_NAME, FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.trainer.settings import OFF, TrainSettings
 
@@ -88,13 +90,14 @@ def _cameras(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
 
 
 def _first(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
-    """Frame 0; where Gaussians are given, the pictures of its chunk tell what it shares with others."""
-    return [Piece("frame 0", range(*chunks(len(scene), settings.group_frames)[0]) if scene.given else ())]
+    """Frame 0, and what else tells it: its chunk where Gaussians are given, frame 1 where cameras are not in step."""
+    stop = chunks(len(scene), settings.group_frames)[0][1] if scene.given else seen_until(scene, 1)
+    return [Piece("frame 0", range(stop))]
 
 
 def _chunks(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
     spans = chunks(len(scene), settings.group_frames)
-    return [Piece(f"frames {start}-{stop - 1}", range(start, stop), ((start, stop),)) for start, stop in spans]
+    return [Piece(f"frames {a}-{b - 1}", range(a, seen_until(scene, b)), ((a, b),)) for a, b in spans]
 
 
 REST = Step("what rests", _cameras, find_rest, fits=False)

@@ -23,6 +23,7 @@ from airgs_codec.progress import about
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
+from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import FrameRecord, Model
 
 _BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
@@ -60,7 +61,8 @@ def compare(model: Model, pictures: Pictures, frame: int, renderer: Renderer = C
     Where no view is held out, of the first training view.
     """
     view = (pictures.held_out(frame) or pictures.train(frame))[0]
-    rendered = renderer.render(model.read(frame), view.camera).rgb
+    g = frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
+    rendered = renderer.render(g, view.camera).rgb
     error = np.abs(np.clip(rendered, 0, 1) - view.target.rgb).mean(axis=2) * ERROR_GAIN
     panels = [
         label(to_bytes(view.target.rgb), f"frame {frame} {view.camera.name} ({view.camera.split})"),

@@ -18,7 +18,7 @@ from airgs_codec.trainer.fit.grow import Densifier, growth_of_3dgs
 from airgs_codec.trainer.fit.losses import windowed_ssim
 from airgs_codec.trainer.fit.parameters import from_gaussians, render
 from airgs_codec.trainer.fit.points import scene_extent
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
 from airgs_codec.trainer.settings import Temporal, TrainSettings, preset
 from tests.support.scenes import random_gaussians
 from tests.support.training import SETTINGS
@@ -110,7 +110,7 @@ def test_a_frame_in_a_group_moves_by_six_networks_with_a_raw_sum(seen, degree, c
     group = t.start_group(before, views)
     assert len(group.networks.names) == count  # without SH past DC there is nothing for the sixth to move
     velocity = np.full_like(before.means, 0.1)
-    t.fit_frame(FrameViews(1, views), FrameBefore(before, velocity), group)
+    t.fit_frame(FrameViews(1, views), InMotion(before, velocity), group)
     base = from_gaussians(before)
     assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in ATTRIBUTES)  # GS_t, whatever its velocity
     expected = [
@@ -130,7 +130,7 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
     views = views_of(moved(before, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))
     t = trainer(key_iterations=210)  # rows are added after the hundredth
     velocity = np.full_like(before.means, 0.1)
-    g = t.fit_keyframe(FrameViews(1, views), FrameBefore(before, velocity), t.steps(before, views))
+    g = t.fit_keyframe(FrameViews(1, views), InMotion(before, velocity), t.steps(before, views)).gaussians
     base = from_gaussians(before)
     assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in ATTRIBUTES)  # GS_{t-1}
     assert len(seen.gaussians[99]["means"]) == rows < len(seen.gaussians[100]["means"])
@@ -161,7 +161,7 @@ def test_the_proximal_map_of_the_last_iteration_is_that_of_the_l1_norm(seen):
 
 
 def test_every_keyframe_is_kept_and_only_tau_makes_one(blobs, tmp_path, monkeypatch):
-    same = lambda self, target, before, steps, progress: before.gaussians  # noqa: E731
+    same = lambda self, target, before, steps, progress: before  # noqa: E731
     monkeypatch.setattr(Trainer, "fit_keyframe", same)
     quick = replace(SETTINGS, first_iterations=40, frame_iterations=3)
     below, above = (replace(preset("paper", quick), min_psnr_db=tau) for tau in (99.0, 0.0))

@@ -22,8 +22,8 @@ from airgs_codec.media.image import read_picture, write_png
 from airgs_codec.places.results import open_store
 from airgs_codec.render.cpu import one_thread
 from airgs_codec.trainer import pipeline, train
+from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.pipeline import CHUNKS, FIRST, REST, Farm, Piece, open_run, train_in_jobs, train_part
 from airgs_codec.trainer.record import read_model
 from tests.support.jobs import square

@@ -1,70 +1,30 @@
-"""Cameras that were not in step, brought into step: their pictures are those of other times.
+"""Cameras that were not in step, brought into step: their pictures are those of other frames.
 
-A whole number of frames picks another picture. Anything else is a picture between two, which optical flow makes.
+What is left of a frame is told with a picture: a fit moves its Gaussians to when that was taken.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import between
 from airgs_codec.scene.files import expecting, read_object
-from airgs_codec.trainer.data.multiview import MultiviewScene, Readable, Shot, frames_of
+from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, frames_of
 from airgs_codec.trainer.data.plates import stands_still
 
 WHOLE = 1e-3  # frames: an offset that is as near to a whole number is one
 
 
-@dataclass(frozen=True, slots=True)
-class Between:
-    """A picture of a time between two that were taken, in place of a `Source`."""
-
-    first: Readable
-    second: Readable
-    share: float  # of the time from the first to the second, above 0 and below 1
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The files of both."""
-        return (*self.first.files, *self.second.files)
-
-    @property
-    def content(self) -> str:
-        """What else names both, and the share."""
-        return f"{self.first.content} {self.second.content} {self.share}"
-
-    def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """(H, W, 3) or (H, W, 4), as both are. Raises SceneError, also where one of them alone has alpha."""
-        first, second = self.first.read(size), self.second.read(size)
-        if first.shape != second.shape:
-            raise SceneError(f"{self.second}: expected alpha as in {self.first}, or none in both")
-        return between(first, second, self.share)
-
-    def check(self, size: tuple[int, int]) -> None:
-        """Check both, as `Source` does. Raises SceneError."""
-        self.first.check(size)
-        self.second.check(size)
-
-    def __str__(self) -> str:
-        """Name the place in a message."""
-        return f"{self.first} + {self.share:g}"
-
-
 def in_step(
     scene: MultiviewScene, offsets: Mapping[str, float], span: tuple[int, int | None] = (0, None)
 ) -> MultiviewScene:
-    """The frames [A, B) of a scene, in whose frame t each camera shows what it took at t + its offset, in frames.
+    """The frames [A, B) of a scene, in whose frame t each camera shows what it took nearest to t + its offset.
 
-    An offset is positive where a camera is late, and 0 unless named. Frames that not all cameras have are left out, and
-    as many behind them taken in, where they are there. A mask between two frames is that of the nearer one. Points are
-    those of the first frame of the scene.
+    An offset is in frames, positive where a camera is late, and 0 unless named. Frames that not all cameras have are
+    left out, and as many behind them taken in, where they are there. Points are those of the first frame of the scene.
 
     Raises SceneError for frames that are not there, a name that no camera has, cameras that move, and offsets that
     leave no frame.
@@ -90,12 +50,11 @@ def in_step(
 
 
 def _shot_at(scene: MultiviewScene, index: int, time: float) -> Shot:
-    """What a camera shows at a time in frames."""
-    if abs(time - round(time)) <= WHOLE:
-        return scene.frames[round(time)][index]
-    frame, share = math.floor(time), round(time - math.floor(time), 6)
-    first, second = scene.frames[frame][index], scene.frames[frame + 1][index]
-    return replace(first if share < 0.5 else second, source=Between(first.source, second.source, share))
+    """What a camera took nearest to a time in frames; of two that are as near, the earlier one."""
+    nearest = math.ceil(time - 0.5 - WHOLE)
+    after = round(nearest - time, 6)
+    shot = scene.frames[nearest][index]
+    return replace(shot, after=after) if abs(after) > WHOLE else shot
 
 
 def read_offsets(path: Path) -> dict[str, float]:

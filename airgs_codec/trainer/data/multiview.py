@@ -103,6 +103,7 @@ class Shot:
     source: Readable
     lens: Lens | None = None  # None: the picture is that of a pinhole camera already
     mask: Path | None = None  # picture that is not 0 where the foreground is
+    after: float = 0.0  # frames that it was taken after the time of its frame, -0.5 to 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +149,11 @@ def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int,
     if not 0 <= start < stop <= len(scene):
         raise SceneError(f"{scene.path}: expected frames inside 0:{len(scene)}, got {start}:{stop}")
     return start, stop
+
+
+def seen_until(scene: MultiviewScene, stop: int) -> int:
+    """Where the frames end whose pictures show those before `stop`: one further where cameras are early."""
+    return min(len(scene), stop + any(shot.after < 0 for shot in scene.frames[0]))
 
 
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:
@@ -232,8 +238,9 @@ def without_masks(scene: MultiviewScene) -> MultiviewScene:
 
 def _content(shot: Shot, contents: Contents) -> tuple[Any, ...]:
     source = shot.source
-    shown = [contents[file] for file in source.files]
-    return shot.camera, shot.lens, *shown, source.content, shot.mask and contents[shot.mask]
+    files = [contents[file] for file in source.files]
+    shown = (shot.camera, shot.lens, *files, source.content, shot.mask and contents[shot.mask])
+    return (*shown, shot.after) if shot.after else shown
 
 
 def _files(shot: Shot) -> list[Path]:

@@ -46,6 +46,7 @@ class View:
     camera: Camera
     picture: Picture
     redraw: Redraw | None = None  # None: the whole picture is drawn
+    after: float = 0.0  # as in `Shot`
 
     @property
     def target(self) -> Target:
@@ -55,7 +56,7 @@ class View:
     def before(self, background: Background) -> View:
         """The same before another background. Raises ValueError where the picture has no alpha."""
         target = self.target.before(self.camera.background, background)
-        return View(replace(self.camera, background=background), target)
+        return View(replace(self.camera, background=background), target, after=self.after)
 
 
 class Pictures:
@@ -115,7 +116,8 @@ class Pictures:
 
     def view(self, frame: int, index: int) -> View:
         """The view of a camera, counted as the scene does."""
-        return View(self._scaled(self._scene.frames[frame][index].camera), _Shown(self, (frame, index)))
+        shot = self._scene.frames[frame][index]
+        return View(self._scaled(shot.camera), _Shown(self, (frame, index)), after=shot.after)
 
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame at training size."""

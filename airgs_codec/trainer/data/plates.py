@@ -135,7 +135,7 @@ def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> Settled
 
     masks = find_moving(views, plates, exposure)
     buffer = Recent(flatten, TARGET_BYTES)
-    return Settled([View(v.camera, _Flattened(buffer, place, v.picture)) for place, v in enumerate(views)], masks)
+    return Settled([replace(v, picture=_Flattened(buffer, i, v.picture)) for i, v in enumerate(views)], masks)
 
 
 def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Masks:

@@ -19,7 +19,7 @@ from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.recent import Recent
-from airgs_codec.trainer.fit.parameters import Parameters
+from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading
 
 SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
 REST_BYTES = 1 << 30  # of whole pictures, 16 bytes a pixel; those that are no longer buffered are drawn again
@@ -75,16 +75,18 @@ class Resting:
 
 
 def find_active(
-    before: Gaussians, views: Sequence[View], moving: Sequence[NDArray[np.bool_]], renderer: Renderer = CPU
+    before: Gaussians | InMotion, views: Sequence[View], moving: Sequence[NDArray[np.bool_]], renderer: Renderer = CPU
 ) -> Active:
     """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
-    loaded = renderer.load(before)
-    rests: Recent[int, _Rest] = Recent(lambda place: _Rest(loaded.draw(views[place].camera)), REST_BYTES)
-    weights, on_moving, whole = [], np.zeros(len(before)), np.zeros(len(before))
+    loaded, rows = loading(before, renderer), len(before.gaussians if isinstance(before, InMotion) else before)
+    rests: Recent[int, _Rest] = Recent(
+        lambda place: _Rest(loaded(views[place].after).draw(views[place].camera)), REST_BYTES
+    )
+    weights, on_moving, whole = [], np.zeros(rows), np.zeros(rows)
     for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
-        w = loaded.weights(view.camera, mask)
-        on_moving += np.bincount(w.ids, w.inside, len(before))
-        whole += np.bincount(w.ids, w.total, len(before))
+        w = loaded(view.after).weights(view.camera, mask)
+        on_moving += np.bincount(w.ids, w.inside, rows)
+        whole += np.bincount(w.ids, w.total, rows)
         rests.put(place, _Rest(w.picture))
         weights.append((w.shape, w.tiles, w.ids, w.total))
     active = on_moving > SHARE * np.maximum(whole, 1e-9)

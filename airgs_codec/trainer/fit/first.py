@@ -14,7 +14,7 @@ from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.fit.grow import Densifier
 from airgs_codec.trainer.fit.losses import ExposureModel
 from airgs_codec.trainer.fit.optimise import optimise
-from airgs_codec.trainer.fit.parameters import from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.parameters import InMotion, from_gaussians, to_moving, with_motion
 from airgs_codec.trainer.fit.points import from_points, initial_points
 from airgs_codec.trainer.fit.surround import sparse_cloud
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
@@ -43,7 +43,7 @@ def fit_first(
     points: Points | None,
     exposure: ExposureModel | None = None,
     progress: Progress = silent,
-) -> Gaussians:
+) -> InMotion:
     """3DGS from a cloud of points (AirGS, "Training" 1), within the budget where the settings keep to one.
 
     `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
@@ -64,7 +64,7 @@ def fit_first(
     opacity, largest = SPARSE_OPACITY if sparse else START_OPACITY, 0.1 * trainer.extent
     start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, opacity, largest)
     variables = PerGaussian(
-        from_gaussians(start, trainer.device),
+        with_motion(from_gaussians(start, trainer.device), target.views),
         trainer.extent,
         SPARSE_RATES if sparse else Rates(),
         regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
@@ -74,10 +74,14 @@ def fit_first(
     )
     iterations = s.iterations_from_scratch(len(target.views))
     schedule = trainer.schedule("first frame", iterations, partial(_rising_sh_degree, s.sh_degree))
-    optimise(variables, target.views, schedule, rng, exposure, progress)
+    optimise(variables, [*target.views, *target.later], schedule, rng, exposure, progress)
     variables.remove_fainter(trainer.least_opacity)
-    found = to_gaussians(variables.detached())
-    return join_rows([found, _unseen(trainer, sparse.unseen)]) if sparse and len(sparse.unseen.positions) else found
+    found = to_moving(variables.detached())
+    if not (sparse and len(sparse.unseen.positions)):
+        return found
+    unseen = _unseen(trainer, sparse.unseen)
+    motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(unseen)), (0, 0)))
+    return InMotion(join_rows([found.gaussians, unseen]), motion)
 
 
 def usual_budget(cameras: Sequence[Camera]) -> int:

@@ -6,7 +6,7 @@ N Gaussians, V views.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from airgs_codec.trainer.fit.grow import find_wrong
 from airgs_codec.trainer.fit.losses import better
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
 from airgs_codec.trainer.fit.variables import PerGaussian, Rates
 
 COMMON_RATES = Rates(factor=3.0, means=0.3, last=0.1, means_last=0.1)  # what is given is nearly right
@@ -32,7 +32,7 @@ FAINT = 0.01  # of a colour, by which a pixel differs from the background where 
 CONJUGATE = torch.tensor([1.0, -1.0, -1.0, -1.0])
 
 
-def follow(trainer: Trainer, before: FrameBefore, given: Gaussians, target: FrameViews) -> Gaussians:
+def follow(trainer: Trainer, before: InMotion, given: Gaussians, target: FrameViews) -> Gaussians:
     """The frame before, moved as the Gaussians of a target went on; what rests stays, and all where that shows more."""
     g, views = before.gaussians, target.views
     moved = carry(g, given, before.velocity)
@@ -74,12 +74,12 @@ def fit_common(
 
     Raises TrainingError where the loss is not finite.
     """
-    frame_of = [frame for frame, of in enumerate(views) for _ in of]
+    shown = [replace(view, after=float(frame)) for frame, of in enumerate(views) for view in of]
     frames = [from_gaussians(g, trainer.device) for g in poses]
-    variables = Carried(frames[0], trainer.extent, COMMON_RATES, frames=frames, frame_of=frame_of)
+    variables = Carried(frames[0], trainer.extent, COMMON_RATES, frames=frames)
     s = trainer.settings
     schedule = Schedule("what frames share", s.key_iterations, lambda _: s.sh_degree, ssim_weight=s.ssim_weight)
-    optimise(variables, [view for of in views for view in of], schedule, np.random.default_rng(s.seed), None, progress)
+    optimise(variables, shown, schedule, np.random.default_rng(s.seed), None, progress)
     return to_gaussians(variables.detached())
 
 
@@ -91,11 +91,10 @@ class Carried(PerGaussian):
     """
 
     frames: Sequence[Parameters] = ()  # the base Gaussians in each frame
-    frame_of: Sequence[int] = ()  # of each view
 
-    def current(self, view: int = 0) -> Parameters:
-        """The Gaussians in the frame of a view, differentiable by D."""
-        here, d = self.frames[self.frame_of[view]], self.adam.parameters
+    def current(self, after: float = 0.0) -> Parameters:
+        """The Gaussians so many frames after the first, a whole number, differentiable by D."""
+        here, d = self.frames[round(after)], self.adam.parameters
         turn = multiply(here["quaternions"], self.base["quaternions"] * CONJUGATE.to(here["means"]))
         turn = torch.nn.functional.normalize(turn, dim=1)
         moved = {n: p + d[n] for n, p in self.base.items() if n not in ("means", "quaternions")}

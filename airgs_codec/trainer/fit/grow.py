@@ -28,7 +28,7 @@ from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.plates import Masks
-from airgs_codec.trainer.fit.parameters import Parameters
+from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading
 from airgs_codec.trainer.fit.points import from_points, project
 
 LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
@@ -177,10 +177,11 @@ class Surface:
     disagreement: NDArray[np.float64]  # (P,) variance over these views, summed over colours
 
 
-def find_wrong(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Masks:
+def find_wrong(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> Masks:
     """The pixels of views where the pictures of `g` differ from them."""
-    loaded = renderer.load(g)
-    return Masks(box_mean(np.abs(loaded.draw(v.camera).rgb - v.target.rgb).mean(axis=2), 3) > RESIDUAL for v in views)
+    loaded = loading(g, renderer)
+    differences = (np.abs(loaded(v.after).draw(v.camera).rgb - v.target.rgb).mean(axis=2) for v in views)
+    return Masks(box_mean(difference, 3) > RESIDUAL for difference in differences)
 
 
 def residual_seeds(

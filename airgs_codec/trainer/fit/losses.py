@@ -27,12 +27,12 @@ from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.render.compare import compare, draw_still
+from airgs_codec.render.compare import compare
 from airgs_codec.render.cuda import upload
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Target, View
 from airgs_codec.trainer.fit import kernels
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, Parameters
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, InMotion, Parameters, loading
 from airgs_codec.trainer.settings import Temporal
 
 LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
@@ -161,13 +161,16 @@ ALIKE = (
 class ExposureModel:
     """Gains and offsets of V cameras, fitted beside the Gaussians."""
 
-    def __init__(self, views: int, device: str, reference: int | None = None, looks: int | None = None) -> None:
+    def __init__(
+        self, views: int, device: str, reference: int | None = None, looks: int | None = None, again: Sequence[int] = ()
+    ) -> None:
         """The identity for every camera. `reference`: the view whose camera keeps it; None: the average camera does.
 
+        `again`: of each view behind these, the one that has its camera.
         `looks`: steps after which cameras that are alike keep the identity for good; None: whatever is found stays.
         """
         self.differs = True
-        self._reference, self._looks = reference, looks
+        self._reference, self._looks, self._of = reference, looks, [*range(views), *again]
         self._logs = torch.zeros(views, 3, device=device, requires_grad=True)
         self._offsets = torch.zeros(views, 3, device=device, requires_grad=True)
         self._steps = 0
@@ -178,7 +181,7 @@ class ExposureModel:
         if not self.differs:
             return rgb
         gains, offsets = self._tables()
-        return rgb * gains[view] + offsets[view]
+        return rgb * gains[self._of[view]] + offsets[self._of[view]]
 
     def step(self) -> None:
         """Move along the gradients, by Adam."""
@@ -206,12 +209,12 @@ class ExposureModel:
 PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
 
 
-def mean_psnr(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
+def mean_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's PSNR in dB."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, Picture.mse)]))
 
 
-def matched_psnr(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
+def matched_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's PSNR in dB, once each channel has the gain and offset that show most."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, _matched_mse)]))
 
@@ -227,18 +230,23 @@ def _matched_mse(picture: Picture, shown: Picture) -> float:
 
 
 def better(before: Gaussians, after: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> Gaussians:
-    """Whichever of two shows more, `after` where they show the same."""
-    return before if mean_psnr(before, views, renderer) > mean_psnr(after, views, renderer) else after
+    """Whichever of two shows more, `after` where they show the same; it is what `before` has moved to in a frame."""
+    moving = InMotion(after, after.means - before.means)
+    return before if mean_psnr(before, views, renderer) > mean_psnr(moving, views, renderer) else after
 
 
-def mean_ssim(g: Gaussians, views: Sequence[View], renderer: Renderer = CPU) -> float:
+def mean_ssim(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
     """Mean over views of each view's SSIM, 1 for equal pictures."""
     return float(np.mean(list(_compare(g, views, renderer, Picture.ssim))))
 
 
 def _compare(
-    g: Gaussians, views: Sequence[View], renderer: Renderer, measure: Callable[[Picture, Picture], float]
+    g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer, measure: Callable[[Picture, Picture], float]
 ) -> Iterator[float]:
     """A figure of each view's picture as it was taken and as the Gaussians are drawn."""
-    numbered = [(i, view.camera) for i, view in enumerate(views)]
-    return compare(lambda i, _: Picture.of(views[i].target.rgb), draw_still(g, renderer), numbered, measure)
+    loaded, numbered = loading(g, renderer), [(i, view.camera) for i, view in enumerate(views)]
+
+    def shown(i: int, camera: Camera) -> Picture:
+        return Picture.of(loaded(views[i].after).draw(camera).rgb)
+
+    return compare(lambda i, _: Picture.of(views[i].target.rgb), shown, numbered, measure)

@@ -22,6 +22,7 @@ from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.cpu import TILE, Redraw, Render
 from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.render.differentiable import Picture as Drawn
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.trainer.data.pictures import Picture, Target, View
 from airgs_codec.trainer.fit.losses import LAMBDA, ExposureModel, photometric
@@ -35,8 +36,8 @@ LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite
 class Variables(Protocol):
     """The variables that an iteration moves."""
 
-    def current(self, view: int = 0) -> Parameters:
-        """The Gaussians as the view of that number shows them now, differentiable by the variables."""
+    def current(self, after: float = 0.0) -> Parameters:
+        """The Gaussians as they are now, so many frames after their time, differentiable by the variables."""
 
     def watch(self) -> AbsGrad | None:
         """Where the absolute gradients of the next picture are wanted; None: nowhere."""
@@ -140,10 +141,8 @@ def optimise(
             views[index].picture.expect()
         seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
         sh_degree = schedule.sh_degree(iteration / iterations)
-        cameras, redraws = zip(*((view.camera, view.redraw) for view in seen), strict=True)
-        pictures = render_views(variables.current(chosen[0]), cameras, sh_degree, variables.watch(), redraws)
         parts = []
-        for index, view, (rgb, _) in zip(chosen, seen, pictures, strict=True):
+        for index, view, (rgb, _) in zip(chosen, seen, drawn(variables, seen, sh_degree), strict=True):
             shown = exposure.apply(rgb, index) if exposure else rgb
             parts.append(photometric(shown, view.target, schedule.ssim_weight))
         loss = (parts[0] if count == 1 else torch.stack(parts).mean()) + variables.penalty()
@@ -156,6 +155,21 @@ def optimise(
         if iteration == TRIED < iterations:
             iterations = schedule.within(TRIED, time.perf_counter() - begun)
         progress(schedule.stage, iteration, iterations)
+
+
+def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[Drawn]:
+    """What views show of the Gaussians when each was taken, with SH up to `sh_degree`."""
+    watched, times = variables.watch(), {view.after for view in views}
+    if len(times) == 1:
+        cameras, redraws = zip(*((view.camera, view.redraw) for view in views), strict=True)
+        return render_views(variables.current(*times), cameras, sh_degree, watched, redraws)
+    parts = [AbsGrad() for _ in views]
+    if watched:
+        watched.collect(parts)
+    return [
+        render_views(variables.current(view.after), [view.camera], sh_degree, part, [view.redraw])[0]
+        for view, part in zip(views, parts, strict=True)
+    ]
 
 
 def _before(view: View, rng: np.random.Generator) -> View:
@@ -192,7 +206,7 @@ def halve(view: View) -> View:
     """The view at half its size, or half a pixel more. A tile is drawn again where one of the four in it would be."""
     size = -(-view.camera.width // 2), -(-view.camera.height // 2)
     redraw = view.redraw and _halve_redraw(view.redraw, size)
-    return View(with_pixels(view.camera, *size), Halved(view.picture, size), redraw)
+    return View(with_pixels(view.camera, *size), Halved(view.picture, size), redraw, view.after)
 
 
 def _halve_redraw(redraw: Redraw, size: tuple[int, int]) -> Redraw:

@@ -5,26 +5,48 @@ N Gaussians, K SH coefficients past DC. Names are those of `Gaussians`, the pape
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from airgs_codec.render.backend import Loaded, Renderer
 from airgs_codec.render.cpu import RasterInputs, Redraw
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.render.differentiable import Picture, rasterize_views
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.frames import QUATERNION_MIN_NORM
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.trainer.data.pictures import View
 
 ATTRIBUTES = tuple(f.name for f in fields(Gaussians))
 Parameters = dict[str, torch.Tensor]  # attribute -> (N, ...)
 # Quaternions of other lengths are made unit ones before a fit: Adam's steps have one size, by which a short quaternion
 # would be thrown about and a long one could not turn.
 LENGTHS = (0.1, 10.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InMotion:
+    """Gaussians, and how they move."""
+
+    gaussians: Gaussians
+    velocity: NDArray[np.float32] | None = None  # (N, 3) what means move by in a frame; None: not known
+
+    def at(self, after: float) -> Gaussians:
+        """So many frames after their time; where they are, where their velocity is not known."""
+        if not after or self.velocity is None:
+            return self.gaussians
+        return replace(self.gaussians, means=self.gaussians.means + np.float32(after) * self.velocity)
+
+
+def loading(g: Gaussians | InMotion, renderer: Renderer) -> Callable[[float], Loaded]:
+    """What gives Gaussians so many frames after their time, ready to be drawn; each is loaded once."""
+    return cache(lambda after: renderer.load(g.at(after) if isinstance(g, InMotion) else g))
 
 
 def from_gaussians(g: Gaussians, device: str = "cpu") -> Parameters:
@@ -43,6 +65,23 @@ def _of_usual_length(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
 def to_gaussians(p: Mapping[str, torch.Tensor]) -> Gaussians:
     """Copies in float32."""
     return Gaussians(*(p[name].detach().cpu().numpy().astype(np.float32) for name in ATTRIBUTES))
+
+
+MOTION = "motion"  # beside the attributes, (N, 3): what means move by in a frame
+
+
+def with_motion(p: Parameters, views: Sequence[View], motion: NDArray[np.float32] | None = None) -> Parameters:
+    """Parameters that have a motion as well, where views show them at other times; None: 0."""
+    if not any(view.after for view in views):
+        return p
+    start = torch.zeros_like(p["means"]) if motion is None else torch.from_numpy(motion).to(p["means"])
+    return p | {MOTION: start}
+
+
+def to_moving(p: Parameters) -> InMotion:
+    """Copies in float32, with the motion where there is one."""
+    motion = p.get(MOTION)
+    return InMotion(to_gaussians(p), None if motion is None else motion.cpu().numpy().astype(np.float32))
 
 
 def zeros_like(p: Mapping[str, torch.Tensor]) -> Parameters:

@@ -25,9 +25,12 @@ from airgs_codec.trainer.fit.losses import better, codec_steps, mean_psnr, tempo
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import (
     ATTRIBUTES,
+    InMotion,
     Parameters,
     from_gaussians,
     to_gaussians,
+    to_moving,
+    with_motion,
     zeros_like,
 )
 from airgs_codec.trainer.fit.points import scene_extent
@@ -49,14 +52,7 @@ class FrameViews:
     views: Sequence[View]
     moving: Sequence[NDArray[np.bool_]] | None = None  # (H, W) of each view, what does not rest now or in the frame
     # before; None: not known, anything may move
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameBefore:
-    """The frame before the one that is fitted."""
-
-    gaussians: Gaussians
-    velocity: NDArray[np.float32] | None  # (N, 3) what its means moved by from the frame before it; None: not known
+    later: Sequence[View] = ()  # of the frame behind, which a first frame is fitted to as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,9 +78,7 @@ class Trainer:
         """Where everything is computed: cpu or cuda."""
         return self.renderer.device
 
-    def fit_frame(
-        self, target: FrameViews, before: FrameBefore, group: Group, progress: Progress = silent
-    ) -> Gaussians:
+    def fit_frame(self, target: FrameViews, before: InMotion, group: Group, progress: Progress = silent) -> Gaussians:
         """The Gaussians of the frame before, moved (AirGS, "Training" 2). Networks of the group learn on.
 
         Where the frame before shows more as it was, it stays: steps that are made for motion lead away from pictures
@@ -125,8 +119,8 @@ class Trainer:
         return better(before.gaussians, found, target.views[::2], self.renderer) if s.keep_better else found
 
     def fit_keyframe(
-        self, target: FrameViews, before: FrameBefore, steps: Parameters, progress: Progress = silent
-    ) -> Gaussians:
+        self, target: FrameViews, before: InMotion, steps: Parameters, progress: Progress = silent
+    ) -> InMotion:
         """The Gaussians of the frame before, moved, and new ones (AirGS, "Training" 3). The first U rows stay.
 
         `steps`: codec steps of the frame before. Raises TrainingError where the loss is not finite.
@@ -135,19 +129,21 @@ class Trainer:
         rows = len(before.gaussians)
         most = min(round((1 + s.max_growth) * rows), self.capacity) if s.densify == BUDGET else self.capacity
         rng = self.rng(target.frame, 3)
-        seeds = self._seeds(target, before.gaussians, most - rows, rng) if s.seeds else None
+        seeds = self._seeds(target, before, most - rows, rng) if s.seeds else None
         base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
         start = self._start(base, before.velocity)
+        base = with_motion(base, target.views, before.velocity)
+        start = None if start is None else zeros_like(base) | start
         scope = self._scope(before, target, base)
         if not scope.views:
-            return before.gaussians
+            return before
         base = scope.rows(base)
         start = None if start is None else scope.rows(start)
         temporal = None if temporal is None else scope.rows(temporal)
         still = rows - len(base["means"])
         rows, most = rows - still, most - still
         if seeds is not None:
-            new = from_gaussians(seeds, self.device)
+            new = with_motion(from_gaussians(seeds, self.device), target.views)
             zeros = zeros_like(new)  # seeds begin where they are, and no temporal loss holds them
             base = _joined(base, new)
             start = None if start is None else _joined(start, zeros)
@@ -167,7 +163,7 @@ class Trainer:
         schedule = self._bounded(self.schedule("keyframe", s.key_iterations, self.full_sh_degree))
         optimise(variables, scope.views, schedule, rng, progress=progress)
         variables.remove_fainter(self.least_opacity)
-        return to_gaussians(variables.detached())
+        return to_moving(variables.detached())
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
         """The group whose first frame is `g`, seen by the training views of that frame."""
@@ -199,12 +195,12 @@ class Trainer:
         s = self.settings
         return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
 
-    def _seeds(self, target: FrameViews, before: Gaussians, most: int, rng: np.random.Generator) -> Gaussians | None:
+    def _seeds(self, target: FrameViews, before: InMotion, most: int, rng: np.random.Generator) -> Gaussians | None:
         """Up to `most` new Gaussians of a keyframe, where the pictures of the frame before are wrong; None: nowhere."""
         wrong = find_wrong(before, target.views, self.renderer)
         if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
             wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
-        return residual_seeds(before, target.views, wrong, most, 0.1 * self.extent, rng)
+        return residual_seeds(before.gaussians, target.views, wrong, most, 0.1 * self.extent, rng)
 
     def rng(self, frame: int, stage: int) -> np.random.Generator:
         """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
@@ -214,21 +210,21 @@ class Trainer:
         temporal = self.settings.temporal
         return temporal_weights(temporal, steps) if temporal.weight else None
 
-    def _scope(self, before: FrameBefore, target: FrameViews, base: Parameters) -> Scope:
+    def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> Scope:
         """Return what may change at a frame; no views where nothing does."""
         if target.moving is None:
             return Scope(target.views)
-        active = find_active(before.gaussians, target.views, target.moving, self.renderer)
+        active = find_active(before, target.views, target.moving, self.renderer)
         return Scope(active.views, Resting(base, torch.from_numpy(active.rows).to(self.device)))
 
-    def _is_foreseen(self, before: FrameBefore, views: Sequence[View]) -> bool:
+    def _is_foreseen(self, before: InMotion, views: Sequence[View]) -> bool:
         """Whether Gaussians that move on as they did are nearer to the pictures than where they were.
 
         Where a motion turns, its start is worse than none, and there is further to go.
         """
         if before.velocity is None or not self.settings.velocity:
             return False
-        on = replace(before.gaussians, means=before.gaussians.means + before.velocity)
+        on = InMotion(before.at(1.0), before.velocity)
         return mean_psnr(on, views, self.renderer) > mean_psnr(before.gaussians, views, self.renderer)
 
     def _start(self, base: Parameters, velocity: NDArray[np.float32] | None) -> Parameters | None:

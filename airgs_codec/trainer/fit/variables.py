@@ -19,7 +19,7 @@ from airgs_codec.errors import TrainingError
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.trainer.fit.active import Resting
 from airgs_codec.trainer.fit.grow import Densifier, is_visible
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, Adam, Parameters, take_and_append, zeros_like
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, MOTION, Adam, Parameters, take_and_append, zeros_like
 
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
 RATES = {
@@ -48,6 +48,7 @@ class Rates:
         """Rates when a share `done` of the iterations is past, in a scene of `extent` world units."""
         rates = {name: rate * self.factor * self.last**done for name, rate in RATES.items()}
         rates["means"] = RATES["means"] * self.factor * self.means * self.means_last**done * extent
+        rates[MOTION] = rates["means"]
         return rates
 
 
@@ -86,13 +87,19 @@ class PerGaussian:
         self._generator = torch.Generator().manual_seed(self.seed)
         self.adam = Adam(self.start or zeros_like(self.base), self.rates.at(0.0, self.extent))
 
-    def current(self, view: int = 0) -> Parameters:
+    def current(self, after: float = 0.0) -> Parameters:
         """The Gaussians as they are now, base + D, differentiable by D, among those that rest.
+
+        So many frames `after` their time they have moved by as much of a MOTION, which is fitted too, or else of D.
 
         Some are hidden where there is `dropout`: what others hide in a training view is fitted as well, and a view
         between them shows no gap (DropGaussian, Park et al. 2025). Their share rises as the fit goes on.
         """
         fitted = self._fitted()
+        if after and MOTION in fitted:
+            fitted["means"] = fitted["means"] + after * fitted[MOTION]
+        elif after:
+            fitted = {name: p + after * self.adam.parameters[name] for name, p in fitted.items()}
         if self.dropout and torch.is_grad_enabled():
             hidden = torch.rand(len(self.base["means"]), generator=self._generator) < self.dropout * self._done
             fitted["opacity_logits"] = fitted["opacity_logits"].masked_fill(
@@ -205,7 +212,7 @@ class PerGaussian:
 
 def _support(difference: Parameters, temporal: Parameters) -> Parameters:
     """1 where a difference has left 0, and in new rows, which have no temporal loss."""
-    return {name: ((p != 0) | (temporal[name] == 0)).to(p.dtype) for name, p in difference.items()}
+    return {name: ((difference[name] != 0) | (weight == 0)).to(weight.dtype) for name, weight in temporal.items()}
 
 
 OCTAVES = 5  # of the positional encoding (NeRF, Mildenhall et al. 2020, equation 4)
@@ -289,7 +296,7 @@ class MlpDriven:
     networks: Networks
     temporal: Parameters | None  # weight of |change| of each element, `temporal_weights`
     _features: torch.Tensor = field(init=False)
-    _changes: Parameters = field(init=False)  # of the last `current`
+    _changes: Parameters = field(init=False)  # of the last `current`, at the time of the frame
     _adam: torch.optim.Adam = field(init=False)
 
     def __post_init__(self) -> None:
@@ -297,10 +304,10 @@ class MlpDriven:
         self._changes = {}
         self._adam = torch.optim.Adam(self.networks.parameters(), lr=RATE, betas=BETAS)
 
-    def current(self, view: int = 0) -> Parameters:
-        """GS_t + d_{t+1}, differentiable by the weights."""
+    def current(self, after: float = 0.0) -> Parameters:
+        """GS_t + d_{t+1}, differentiable by the weights; so many frames `after` t + 1 as much more of d_{t+1}."""
         self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
-        return {n: p + self._changes[n] if n in self._changes else p for n, p in self.base.items()}
+        return {n: p + (1 + after) * self._changes[n] if n in self._changes else p for n, p in self.base.items()}
 
     def detached(self) -> Parameters:
         """The Gaussians as they are now."""

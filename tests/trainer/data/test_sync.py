@@ -1,7 +1,7 @@
 """Cameras that are not in step are found and matched, and those that are plainly wrong are named."""
 
 import json
-import pickle
+import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -12,15 +12,17 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.jobs.work import Work
-from airgs_codec.media.image import between, write_png
+from airgs_codec.media.image import write_png
 from airgs_codec.places.results import open_store
 from airgs_codec.scene.camera import BLACK
-from airgs_codec.trainer.data.between import Between, in_step, read_offsets
+from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.data.between import in_step, read_offsets
 from airgs_codec.trainer.data.doubt import doubted, find_doubtful
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source, content_of, read_contents
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import FEWEST, find_timing
+from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.record import Record
 from airgs_codec.trainer.settings import TrainSettings
 from tests.support.multiview_files import plain
@@ -118,15 +120,6 @@ def test_a_scene_in_step_shows_each_camera_at_its_own_time():
     assert in_step(scene, {"cam01": 0.0}).frames == scene.frames
 
 
-def test_a_picture_between_two_is_nearer_the_truth_than_either_or_both():
-    camera = ring(1, SIZE)[0]
-    first, truth, second = (drawn(camera, time).astype(float) for time in (4.0, 4.125, 4.5))
-    made = Between(Shown(first.astype(np.uint8)), Shown(second.astype(np.uint8)), 0.25).read((SIZE, SIZE))
-    error = np.square(made - truth).mean()
-    assert error < 0.6 * min(np.square(other - truth).mean() for other in (first, 0.75 * first + 0.25 * second))
-    assert not np.array_equal(made, between(first.astype(np.uint8), second.astype(np.uint8), 0.75))
-
-
 def files(folder, masks=False):
     """A scene of pictures in files: two cameras, five frames, brighter with time."""
     cameras = ring(2, 32)
@@ -142,24 +135,38 @@ def files(folder, masks=False):
     return MultiviewScene(folder, Fraction(30), tuple(frames), None, BLACK)
 
 
-def test_a_fraction_of_a_frame_is_named_by_both_pictures_and_has_the_nearer_mask(tmp_path):
+def test_a_fraction_of_a_frame_takes_the_nearest_picture_and_says_when_it_was_taken(tmp_path):
     scene = files(tmp_path)
-    matched = in_step(scene, {"cam01": 0.75})
-    shot = matched.frames[1][1]
-    assert shot.source.files == (tmp_path / "cam01-1.png", tmp_path / "cam01-2.png")
-    assert shot.mask == tmp_path / "mask-cam01-2.png"
-    assert abs(int(shot.source.read((32, 32)).mean()) - 45) <= 1
-    assert pickle.loads(pickle.dumps(shot.source)) == shot.source
-    contents = read_contents(matched, Work(open_store(tmp_path / "work")))
+    for offset, nearest, after in ((0.75, 2, 0.25), (0.25, 1, -0.25), (0.5, 1, -0.5), (-0.5, 0, -0.5), (-1.0, 0, 0.0)):
+        matched = in_step(scene, {"cam01": offset}, (0, 5))
+        first = math.ceil(max(0.0, -offset))
+        shot = matched.frames[1 - first][1]
+        assert (shot.source.path.name, shot.after) == (f"cam01-{nearest}.png", after)
+        assert shot.mask == tmp_path / f"mask-cam01-{nearest}.png" and matched.frames[0][0].after == 0.0
+        assert Pictures(matched).view(1 - first, 1).after == after
     other = in_step(scene, {"cam01": 0.625})  # the same files, and masks
-    assert content_of(matched, contents)[2][1] != content_of(other, contents)[2][1]
+    contents = read_contents(scene, Work(open_store(tmp_path / "work")))
+    assert content_of(in_step(scene, {"cam01": 0.75}), contents)[2][1] != content_of(other, contents)[2][1]
 
 
-def test_pictures_on_both_sides_are_checked(tmp_path):
-    matched = in_step(files(tmp_path), {"cam01": 0.5})
-    write_png(tmp_path / "cam01-4.png", plain(9, (30, 32)))
-    with pytest.raises(SceneError, match=r"cam01-4\.png: expected a picture of 32x32"):
-        Pictures(matched).check()
+def test_a_first_frame_is_fitted_to_both_pictures_of_a_camera_that_was_early(tmp_path):
+    capture = Capture.of(in_step(files(tmp_path), {"cam01": 0.25}), TrainSettings(), "cpu")
+    target = capture.first()
+    assert [view.after for view in target.views] == [0.0, -0.25]
+    assert [(view.camera.name, view.after) for view in target.later] == [("cam01", 0.75)]
+    assert abs(float(target.later[0].target.rgb.mean()) - 30 / 255) < 1e-3  # that of frame 1
+    assert not Capture.of(files(tmp_path), TrainSettings(), "cpu").first().later
+
+
+def test_a_frame_that_begins_a_group_shows_nothing_from_before_it(tmp_path):
+    matched = in_step(files(tmp_path), {"cam01": 0.25})
+    capture = rested(Capture.of(matched, TrainSettings(), "cpu"))
+    for frame, seen in ((1, [("cam00", 0.0), ("cam01", 0.75)]), (len(matched) - 1, [("cam00", 0.0)])):
+        target = capture.key(capture.target(frame, frame - 1))
+        assert [(view.camera.name, view.after) for view in target.views] == seen
+        assert len(target.moving) == len(seen)
+    still = Capture.of(files(tmp_path), TrainSettings(), "cpu").target(1, 0)
+    assert capture.key(still) is still
 
 
 def test_the_record_of_a_run_has_its_offsets(tmp_path):

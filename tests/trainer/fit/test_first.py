@@ -20,5 +20,5 @@ def test_a_first_frame_has_what_its_pictures_can_tell(monkeypatch):
     monkeypatch.setattr(first, "LEAST_BUDGET", 60)
     truth = coloured_cloud(400)
     trainer = Trainer(TrainSettings(sh_degree=0, first_iterations=150), scene_extent(ring()))
-    g = fit_first(trainer, FrameViews(0, views_of(truth, ring(8, size=48))), Points(truth.means, None))
-    assert 60 < len(g) <= 48 * 48 / first.GAUSSIAN_PIXELS
+    found = fit_first(trainer, FrameViews(0, views_of(truth, ring(8, size=48))), Points(truth.means, None))
+    assert 60 < len(found.gaussians) <= 48 * 48 / first.GAUSSIAN_PIXELS

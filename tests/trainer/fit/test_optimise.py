@@ -1,6 +1,7 @@
 """The loop that fits, the order of views, and pictures of half the size."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,10 +22,11 @@ from airgs_codec.trainer.fit.optimise import (
     Losses,
     Schedule,
     can_be_halved,
+    drawn,
     halve,
     optimise,
 )
-from airgs_codec.trainer.fit.parameters import from_gaussians, render, to_gaussians
+from airgs_codec.trainer.fit.parameters import InMotion, from_gaussians, render, to_gaussians, with_motion
 from airgs_codec.trainer.fit.variables import PerGaussian
 from tests.support.views import coloured_cloud, moved, ring, views_of
 
@@ -132,6 +134,16 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
     for name, value in together.detached().items():
         torch.testing.assert_close(value, by_hand.detached()[name], atol=1e-4, rtol=1e-3)
     assert not torch.equal(together.detached()["means"], from_gaussians(g)["means"])
+
+
+def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
+    g, motion = coloured_cloud(30), np.full((30, 3), 0.1, np.float32)
+    views = [replace(v, after=after) for v, after in zip(views_of(g, ring(3)), (0.0, -0.5, 0.25), strict=True)]
+    pictures = drawn(PerGaussian(with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
+    for view, (rgb, _) in zip(views, pictures, strict=True):
+        shown = render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
+        torch.testing.assert_close(rgb, shown, atol=1e-5, rtol=0)
+    assert halve(views[1]).after == -0.5
 
 
 CAMERA = look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), size=75, fov_y=0.9, name="odd")

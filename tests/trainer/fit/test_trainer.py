@@ -1,5 +1,7 @@
 """The three kinds of fits: a first frame, a frame in a group, a keyframe."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,9 @@ from airgs_codec.render import render
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr, static_shares
+from airgs_codec.trainer.fit.parameters import InMotion
 from airgs_codec.trainer.fit.points import scene_extent
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
+from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
 from airgs_codec.trainer.settings import Temporal, TrainSettings
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, ring, views_of
 
@@ -22,7 +25,7 @@ def trainer(**settings) -> Trainer:
 def test_a_first_frame_approaches_its_pictures_within_the_budget():
     truth = coloured_cloud()
     views = views_of(truth, ring(8))
-    g = fit_first(trainer(), FrameViews(0, views), Points(truth.means, None))
+    g = fit_first(trainer(), FrameViews(0, views), Points(truth.means, None)).gaussians
     assert mean_psnr(g, views) > 26
     assert len(g) <= 400
     assert np.exp(g.log_scales).max() <= scene_extent(ring()) * 1.001
@@ -34,7 +37,7 @@ def test_frames_move_what_moved_and_leave_the_rest_exactly_alone():
     views = views_of(after, ring(8))
     t = trainer(frame_iterations=120, temporal=Temporal(weight=3e-4))
     group = t.start_group(truth, views)
-    g = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), group)
+    g = t.fit_frame(FrameViews(1, views), InMotion(truth), group)
     assert mean_psnr(g, views) > mean_psnr(truth, views) + 6
     rest = (g.means[20:] == truth.means[20:]).all(axis=1)
     assert rest.mean() > 0.5
@@ -46,7 +49,7 @@ def test_without_the_temporal_loss_nearly_everything_moves():
     truth = coloured_cloud()
     views = views_of(moved(truth, slice(0, 20), (0.05, 0.0, 0.0)), ring(8))
     t = trainer(temporal=Temporal(weight=0.0))
-    g = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), t.start_group(truth, views))
+    g = t.fit_frame(FrameViews(1, views), InMotion(truth), t.start_group(truth, views))
     assert (g.means[20:] == truth.means[20:]).all(axis=1).mean() < 0.1
 
 
@@ -56,8 +59,8 @@ def test_velocity_starts_a_frame_where_motion_leads():
     step[:20, 0] = 0.05
     views = views_of(moved(truth, slice(0, 20), (0.05, 0.0, 0.0)), ring(8))
     t = trainer(frame_iterations=1)
-    with_velocity = t.fit_frame(FrameViews(1, views), FrameBefore(truth, step), t.start_group(truth, views))
-    without = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), t.start_group(truth, views))
+    with_velocity = t.fit_frame(FrameViews(1, views), InMotion(truth, step), t.start_group(truth, views))
+    without = t.fit_frame(FrameViews(1, views), InMotion(truth), t.start_group(truth, views))
     assert mean_psnr(with_velocity, views) > mean_psnr(without, views) + 3
 
 
@@ -68,8 +71,8 @@ def test_a_velocity_that_leads_away_is_not_taken():
     views = views_of(moved(truth, slice(0, 20), (-0.02, 0.0, 0.0)), ring(8))
     t = trainer(frame_iterations=10)
     group = t.start_group(truth, views)
-    away = t.fit_frame(FrameViews(1, views), FrameBefore(truth, step), group)
-    none = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), group)
+    away = t.fit_frame(FrameViews(1, views), InMotion(truth, step), group)
+    none = t.fit_frame(FrameViews(1, views), InMotion(truth), group)
     assert (away.means == none.means).all()
 
 
@@ -79,7 +82,7 @@ def test_networks_learn_a_motion(deltas):
     after = moved(truth, slice(None), (0.04, 0.0, 0.0))
     views = views_of(after, ring(8))
     t = trainer(deltas=deltas, frame_iterations=120)
-    g = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), t.start_group(truth, views))
+    g = t.fit_frame(FrameViews(1, views), InMotion(truth), t.start_group(truth, views))
     assert mean_psnr(g, views) > mean_psnr(truth, views) + 4
 
 
@@ -87,7 +90,7 @@ def test_a_keyframe_builds_what_appeared_and_keeps_old_rows_in_place():
     old = coloured_cloud()
     views = views_of(joined(old, appeared()), ring(8))
     t = trainer(max_growth=0.4)
-    g = t.fit_keyframe(FrameViews(1, views), FrameBefore(old, None), t.steps(old, views))
+    g = t.fit_keyframe(FrameViews(1, views), InMotion(old), t.steps(old, views)).gaussians
     assert len(old) < len(g) <= round(1.4 * len(old))
     assert mean_psnr(g, views) > mean_psnr(old, views) + 10
     stayed = np.linalg.norm(g.means[: len(old)] - old.means, axis=1) < 0.1  # row n is still that Gaussian
@@ -100,7 +103,8 @@ def test_a_keyframe_never_passes_the_capacity():
     old = coloured_cloud()
     views = views_of(joined(old, appeared()), ring(8))
     t = trainer(budget=150, capacity=170, max_growth=0.9, key_iterations=60)
-    assert len(t.fit_keyframe(FrameViews(1, views), FrameBefore(old, None), t.steps(old, views))) <= 170
+    g = t.fit_keyframe(FrameViews(1, views), InMotion(old), t.steps(old, views)).gaussians
+    assert len(g) <= 170
 
 
 def test_inflation_removes_added_gaussians():
@@ -110,8 +114,8 @@ def test_inflation_removes_added_gaussians():
     def added(weight: float) -> float:
         t = trainer(max_growth=0.4, inflation=weight, key_iterations=120)
         return float(
-            t.fit_keyframe(FrameViews(1, views), FrameBefore(old, None), t.steps(old, views))
-            .opacities()[len(old) :]
+            t.fit_keyframe(FrameViews(1, views), InMotion(old), t.steps(old, views))
+            .gaussians.opacities()[len(old) :]
             .sum()
         )
 
@@ -133,9 +137,9 @@ def test_rows_that_rest_are_no_variables(key):
     t = trainer(temporal=Temporal(weight=0.0), max_growth=0.4)
     target = FrameViews(1, views, moving(before, after, cameras))
     if key:
-        g = t.fit_keyframe(target, FrameBefore(before, None), t.steps(before, views))
+        g = t.fit_keyframe(target, InMotion(before), t.steps(before, views)).gaussians
     else:
-        g = t.fit_frame(target, FrameBefore(before, None), t.start_group(before, views))
+        g = t.fit_frame(target, InMotion(before), t.start_group(before, views))
     same = np.all([getattr(g, n)[:150].reshape(150, -1) == getattr(before, n).reshape(150, -1) for n in ("means",)], 0)
     assert same.all(axis=1)[20:].mean() > 0.4 and not same.all(axis=1)[:20].all()
     assert mean_psnr(g, views) > mean_psnr(before, views) + (8 if key else 1)
@@ -148,7 +152,7 @@ def test_a_keyframe_adds_nothing_where_pictures_rest():
     specks = np.zeros((48, 48), bool)
     specks[:3, :3] = True
     t = trainer(max_growth=0.4, inflation=0.0, key_iterations=60)
-    fitted = t.fit_keyframe(FrameViews(1, views, [specks] * 8), FrameBefore(g, None), t.steps(g, views))
+    fitted = t.fit_keyframe(FrameViews(1, views, [specks] * 8), InMotion(g), t.steps(g, views)).gaussians
     assert len(fitted) == len(g)
 
 
@@ -157,7 +161,7 @@ def test_a_frame_where_nothing_moves_is_the_frame_before():
     views = views_of(g, cameras)
     t = trainer()
     nothing = [np.zeros((48, 48), bool)] * 8
-    assert t.fit_frame(FrameViews(1, views, nothing), FrameBefore(g, None), t.start_group(g, views)) is g
+    assert t.fit_frame(FrameViews(1, views, nothing), InMotion(g), t.start_group(g, views)) is g
 
 
 def test_a_fit_that_shows_less_than_the_frame_before_is_not_taken():
@@ -166,6 +170,50 @@ def test_a_fit_that_shows_less_than_the_frame_before_is_not_taken():
     free = {"frame_iterations": 10, "temporal": Temporal(weight=0.0)}
     for keep_better in (True, False):
         t = trainer(**free, keep_better=keep_better)
-        g = t.fit_frame(FrameViews(1, views), FrameBefore(truth, None), t.start_group(truth, views))
+        g = t.fit_frame(FrameViews(1, views), InMotion(truth), t.start_group(truth, views))
         assert (g is truth) == keep_better
     assert mean_psnr(g, views) < mean_psnr(truth, views) - 3
+
+
+STEP = np.array([0.1, 0.0, 0.0], np.float32)  # world units that all moves by in a frame
+
+
+def half_early(truth):
+    """What eight cameras see of what moves by STEP, every second one half a frame before the others."""
+    views = []
+    for i, camera in enumerate(ring(8)):
+        after = -0.5 * (i % 2)
+        views += [replace(view, after=after) for view in views_of(moved(truth, slice(None), after * STEP), [camera])]
+    return views
+
+
+def test_a_first_frame_of_cameras_out_of_step_is_as_sharp_as_in_step():
+    truth, t = coloured_cloud(), trainer(first_iterations=200)
+    early, in_step = half_early(truth), views_of(truth, ring(8))
+    later = half_early(moved(truth, slice(None), STEP))[1::2]
+    target = FrameViews(0, early, later=[replace(view, after=0.5) for view in later])
+    found = fit_first(t, target, Points(truth.means, None))
+    alone = fit_first(t, FrameViews(0, [replace(view, after=0.0) for view in early]), Points(truth.means, None))
+    assert mean_psnr(found.gaussians, in_step) > mean_psnr(alone.gaussians, in_step) + 3
+    assert mean_psnr(found, early[1::2]) > mean_psnr(found.gaussians, early[1::2]) + 3
+    assert np.median(found.velocity[:, 0]) > 0.3 * STEP[0]
+
+
+def test_a_rig_in_step_has_no_motion_to_fit():
+    truth, views = coloured_cloud(), views_of(coloured_cloud(), ring(8))
+    found = fit_first(trainer(first_iterations=1), FrameViews(0, views), Points(truth.means, None))
+    assert found.velocity is None and found.at(-0.5) is found.gaussians
+
+
+@pytest.mark.parametrize("deltas", ["direct", "mlp"])
+def test_a_frame_of_cameras_out_of_step_is_as_sharp_as_in_step(deltas):
+    truth, t = coloured_cloud(), trainer(deltas=deltas, temporal=Temporal(weight=0.0), frame_iterations=40)
+    after = moved(truth, slice(None), STEP)
+    early, in_step = half_early(after), views_of(after, ring(8))
+
+    def quality(views):
+        g = t.fit_frame(FrameViews(1, views), InMotion(truth), t.start_group(truth, views))
+        return mean_psnr(g, in_step)
+
+    assert quality(early) > quality(in_step) - 2
+    assert quality(early) > quality([replace(view, after=0.0) for view in early]) + 3

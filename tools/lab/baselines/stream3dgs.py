@@ -88,7 +88,7 @@ class Stream3dgs:
         trainer = make_trainer(self.options.first, views, footage.points, "cpu")
         if not done:
             begun = time.perf_counter()
-            write_ply(path, fit_first(trainer, FrameViews(0, views), footage.points, progress=progress))
+            write_ply(path, fit_first(trainer, FrameViews(0, views), footage.points, progress=progress).gaussians)
             yield Shown("key", read_ply(path), path.stat().st_size, time.perf_counter() - begun)
         first = read_ply(path)
         region = region_of(first, self.options.share)

@@ -71,7 +71,7 @@ class Splats:
         self._absgrad = AbsGrad()
         self._restart()
 
-    def current(self, view: int = 0) -> Parameters:
+    def current(self, after: float = 0.0) -> Parameters:
         """The Gaussians as they are now, leaves."""
         return self._adam.parameters
 

@@ -122,7 +122,7 @@ class CacheDriven:
         self._adam = torch.optim.Adam(self.cache.parameters(), lr=self.rate, betas=BETAS, eps=EPSILON)
         self.collected = Densifier(Growth(len(self.base)), len(self.base), np.random.default_rng(0))
 
-    def current(self, view: int = 0) -> Parameters:
+    def current(self, after: float = 0.0) -> Parameters:
         """The moved Gaussians, differentiable by the numbers of the cache."""
         return transformed(self._base, self._rows, self.cache(self._places), self.region.diagonal)
 

@@ -234,7 +234,7 @@ class FieldDriven:
         self._places = self._field.places(means)
         self._adam = torch.optim.Adam(self._field.parameters(), lr=FIELD_RATE, betas=BETAS)
 
-    def current(self, view: int = 0) -> Parameters:
+    def current(self, after: float = 0.0) -> Parameters:
         """The Gaussians where the field puts them, differentiable by its weights."""
         moved = self.base["means"] + DISPLACEMENT * self.extent * self._field(self._places)
         return self.base | {"means": moved}
@@ -275,7 +275,7 @@ def fit_key(
 ) -> Gaussians:
     """A keyframe from scratch, without its Gaussians of lowest opacity, fine-tuned; rows in Morton order."""
     points = footage.points if target.frame == 0 else None  # they are of the first frame
-    g = fit_first(trainer, target, points, progress=progress)
+    g = fit_first(trainer, target, points, progress=progress).gaussians
     kept = np.sort(np.argsort(-g.opacity_logits, kind="stable")[: max(1, round((1 - settings.pruned) * len(g)))])
     fitted = PerGaussian(from_gaussians(g.take(kept)), trainer.extent, PRUNED_RATES, regularisers=FIRST_REGULARISERS)
     schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)

@@ -1,7 +1,7 @@
 """A keyframe from the frame before against one from scratch (SIFT tracks of that frame): seconds to equal PSNR.
 
 MODEL is the folder that `airgs-train SCENE` made. Both fits run with the settings of the model in several lengths, each
-a whole fit. PSNR is the mean over held-out views of each view's.
+a whole fit. PSNR is the mean over held-out views in step of each view's.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import torch
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.capture import Capture, First
 from airgs_codec.trainer.data.between import in_step
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.pictures import View
@@ -21,8 +22,8 @@ from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.parameters import Parameters
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.trainer.frames import Capture, First, frame_before
+from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
+from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
@@ -48,19 +49,19 @@ class Case:
 
     trainer: Trainer
     target: FrameViews
-    before: FrameBefore
+    before: InMotion
     steps: Parameters  # codec steps of the frame before
     held_out: Sequence[View]
 
     def warm(self, iterations: int) -> Gaussians:
         """A keyframe from the frame before."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, key_iterations=iterations))
-        return short.fit_keyframe(self.target, self.before, self.steps)
+        return short.fit_keyframe(self.target, self.before, self.steps).gaussians
 
     def scratch(self, iterations: int) -> Gaussians:
         """A keyframe from points found in its pictures."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, first_iterations=iterations))
-        return fit_first(short, self.target, None)
+        return fit_first(short, self.target, None).gaussians
 
 
 def run(options: Options, lab: Lab) -> Page:
@@ -95,7 +96,8 @@ def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_siz
     capture = rested(Capture.of(scene, settings, "cpu")).with_first(first)
     before, pictures = frame_before(model, frame), capture.pictures
     steps = capture.trainer.steps(before.gaussians, pictures.train(frame - 1))
-    return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, pictures.held_out(frame))
+    held_out = [view for view in pictures.held_out(frame) if not view.after]
+    return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, held_out)
 
 
 def chosen_frame(model: Model, frame: int | None) -> int:

@@ -2,7 +2,7 @@
 
 The cameras of the scene are shuffled with a fixed seed and dealt out: split i holds out cameras i * hold to
 i * hold + hold - 1 of that order. Every split is an `airgs-train` of its own into FOLDER/split-I (one that is there
-goes on), with the options given. For every held-out camera:
+goes on), with the options given. For every held-out camera that is in step:
 
     psnr      mean over frames of its PSNR in dB, in the look of the model
     matched   the same after a gain and an offset for each colour, found for that camera over all frames: no camera that
@@ -128,7 +128,7 @@ def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
     pictures = open_pictures(scene, model)
     frames = range(len(model.record.frames))
     shown = [model.read(frame) for frame in frames]
-    views = [pictures.held_out(frame) for frame in frames]
+    views = [_in_step(pictures.held_out(frame)) for frame in frames]
     cameras = [view.camera for view in (*pictures.train(0), *pictures.held_out(0))]
     middle = looked_at(cameras)
     rows, half_way = [], []
@@ -138,9 +138,13 @@ def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
         light = float(picture.mean() / views[0][i].target.rgb.mean())
         rows.append(Row(number, name, plain, matched, haze, light))
         half_way.append(to_bytes(picture))
-    every = [pictures.train(frame) for frame in frames]
+    every = [_in_step(pictures.train(frame)) for frame in frames]
     training = [compare(shown, [of_frame[i] for of_frame in every])[1] for i in range(len(every[0]))]
     return Judged(rows, float(np.mean(training)), half_way)
+
+
+def _in_step(views: Sequence[View]) -> list[View]:
+    return [view for view in views if not view.after]
 
 
 def open_pictures(scene: MultiviewScene, model: Model) -> Pictures:

@@ -13,12 +13,12 @@ from functools import cache, cached_property, partial
 from typing import Any
 
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
-from airgs_codec.trainer.fit.trainer import FrameBefore, FrameViews, Trainer
-from airgs_codec.trainer.frames import Capture
+from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.numerics.rows import FOX_VIEWS, Bench, Place, Point, Row
@@ -61,7 +61,7 @@ class Case:
     @cached_property
     def shared(self) -> Gaussians:
         """The first frame that frames in a group start from."""
-        return fit_first(self.capture.trainer, self.first, self.scene.points)
+        return fit_first(self.capture.trainer, self.first, self.scene.points).gaussians
 
     def trainer(self, **changes: Any) -> Trainer:
         """The trainer with other settings."""
@@ -113,10 +113,10 @@ def _rows(place: Place, frame: int, fit: Fit, seeds: int) -> list[Row]:
 
 def _first(views: int, case: Case, count: int, seed: int) -> Gaussians:
     trainer = case.trainer(first_iterations=count, iteration_views=views, seed=seed)
-    return fit_first(trainer, case.first, case.scene.points)
+    return fit_first(trainer, case.first, case.scene.points).gaussians
 
 
 def _frame(deltas: str, case: Case, count: int, seed: int) -> Gaussians:
     trainer = case.trainer(frame_iterations=count, deltas=deltas, seed=seed)
     start = trainer.start_group(case.shared, case.capture.views(0))
-    return trainer.fit_frame(case.second, FrameBefore(case.shared, None), start)
+    return trainer.fit_frame(case.second, InMotion(case.shared, None), start)
