@@ -42,7 +42,8 @@ GUESSES = 8  # cameras of either kind where nothing is sure; the fewest where it
 SIDES, SIDE_SIZE, SIDE_ROWS = 12, 48, 8000  # views, pixels and rows that tell an object from a place
 OBJECT = 0.6  # solidity of three in four sides of an object; filmed places have up to 0.5, objects from 0.7
 PERHAPS = 0.52  # solidity of what may be either
-LOWEST = np.radians(5)  # of views of an object on a floor, above the horizon
+# Of views of an object, lowest and highest above the horizon: people walk around it, and look up or down a little.
+AROUND, ON_FLOOR = np.radians([-20, 45]), np.radians([5, 60])
 SCATTERED, KEPT, ROUNDS = 300, 40, 5  # poses tried at random, those looked at again, rounds about the best of them
 GOOD = 0.7  # of the best score
 APART = (0.35, 0.2, 0.1)  # of `gaps`, of the poses that cameras are chosen from: the first that leaves enough
@@ -215,12 +216,15 @@ def _object(frames: Sequence[Gaussians], up: Vector | None, _: float) -> tuple[F
     middle, subject = frames[len(frames) // 2], Subject.of(frames)
     upright = guess_up(subject) if up is None else up / np.linalg.norm(up)
     stands = subject.floor is not None and float(subject.floor @ upright) > UPRIGHT
-    around = dome_views(middle, COUNT, SIZE, upright, LOWEST if stands else -np.pi / 2)
+    low, high = ON_FLOOR if stands else AROUND
+    around = dome_views(middle, COUNT, SIZE, upright, (low, high))
     cameras = [_front(subject, middle, upright), *around]
     sample = Sample.of(middle, SIDE_ROWS)
     scores = [sample.solidity(camera) for camera in cameras]
-    where = "all around it, above its floor" if stands else "all around it"
-    story = f"an object in empty space: a view from in front and {COUNT} {where}"
+    degrees = (
+        f"{np.degrees(low):.0f}° to {np.degrees(high):.0f}° above the horizon{', over its floor' if stands else ''}"
+    )
+    story = f"an object in empty space: a view from in front and {COUNT} around it, {degrees}"
     return FoundViews(cameras, scores, True, story), upright
 
 

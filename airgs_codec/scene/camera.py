@@ -211,13 +211,18 @@ def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArr
 
 
 def dome_views(
-    gaussians: Gaussians, count: int, size: int, up: NDArray[np.float64], lowest: float = -np.pi / 2
+    gaussians: Gaussians,
+    count: int,
+    size: int,
+    up: NDArray[np.float64],
+    rises: tuple[float, float] = (-np.pi / 2, np.pi / 2),
 ) -> list[Camera]:
     """`count` square cameras of `size` pixels, all around the scene or over a dome that is upright along `up` (3,).
 
-    None is lower than `lowest`, in radians above the horizon. Else they are as those of `orbit_views`.
+    None is lower or higher than `rises`, in radians above the horizon. Else they are as those of `orbit_views`.
     """
-    return _views_from(gaussians, spiral(count, float(np.sin(lowest))) @ _upright(up), up, size)
+    low, high = np.sin(rises)
+    return _views_from(gaussians, spiral(count, float(low), float(high)) @ _upright(up), up, size)
 
 
 def _upright(up: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -226,9 +231,9 @@ def _upright(up: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.stack([up / np.linalg.norm(up), *axes[1:]])
 
 
-def spiral(count: int, lowest: float = -1.0) -> NDArray[np.float64]:
-    """(count, 3) directions of length 1, evenly over the sphere whose first coordinate is at least `lowest`."""
-    rises = 1 - (1 - lowest) * (np.arange(count) + 0.5) / max(count, 1)
+def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np.float64]:
+    """(count, 3) directions of length 1, evenly over the sphere whose first coordinate is in these bounds."""
+    rises = highest - (highest - lowest) * (np.arange(count) + 0.5) / max(count, 1)
     turns, across = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - rises**2)
     return np.stack([rises, across * np.cos(turns), across * np.sin(turns)], axis=1)
 

@@ -17,10 +17,10 @@ from airgs_codec.trainer.fit.active import REST_BYTES
 from airgs_codec.trainer.fit.first import START_OPACITY, usual_budget
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import from_gaussians
-from airgs_codec.trainer.fit.points import from_points, looked_at
+from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart, from_points, looked_at
 from airgs_codec.trainer.fit.trainer import Trainer
 from airgs_codec.trainer.fit.variables import PerGaussian
-from airgs_codec.trainer.settings import TrainSettings
+from airgs_codec.trainer.settings import LEAST_BUDGET, TrainSettings
 
 FOLLOWED = 0.6  # units of an iteration of a frame that follows another
 BEFORE = 0.6  # mean share of the Gaussians of a first frame over its iterations
@@ -92,8 +92,10 @@ def foretell(trainer: Trainer, views: Sequence[View], frames: int, done: int = 0
 def seconds_a_unit(trainer: Trainer, views: Sequence[View]) -> float:
     """Seconds of an iteration of a first frame, from some of a cloud that fills what a view sees."""
     s, camera, rng = trainer.settings, views[0].camera, np.random.default_rng(0)
-    rows = max(1, round(BEFORE * (s.budget or usual_budget([view.camera for view in views]))))
-    away = float(np.linalg.norm(looked_at([view.camera for view in views]) - camera.position)) or trainer.extent
+    cameras = [view.camera for view in views]
+    usual = LEAST_BUDGET if degrees_apart(cameras) > SPARSE_DEGREES else usual_budget(cameras)
+    rows = max(1, round(BEFORE * (s.budget or usual)))
+    away = float(np.linalg.norm(looked_at(cameras) - camera.position)) or trainer.extent
     u, v = rng.uniform(0, (camera.width, camera.height), (rows, 2)).T
     seen = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(rows)], axis=1)
     seen *= away * rng.uniform(0.5, 1.5, (rows, 1))
