@@ -35,7 +35,7 @@ def test_an_object_is_seen_from_all_sides():
 @pytest.mark.parametrize("up", [1, -1])
 def test_an_object_on_a_floor_is_seen_from_above_it(up):
     found = find_viewpoints([joined(ball(), floor(-0.55 * up))])
-    assert found.confident and "above its floor" in found.story
+    assert found.confident and "over its floor" in found.story
     assert found.guess == f"up is guessed to be (0, {up}, 0); --up says otherwise"
     assert (places_of(found)[:, 1] * up > -0.55).all()
     assert all(camera.world_to_camera[1, 1] * up <= 0 for camera in found.cameras), "up is up in the pictures"
@@ -47,7 +47,7 @@ def test_an_object_stands_as_it_is_told():
     assert all(camera.world_to_camera[1] @ [*up, 0] <= 1e-9 for camera in found.cameras), "up is up in the pictures"
     assert (places_of(found)[:, 1] < -0.55).any(), "what lies across is no floor: from below, too"
     tilted = find_viewpoints([joined(ball(), floor(-0.55))], np.array([0.1, 2.0, 0.0]))
-    assert (places_of(tilted)[:, 1] > -0.7).all() and "above its floor" in tilted.story
+    assert (places_of(tilted)[:, 1] > -0.7).all() and "over its floor" in tilted.story
     assert not found.guess and not tilted.guess
 
 
