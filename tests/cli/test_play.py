@@ -42,7 +42,7 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
         status = main([url, *options, "--json"])
     result = json.loads(capsys.readouterr().out)
     assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "screen.png").exists()
-    assert result["startup_requests"] == 8 and result["startup_bytes"] > result["startup_table_bytes"] > 0
+    assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
     assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
 
 
@@ -97,7 +97,7 @@ def test_without_cameras_the_viewer_walks_through_the_region(capsys, tmp_path):
     status, out, _ = play(capsys, "--policy", "fixed:0", "--player.loops", 1, "--video", film, "--json")
     result = json.loads(out)
     assert status == 0 and film.exists()
-    assert result["viewer"]["ticks_outside"] == 0 and result["region"]["source"] == "cameras"
+    assert result["viewer"]["ticks_outside"] == 0 and result["region"]["source"] == "orbit"
 
 
 def test_defaults_are_those_of_the_settings():

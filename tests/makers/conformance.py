@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
 from airgs_codec.encoder.tables import add_sound
 from airgs_codec.media.sound import encode_sound
@@ -28,11 +27,10 @@ from airgs_codec.package.region import world_from
 from airgs_codec.package.tables import Place, Region
 from airgs_codec.places.place import Folder
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tests.makers.bare import encode_bare
 from tests.support.chirps import write_wav
 from tests.support.paths import VALID
 from tests.support.rooms import room_frames
-from tests.support.scenes import write_sequence
 
 SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
 
@@ -76,8 +74,7 @@ def main() -> None:
     """Write the packages anew."""
     shutil.rmtree(VALID, ignore_errors=True)
     for name, (sequence, settings) in PACKAGES.items():
-        with tempfile.TemporaryDirectory() as folder:
-            encode(open_sequence(write_sequence(Path(folder), sequence)), VALID / name, settings)
+        encode_bare(sequence, VALID / name, settings)
     write_live()
     write_sound()
 

@@ -9,21 +9,18 @@ from __future__ import annotations
 
 import json
 import shutil
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
+from tests.makers.bare import encode_bare
 from tests.support.digests import digests
 from tests.support.paths import FOX, GOLDEN
 from tests.support.rooms import room_frames
-from tests.support.scenes import write_sequence
 
 ROWS = 700  # Gaussians kept of the embedded scene
 
@@ -37,7 +34,7 @@ def main() -> None:
     fox = {frame: source.read(frame).take(rows) for frame in range(3, 8)}
     fine = StepSettings(grid=0.00007)
     coarse = EncodeSettings(
-        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)), keys=APART, keep_all=True
+        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)), keys=APART
     )
     cases = {
         "fox": ([fox[frame] for frame in range(3, 7)], coarse),
@@ -45,13 +42,11 @@ def main() -> None:
             [fox[frame] for frame in range(5, 8)],
             replace(coarse, levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
         ),
-        "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT)),
-        "tiles": (room_frames(ROWS // 2, 4, degree=1), replace(coarse, keys=KEPT, tiles=3)),
+        "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True)),
+        "tiles": (room_frames(ROWS // 2, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True, tiles=3)),
     }
     for name, (cut, settings) in cases.items():
-        with tempfile.TemporaryDirectory() as folder:
-            scene = write_sequence(Path(folder), cut, fps=24, keyframes=[0, 2])
-            encode(open_sequence(scene), GOLDEN / name, settings)
+        encode_bare(cut, GOLDEN / name, settings, fps=24, keyframes=[0, 2])
         table = json.dumps(digests(open_package(GOLDEN / name)), indent=1)
         (GOLDEN / f"{name}.json").write_text(table + "\n")
 

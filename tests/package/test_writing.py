@@ -28,7 +28,7 @@ def whole():
 def growing(whole, tmp_path):
     """A package with the first of them."""
     for name, data in read_files(PAGED).items():
-        if name.startswith(("key/", "state/", "init", "poster")):
+        if name.startswith(("key/", "state/", "init")):
             Folder(tmp_path).write(name, data)
     m = replace(whole, live=True, frames=whole.groups[0].stop, groups=Groups.of(whole.groups[:1]))
     write_tables(Folder(tmp_path), m, LiveClock(NOW, NOW))

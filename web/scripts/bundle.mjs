@@ -43,10 +43,10 @@ const shaders = {
 };
 
 const STARTED = `
-  const url = URL.createObjectURL(new Blob([code], { type: "text/javascript" }));
-  const worker = new Worker(url, { type: "module" });
-  URL.revokeObjectURL(url);
-  return worker;`;
+const url=URL.createObjectURL(new Blob([code],{type:"text/javascript"}));
+const worker=new Worker(url,{type:"module"});
+URL.revokeObjectURL(url);
+return worker;`;
 
 /** Bundles `entries` (name -> source file) into `folder` as NAME.js; each worker is a script of its own in them. */
 export async function bundle(entries, folder, options = {}) {
@@ -82,7 +82,7 @@ export async function bundleOnce(entry, file) {
   const define = { "import.meta.url": "address" };
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
   const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles, shaders] });
-  const { code } = await minify(made.outputFiles[0].text, { compress: { passes: 3 }, ecma: 2020 });
+  const { code } = await minify(made.outputFiles[0].text, { compress: { passes: 4, keep_fargs: false, unsafe_arrows: true }, ecma: 2022 });
   const names = await exportsOf(entry);
   await writeFile(
     file,

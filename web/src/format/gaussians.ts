@@ -46,7 +46,8 @@ export function canonicalGaussians(
   for (const { atlas, factor, kept, luma, bases } of canonical.parts) {
     const codes = readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
     const table = kept ? base! : group;
-    const coding = codingOf(root, table, keySteps(root, table, canonical.quality, factor), table.key_steps);
+    const steps = keySteps(root, table, canonical.quality).map((step) => step * factor);
+    const coding = codingOf(root, table, steps, table.key_steps);
     setKey(gaussians, first, kept ? codesOf(codes, atlas.rows, kept) : codes, coding);
     first += kept ? kept.length : atlas.rows;
   }
@@ -176,6 +177,6 @@ function expectFinite(gaussians: Gaussians, where: string): void {
   for (const [name, values] of Object.entries(gaussians) as [string, Float32Array][]) {
     let zero = 0;
     for (let i = 0; i < values.length; i++) zero += values[i]! * 0; // NaN where a value is not finite
-    if (zero !== 0) throw new FormatError("bad_value", where, `${name} decode to numbers that are not finite`);
+    if (zero !== 0) throw new FormatError("bad_value", where, `${name} decode to numbers not finite`);
   }
 }

@@ -177,7 +177,7 @@ export class GroupIndex {
   #stepTo(path: string): Step {
     const [level, number] = locate(path)!.numbers as [number, number];
     for (const step of this.#descend("groups", (number - 1) * PAGE ** level)) if (step[0].level === level) return step;
-    throw new RangeError(`${path}: there is no such page`);
+    throw new RangeError(`${path}: no such page`);
   }
 
   /** The blocks that lead to a group, frame or segment, and the places in them; the first is of the root. */

@@ -6,10 +6,10 @@ import type { Group, Root } from "./types.ts";
 /** C: r, g, b of SH DC and of each of the coefficients past it. */
 export const colourChannels = (shDegree: number) => 3 * (shDegree + 1) ** 2;
 
-/** (7 + C) value of a code of each key channel; `factor` is that of a tier. */
-export function keySteps(root: Root, group: Group, quality: number, factor: number): Float32Array {
+/** (7 + C) value of a code of each key channel, in a tier of factor 1. */
+export function keySteps(root: Root, group: Group, quality: number): Float32Array {
   const steps = KEY_CHANNELS.map((attribute) => group.key_steps[attribute]);
-  return scaled(steps, root, (root.qualities[quality]!.factor * factor) / root.key_gain);
+  return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 
 /** (10 + C) value of a code of each state channel; of a mean in motion units of its row. */

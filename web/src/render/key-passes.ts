@@ -17,11 +17,9 @@ export interface RowTextures {
   readonly layers: Texture;
 }
 
-/** What the key channels of a group count in: their steps at the factor of a tier, those of SH DC and SH rest, and the
- * colour transform.
- */
+/** What the key channels of a group count in: their steps, those of SH DC and SH rest, and the colour transform. */
 export interface KeyCoding {
-  steps(factor: number): Float32Array;
+  steps: Float32Array;
   tintSteps: [number, number];
   transform: Texture;
 }
@@ -79,7 +77,8 @@ export class KeyPasses {
       samples.upload();
       const rows = Math.min(kept ? kept.length : atlas.rows, into.rows - first);
       const coding = (kept && base) ?? own;
-      const codes = codeTable(atlas, coding.steps(factor), KEY_AT.colour);
+      const steps = coding.steps.map((step) => step * factor);
+      const codes = codeTable(atlas, steps, KEY_AT.colour);
       this.#parts.push({ samples, codes, coding, first, rows });
       for (let i = 0; i < rows; i++) picked[first + i] = kept ? kept[i] : i;
       first += rows;

@@ -75,7 +75,7 @@ export class Scene {
     writeRows(gl, this.places, interleave(canonical), 4);
     this.tintSteps = dcAndRest(group.state_steps, channels);
     const coding = (table: Group, transform: Texture) => ({
-      steps: (factor: number) => keySteps(root, table, canonical.quality, factor),
+      steps: keySteps(root, table, canonical.quality),
       tintSteps: dcAndRest(table.key_steps, channels),
       transform,
     });
