@@ -82,7 +82,10 @@ export async function bundleOnce(entry, file) {
   const define = { "import.meta.url": "address" };
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
   const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles, shaders] });
-  const { code } = await minify(made.outputFiles[0].text, { compress: { passes: 4, keep_fargs: false, unsafe_arrows: true }, ecma: 2022 });
+  const { code } = await minify(made.outputFiles[0].text, {
+    compress: { passes: 4, keep_fargs: false, unsafe_arrows: true },
+    ecma: 2022,
+  });
   const names = await exportsOf(entry);
   await writeFile(
     file,
