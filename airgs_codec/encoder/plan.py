@@ -29,7 +29,7 @@ from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 
 INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
-MOST_FACTOR = 3.0  # of a unit on key steps, times the least of any
+MOST_FACTOR = 3.0  # of a tier on key steps, times the least of any
 CODED_HERE = -1  # in place of a row of an earlier group
 
 
@@ -296,20 +296,21 @@ def lay_out(
         base_rows=np.full(len(rows), CODED_HERE),
         renderer=survey.renderer,
     )
-    return replace(layout, factors=unit_factors(layout.key_weights().sum(axis=0), layout.units, len(layout.factors)))
+    factors = tier_factors(layout.key_weights().sum(axis=0), layout.tier_of_rows, layout.tiers)
+    return replace(layout, factors=factors * layout.tiles)
 
 
-def unit_factors(weights: NDArray[np.float64], units: NDArray[np.integer], count: int) -> tuple[float, ...]:
-    """A factor on the key steps of each of `count` units, with which bytes are least at the error of no factors.
+def tier_factors(weights: NDArray[np.float64], tiers: NDArray[np.integer], count: int) -> tuple[float, ...]:
+    """A factor on the key steps of each of `count` tiers, with which bytes are least at the error of no factors.
 
     `weights` (N,) are the errors that a squared step makes in the rows. Where steps are small against values, bytes
-    fall with the logarithm of a factor and error grows with its square, so that all units should err alike: factor^2
-    is the mean weight of all rows over that of the unit (reverse water-filling; Cover and Thomas, Elements of
+    fall with the logarithm of a factor and error grows with its square, so that all tiers should err alike: factor^2
+    is the mean weight of all rows over that of the tier (reverse water-filling; Cover and Thomas, Elements of
     Information Theory, 10.3.3). No factor is more than MOST_FACTOR times another: what the given views hardly see may
     be seen from others, and coarse steps err by more than their square.
     """
-    rows = np.bincount(units, minlength=count)
-    sums = np.bincount(units, weights=weights, minlength=count)
+    rows = np.bincount(tiers, minlength=count)
+    sums = np.bincount(tiers, weights=weights, minlength=count)
     total = float(sums.sum())
     if total == 0:
         return (1.0,) * count

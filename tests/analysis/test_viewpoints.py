@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.analysis.viewpoints import AROUND, find_viewpoints
 from airgs_codec.errors import SceneError
 from airgs_codec.render import render
 from airgs_codec.scene.formats.ply import read_ply
@@ -23,13 +23,16 @@ def directions_of(found):
     return np.stack([camera.world_to_camera[2, :3] for camera in found.cameras])
 
 
-def test_an_object_is_seen_from_all_sides():
-    found = find_viewpoints([ball()])
-    assert found.confident and "object" in found.story
+def test_an_object_is_seen_from_all_around_and_neither_from_straight_above_nor_from_below():
+    found = find_viewpoints([ball()], np.array([0.0, 1.0, 0.0]))
+    assert found.confident and "-20° to 45° above the horizon" in found.story
     sides = -directions_of(found)
+    low, high = np.sin(AROUND)
+    assert low <= sides[:, 1].min() < 0 and 0.5 < sides[:, 1].max() <= high
     anywhere = np.random.default_rng(0).normal(size=(200, 3))
     anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
-    assert (anywhere @ sides.T).max(axis=1).min() > np.cos(np.radians(60))
+    there = anywhere[(anywhere[:, 1] > low) & (anywhere[:, 1] < high)]
+    assert (there @ sides.T).max(axis=1).min() > np.cos(np.radians(40))
 
 
 @pytest.mark.parametrize("up", [1, -1])

@@ -106,13 +106,17 @@ def test_fewer_tiers_are_those_of_every_tile(room):
 
 
 def test_tiles_do_not_change_what_is_shown_beyond_the_steps(room, tmp_path):
-    package, scene = room
-    encode(scene, tmp_path / "one", replace(SETTINGS, region=region(), tiles=1))
-    one = open_package(tmp_path / "one").manifest
-    for tiled, whole in zip(package.manifest.segments, one.segments, strict=True):
+    _, scene = room
+    found = []
+    for tiles in (1, TILES):  # of one tier: those have steps of their own
+        settings = replace(SETTINGS, region=region(), tiles=tiles, tiers=(1.0,))
+        encode(scene, tmp_path / f"{tiles}", settings)
+        found.append(open_package(tmp_path / f"{tiles}").manifest)
+    one, many = found
+    for tiled, whole in zip(many.segments, one.segments, strict=True):
         assert abs(tiled.levels[0].psnr[0] - whole.levels[0].psnr[0]) < 1.0
-    assert [group.count for group in one.groups] == [group.count for group in package.manifest.groups]
-    assert [group.static for group in one.groups] == [group.static for group in package.manifest.groups]
+    assert [group.count for group in one.groups] == [group.count for group in many.groups]
+    assert [group.static for group in one.groups] == [group.static for group in many.groups]
 
 
 def test_more_tiles_than_rows_leave_some_empty(tmp_path):
