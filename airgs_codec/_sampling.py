@@ -11,7 +11,7 @@ def evenly_spaced(count: int, most: int) -> list[int]:
     return picks
 
 
-GOLDEN = (5**0.5 - 1) / 2
+GOLDEN = (5**0.5 - 1) / 2  # turns by it spread evenly
 
 
 def middle_frames(start: int, stop: int, most: int, turn: int = 0) -> list[int]:
