@@ -229,7 +229,7 @@ def _quality_jobs(
         keeps = m.groups[group].keeps
         pictures = pictures_of(original.views, m, group, asked, segments)
         base = NOTHING if keeps is None else files[keeps - 1]
-        given = {"tables": tables, "pictures": Read(pictures, pictures), "files": files[group], "base_files": base}
+        given = {"tables": tables, "asked": Read(pictures, pictures), "files": files[group], "base_files": base}
         jobs.append(original.job(QUALITY, group, None, given))
     return jobs
 

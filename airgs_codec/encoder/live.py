@@ -87,7 +87,7 @@ class _Publisher:
         known |= {"sequence": sequence, "renderer": self.views.renderer, "tables": tables, "base_files": base}
 
         def ask(asked: Round) -> list[RoundErrors]:
-            return [QUALITY.do({**known, "pictures": pictures_of(self.views, m, number, asked, len(m.segments))})]
+            return [QUALITY.do({**known, "asked": pictures_of(self.views, m, number, asked, len(m.segments))})]
 
         return measure_groups(m, [number], self.views, self.rounds, ask).groups[0]
 

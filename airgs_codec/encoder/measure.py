@@ -11,7 +11,7 @@ import numpy as np
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.survey import Pictures, ViewPlan
-from airgs_codec.media.metrics import Difference, pool
+from airgs_codec.media.metrics import Difference, Quality, pool
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Group, Segment, SegmentLevel
@@ -19,7 +19,8 @@ from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, in_order
 from airgs_codec.scene.sequence import GaussianSequence
 
-OFF_LADDER = 5  # one picture in so many measures key qualities that are not those of a level
+LOWER = 2  # one picture of the first round in so many measures the rungs below the top one
+OFF_LADDER = 6  # one in so many measures key qualities that are not those of a level; a multiple of LOWER
 UNSURE = 0.05  # relative standard error of the top rung's mean squared error from which more pictures are measured
 ROUNDS = 12  # of pictures, at most
 
@@ -49,6 +50,14 @@ class Round:
     count: int  # pictures of a segment, at least
 
 
+@dataclass(frozen=True, slots=True)
+class AskedPictures:
+    """What a round measures in a group."""
+
+    pictures: list[Pictures]  # of each segment
+    lower: bool  # other rungs than the top one are measured, too
+
+
 Ask = Callable[[Round], Sequence[RoundErrors]]  # measures a round of some groups
 
 
@@ -56,12 +65,14 @@ def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds:
     """Tables of some groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
     PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
+    PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
     `rounds.count` pictures a segment, which `ask` measures; again and again in so many others, until the standard error
     of the top rung is at most UNSURE. Errors are heavy-tailed: a large Gaussian close to a view outweighs many others.
 
-    Key qualities that are not the level's own are measured in one of OFF_LADDER of the pictures. Their squared errors
-    are scaled by what the level's own error in all pictures is to its error in these (a ratio estimator; Cochran,
-    Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
+    Lower rungs are measured in one of LOWER pictures of the first round alone, key qualities that are not the level's
+    own in one of OFF_LADDER. Their squared errors are scaled by what the error of the top rung in all pictures, or of
+    the level's own quality, is to its error in these (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter
+    6), since a view that is hard for one rung is hard for all.
     """
     indices = [s for number in numbers for s in m.segments_of(number)]
     errors: dict[int, SegmentErrors] = {s: [[[] for _ in m.qualities] for _ in m.levels] for s in indices}
@@ -92,32 +103,44 @@ class Measured:
         return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
 
 
-def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> list[Pictures]:
+def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> AskedPictures:
     """Draw the pictures of a round for each segment of a group of a package, which has `total` segments in the end."""
     first = asked.number * total + m.segments_of(group).start
-    return [
+    pictures = [
         views.measure(first + place, segment.start, segment.stop, asked.count, asked.number)
         for place, segment in enumerate(m.groups[group].segments)
     ]
+    return AskedPictures(pictures, lower=asked.number == 0)
 
 
 def measure_round(
-    package: Package, sequence: GaussianSequence, renderer: Renderer, group: int, asked: Sequence[Pictures]
+    package: Package, sequence: GaussianSequence, renderer: Renderer, group: int, asked: AskedPictures
 ) -> RoundErrors:
-    """Render every rung of a group of a package beside the original; `asked` are the pictures of each segment."""
+    """Render the rungs of a group of a package beside the original; those that are not asked for have no errors."""
     m, found = package.manifest, []
     bases = [decode_canonical(package, group, quality) for quality in range(len(m.qualities))]
-    for index, pictures in zip(m.segments_of(group), asked, strict=True):
+    for index, pictures in zip(m.segments_of(group), asked.pictures, strict=True):
         originals = draw_ahead(_originals(sequence, pictures, renderer), pictures)
-        errors: SegmentErrors = []
-        for j, level in enumerate(m.levels):
-            errors.append([])
-            for quality, base in enumerate(bases):
-                looked_at = pictures if quality == level.quality else pictures[::OFF_LADDER]
-                shown = _rung(package, (index, j), base, looked_at, renderer)
-                errors[j].append(list(compare(originals, shown, looked_at, Difference.of)))
+        errors: SegmentErrors = [[[] for _ in m.qualities] for _ in m.levels]
+        for j, quality in itertools.product(range(len(m.levels)), range(len(bases))):
+            looked_at = pictures[:: _stride(m, j, quality)]
+            if asked.lower or _is_top(m, j, quality):
+                shown = _rung(package, (index, j), bases[quality], looked_at, renderer)
+                errors[j][quality] = list(compare(originals, shown, looked_at, Difference.of))
         found.append(errors)
     return found
+
+
+def _is_top(m: Manifest, level: int, quality: int) -> bool:
+    """Whether this is the rung that every picture measures."""
+    return level == 0 and quality == m.levels[0].quality
+
+
+def _stride(m: Manifest, level: int, quality: int) -> int:
+    """Of so many pictures of a round one measures a level in a key quality."""
+    if quality != m.levels[level].quality:
+        return OFF_LADDER
+    return 1 if level == 0 else LOWER
 
 
 def _standard_error(m: Manifest, errors: Mapping[int, SegmentErrors]) -> float:
@@ -132,8 +155,22 @@ def _standard_error(m: Manifest, errors: Mapping[int, SegmentErrors]) -> float:
 
 def _with_errors(m: Manifest, segment: Segment, errors: SegmentErrors, turn: int) -> Segment:
     """A segment with the quality that was measured, `turn` pictures at a time."""
-    levels = [_with_quality(m, j, errors[j], level, turn) for j, level in enumerate(segment.levels)]
+    top = errors[0][m.levels[0].quality]
+    levels = []
+    for j, level in enumerate(segment.levels):
+        own = m.levels[j].quality
+        first = errors[j][own][: -(-turn // _stride(m, j, own))]  # of the first round
+        scale = _ratio(top, top[:turn:LOWER]) if j else 1.0
+        others = scale * _ratio(errors[j][own], first[:: OFF_LADDER // _stride(m, j, own)])
+        row = [pool(of, scale if q == own else others) for q, of in enumerate(errors[j])]
+        levels.append(_with_quality(level, row))
     return replace(segment, levels=levels)
+
+
+def _ratio(everywhere: Sequence[Difference], some: Sequence[Difference]) -> float:
+    """What the mean squared error of all pictures is to that of some of them; 1 where these show no error."""
+    part = np.mean([picture.mse for picture in some])
+    return float(np.mean([picture.mse for picture in everywhere]) / part) if part else 1.0
 
 
 def _originals(sequence: GaussianSequence, pictures: Pictures, renderer: Renderer) -> Source:
@@ -165,15 +202,8 @@ def _fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
     return base.part(np.flatnonzero(np.repeat(there, counts)))
 
 
-def _with_quality(
-    m: Manifest, index: int, errors: Sequence[Sequence[Difference]], level: SegmentLevel, turn: int
-) -> SegmentLevel:
-    """An entry of level `index` with its quality at each key quality, measured `turn` pictures at a time."""
-    own = m.levels[index].quality
-    whole = [picture.mse for picture in errors[own]]
-    shared = [error for place, error in enumerate(whole) if place % turn % OFF_LADDER == 0]
-    scale = np.mean(whole) / np.mean(shared) if any(shared) else 1.0
-    row = [pool(of, 1.0 if q == own else float(scale)) for q, of in enumerate(errors)]
+def _with_quality(level: SegmentLevel, row: Sequence[Quality]) -> SegmentLevel:
+    """An entry of a level with its quality at each key quality."""
     return replace(
         level,
         psnr=[round(q.psnr, 2) for q in row],

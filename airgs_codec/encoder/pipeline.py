@@ -30,14 +30,14 @@ from airgs_codec.encoder.keys import (
     key_bytes,
     lay_out_reused,
 )
-from airgs_codec.encoder.measure import RoundErrors, measure_round
+from airgs_codec.encoder.measure import AskedPictures, RoundErrors, measure_round
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.sample import compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
-from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
+from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, survey_group
 from airgs_codec.encoder.tables import CodedGroup, finish_group
 from airgs_codec.jobs.job import Job, digest
 from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
@@ -153,18 +153,18 @@ def measure_files(
     original: GaussianSequence,
     renderer: Renderer,
     tables: tuple[Root, Sequence[Group]],
-    pictures: Sequence[Pictures],
+    asked: AskedPictures,
     own: GroupFiles,
     base: GroupFiles | None,
 ) -> RoundErrors:
     """Measure a round of pictures of a group, from its files and those of the group whose rows it reuses.
 
-    `tables`: those of the package; `pictures`: of each of its segments.
+    `tables`: those of the package.
     """
     files = {**own.files, **(base.files if base else {})}
     package = Package(Memory("encoded groups", files), manifest_of(*tables), 0)
     number = [table.start for table in tables[1]].index(own.table.start)
-    return measure_round(package, original, renderer, number, pictures)
+    return measure_round(package, original, renderer, number, asked)
 
 
 def draw_poster(sequence: GaussianSequence, frame: int, camera: Camera, renderer: Renderer) -> bytes:
@@ -226,9 +226,7 @@ BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "se
 KEY = Step("keys", code_key, ("sequence", "survey", "settings"), "key")
 REUSE = Step("reused rows", reuse_rows, ("key", "base", "settings", "fps"), "reused")
 STATES = Step("states", code_group, ("sequence", "coded", "base", "settings", "first_segment"), "files")
-QUALITY = Step(
-    "quality", measure_files, ("sequence", "renderer", "tables", "pictures", "files", "base_files"), "errors"
-)
+QUALITY = Step("quality", measure_files, ("sequence", "renderer", "tables", "asked", "files", "base_files"), "errors")
 POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
 STEPS = {step.makes: step for step in (LENGTHS, SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
 

@@ -50,6 +50,7 @@ PRESET = "fast"  # of x264, for trial encodes
 SHORTEST, LONGEST = 10, 240  # frames of a group
 PARTS = (1, 2, 3, 5, 8, 12, 24)  # of equal length that a run of frames is split into, tried
 PICTURES, PICTURE_PIXELS = 12, 60_000  # that tell which rows matter, and how large they are at most
+WORSE = 2  # lengths in turn that cost more than a longer one, after which shorter ones are not tried
 SEGMENTS = 2  # of a group, evenly spaced, whose states are coded
 SHARES = (0.0, 0.4, 0.75)  # of the updates withheld, tried
 BLOCKS = 40  # of rows that are coded
@@ -214,7 +215,7 @@ def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: Encod
     """The cost of each group length that was tried, best first; empty where there is nothing to choose.
 
     That is where keyframes are named, and in a scene shorter than two of the shortest groups. Lengths are tried about
-    the middle of the longest run of frames with one number of rows.
+    the middle of the longest run of frames with one number of rows, from the longest on, until WORSE in turn cost more.
     """
     if sequence.keyframes is not None:
         return []
@@ -225,8 +226,13 @@ def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: Encod
     if len(lengths) < 2:
         return []
     trial = _Trial.of(sequence, (start, stop), lengths, views, settings)
+    costs: list[LengthCost] = []
     with ThreadPoolExecutor(settings.threads) as pool:
-        return sorted(pool.map(trial.cost, lengths), key=lambda cost: cost.score)
+        for length in reversed(lengths):
+            costs.append(trial.cost(length, pool))
+            if min(cost.score for cost in costs) < min(cost.score for cost in costs[-WORSE:]):
+                break
+    return sorted(costs, key=lambda cost: cost.score)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,8 +266,8 @@ class _Trial:
         _, sensitivity = measure_views(ShownPictures(frames, pictures), views.renderer)
         return _Trial(run, frames, numbers, sensitivity, settings, sequence, views.trusted)
 
-    def cost(self, length: int) -> LengthCost:
-        """Estimate the cost of groups of so many frames."""
+    def cost(self, length: int, pool: ThreadPoolExecutor) -> LengthCost:
+        """Estimate the cost of groups of so many frames, with trial encodes on the threads of a pool."""
         window = _window(self.run, length)
         sample = self._sample(window)
         steps = self.settings.steps
@@ -274,7 +280,8 @@ class _Trial:
             coded = replace(sample, frames=shown, segment_frames=len(shown))
             states = coded.states(base, steps)
             scores, moving = rank_updates(states[1:], states[1:] - states[0], weights)
-            costs.append([coded.cost_without(states, steps, scores, moving, share) for share in SHARES])
+            shares = [pool.submit(coded.cost_without, states, steps, scores, moving, share) for share in SHARES]
+            costs.append([share.result() for share in shares])
         totals: list[list[float]] = np.mean(costs, axis=0).tolist()  # bytes and error for each share
         return min((LengthCost(length, key_bytes + b, e) for b, e in totals), key=lambda cost: cost.score)
 

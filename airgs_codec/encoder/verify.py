@@ -6,7 +6,7 @@ N rows of a group.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,7 +71,7 @@ def encode_verified(attempt: Attempt) -> Verified:
     """Encode and measure, again with other settings while a rung must be repaired.
 
     Rungs that a cheaper one beats are dropped; what a top rung leaves out or withholds is taken back where it made
-    more error than expected, and steps are made finer where nothing else explains a shortfall.
+    more error than expected. Where steps alone explain a shortfall, the rung is worth its bytes, and stays.
     """
     stories: list[str] = []
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
@@ -102,17 +102,22 @@ def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repai
     better = _find_better(quality, sizes)
     lower = [j for j in better if j > 0]
     if lower:
-        stories = [
-            f"L{j} dropped: L{better[j]} takes no more bytes and has {quality[better[j]]:.2f} dB "
-            f"against {quality[j]:.2f} dB"
-            for j in lower
-        ]
-        return Repair(_without(attempt.settings, lower), "; ".join(stories))
+        return _drop(attempt.settings, {j: better[j] for j in lower}, quality)
     beaten = 0 in better and quality[better[0]] > quality[0]
     promised = psnr(attempt.expected) if attempt.expected else (quality[better[0]] if beaten else 0.0)
     if quality[0] >= promised - SHORTFALL_DB and not beaten:
         return None
-    return _take_back(attempt, encoded, quality[0], max(promised, quality[0] + SHORTFALL_DB))
+    repair = _take_back(attempt, encoded, quality[0], max(promised, quality[0] + SHORTFALL_DB))
+    return _drop(attempt.settings, better, quality) if beaten and repair is None else repair
+
+
+def _drop(settings: EncodeSettings, better: Mapping[int, int], quality: Sequence[float]) -> Repair:
+    """Do without the levels that others beat, each by the one that `better` names."""
+    stories = [
+        f"L{j} dropped: L{k} takes no more bytes and has {quality[k]:.2f} dB against {quality[j]:.2f} dB"
+        for j, k in better.items()
+    ]
+    return Repair(_without(settings, list(better)), "; ".join(stories))
 
 
 def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, int]:
@@ -139,8 +144,8 @@ def _without(settings: EncodeSettings, beaten: Sequence[int]) -> EncodeSettings:
     return replace(settings, levels=tuple(levels), key_factors=tuple(settings.key_factors[q] for q in used))
 
 
-def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: float) -> Repair:
-    """Less left out, fewer updates withheld, or finer steps, whichever is to blame for a shortfall of the top rung."""
+def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: float) -> Repair | None:
+    """Less left out or fewer updates withheld, whichever is to blame for a shortfall of the top rung; None: neither."""
     settings = attempt.settings
     total, wanted = 10 ** (-measured / 10), 10 ** (-promised / 10)
     story = f"top rung {measured:.2f} dB where {promised:.2f} dB were expected"
@@ -157,8 +162,7 @@ def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: fl
         keep_all = settings.levels[0].pruned == 0  # nothing was withheld: rows held to be static are to blame
         fixed = replace(settings, levels=(top, *settings.levels[1:]), keep_all=settings.keep_all or keep_all)
         return Repair(fixed, f"{story}: updates withheld cost {psnr(held):.1f} dB, fewer are")
-    finer = settings.quality * (wanted / total) ** 0.5
-    return Repair(settings.at(finer), f"{story}: steps {settings.quality / finer:.2f} times finer")
+    return None
 
 
 def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder import measure
-from airgs_codec.encoder.measure import OFF_LADDER, ROUNDS, Rounds, measure_groups, measure_round, pictures_of
+from airgs_codec.encoder.measure import LOWER, OFF_LADDER, ROUNDS, Rounds, measure_groups, measure_round, pictures_of
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
@@ -49,20 +49,28 @@ def measured(small, monkeypatch, unsure):
     return errors, found.whole(package.manifest)
 
 
-def test_rungs_of_the_ladder_are_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):
-    """What is measured in few pictures is scaled by what the others say."""
+def test_the_top_rung_is_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):
+    """What is measured in few pictures is scaled by what the top rung, and the level's own quality, show in others."""
     errors, m = measured(small, monkeypatch, unsure=100.0)
-    few = -(-24 // OFF_LADDER)
-    assert all(len(of) == (24 if level == key else few) for (_, level, key), of in errors.items())
     assert m.views.measured == 24
+    check_scaled(errors, m, 24)
+
+
+def test_more_pictures_of_the_top_rung_are_measured_until_its_error_is_sure(small, monkeypatch):
+    errors, m = measured(small, monkeypatch, unsure=0.0)
+    assert m.views.measured == 24 * ROUNDS
+    check_scaled(errors, m, 24 * ROUNDS)
+
+
+def check_scaled(errors, m, pictures):
+    """Two levels in two key qualities, the first with so many pictures, 24 a round."""
+    few = -(-24 // OFF_LADDER)
+    counts = {(0, 0): pictures, (1, 1): 24 // LOWER, (0, 1): few, (1, 0): few}
     for (segment, level, key), of in errors.items():
-        own, table = errors[segment, level, level], m.segments[segment].levels[level]
-        scale = 1 if level == key else np.mean(own) / np.mean(own[::OFF_LADDER])
+        assert len(of) == counts[level, key]
+        top, own, table = errors[segment, 0, 0], errors[segment, level, level], m.segments[segment].levels[level]
+        scale = np.mean(top) / np.mean(top[:24:LOWER]) if level else 1
+        if key != level:
+            scale *= np.mean(own) / np.mean(own[:24:OFF_LADDER] if level == 0 else own[:: OFF_LADDER // LOWER])
         assert table.psnr[key] == round(psnr(scale * np.mean(of)), 2)
         assert table.worst[key] == round(psnr(scale * np.max(of)), 2)
-
-
-def test_more_pictures_are_measured_until_the_error_is_sure(small, monkeypatch):
-    errors, m = measured(small, monkeypatch, unsure=0.0)
-    assert {len(of) for of in errors.values()} == {24 * ROUNDS, -(-24 // OFF_LADDER) * ROUNDS}
-    assert m.views.measured == 24 * ROUNDS

@@ -28,7 +28,7 @@ SETTINGS = EncodeSettings(
     calibrate="steps", measure_pictures=1, decide_pictures=4, preset="ultrafast", group_frames=2, threads=1
 )
 GIVEN = {
-    "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "pictures",
+    "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "asked",
     "base_files", "frame", "camera",
 }  # fmt: skip
 
