@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from airgs_codec._settings import available_cores
+from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder.calibrate import Calibration
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import (
@@ -51,7 +52,7 @@ class Calibrated:
 
     prepared: PreparedSequence  # without the SH bands that it does not need
     settings: EncodeSettings  # nothing is left to calibrate
-    expected: float | None  # mean squared error of pictures of the top rung; None: nothing was promised
+    expected: ExpectedError | None  # of the top rung; None: nothing was promised
     decisions: tuple[str, ...]  # about SH bands
     cached: bool
 
@@ -68,7 +69,7 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     found, cached = work.cached(calibrating, user_cache("calibration"))
     calibration: Calibration = found
     bands, note = work.result(choosing)
-    expected = calibration.expected * settings.quality**2 if settings.calibrate == "ladder" else None
+    expected = calibration.expected.at(settings.quality) if settings.calibrate == "ladder" else None
     settings, notes = calibration.apply(settings), () if note is None else (note,)
     needed = replace(prepared, sequence=replace(prepared.sequence, max_sh_degree=bands)) if notes else prepared
     return Calibrated(needed, settings, expected, notes, cached)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import RowPruning, pooled_error
+from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_error
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import channel_weights
@@ -60,7 +60,7 @@ Slope = tuple[float, float]
 # steps grow alike, and with their square the price of a byte.
 LEVELS = ((1.0, 0), (1.6, 1), (2.5, 1), (3.8, 2), (5.8, 2))
 TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own key steps. More cost more positions than they save steps
-FACTORS = (0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.4, 3.5, 5.0, 8.0)  # on the steps, for which a share is chosen
+FACTORS = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
 
 
@@ -221,7 +221,7 @@ class Withholding:
     """The errors that withholding updates would make in pictures of a group."""
 
     score: NDArray[np.float64]  # (N,) of updates, the least one is withheld first
-    errors: tuple[float, ...]  # rendered, of withholding each of SHARES of the updates
+    errors: tuple[float, ...]  # rendered, of withholding each of SHARES of the updates, and those of static rows
 
     @staticmethod
     def of(subject: Subject) -> Withholding:
@@ -235,11 +235,11 @@ class Withholding:
         whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
 
         def error(share: int) -> float:
-            updated = (moving & (depths >= share)) | ~moving
+            updated = moving & (depths >= share)
             held = draw_frames(lambda i: mix_rows(frames[i], canonical, updated), renderer)
             return pooled_error(list(compare(whole, held, views, Picture.mse)))
 
-        return Withholding(score, (0.0, *(error(share) for share in range(1, len(SHARES)))))
+        return Withholding(score, tuple(error(share) for share in range(len(SHARES))))
 
     def sent(self, sample: CalibrationSample, share: float) -> NDArray[np.bool_]:
         """(n,) moving rows of a sample whose updates are not among the `share` withheld."""
@@ -254,34 +254,34 @@ def choose_shares(
     price: float,
     factors: Sequence[float],
     jobs: int,
-) -> tuple[Shares, float]:
+) -> tuple[Shares, ExpectedError]:
     """The cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
 
-    `price` is that of a byte a frame at factor 1, in squared error. Also gives the mean squared error that factor 1
-    is expected to make, but for rows that are left out. `jobs` trial encodes run at a time.
+    `price` is that of a byte a frame at factor 1, in squared error. Also gives the error that factor 1 is expected to
+    make, but for rows that are left out. `jobs` trial encodes run at a time.
     """
     states = sample.states(sample.code_key(steps, 1.0)[1], steps)
     still = sample.error(states[0][None], steps)
     if not sample.moving.any():
-        return (), float(still.sum())
+        return (), ExpectedError(steps=float(still.sum()))
     tried = sorted({1.0, *factors})
     sent = [withholding.sent(sample, share) for share in SHARES]
     with ThreadPoolExecutor(jobs) as pool:
         coded = dict(zip(tried, pool.map(lambda factor: sample.code_states(states, factor), tried), strict=True))
         whole, error = coded[1.0]
         if whole == 0:  # no channel has a plane
-            return (), float(sample.error(error, steps).sum())
+            return (), ExpectedError(steps=float(sample.error(error, steps).sum()))
         fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], sent)
         parts = [size / whole for size in fewer]
     shares: dict[float, float] = {}
-    expected, least = 0.0, 0.0
+    expected, least = ExpectedError(), 0.0
     for factor in sorted(coded):
         size, error = coded[factor]
         shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in sent]
         errors = [held + e for held, e in zip(withholding.errors, shown, strict=True)]
         costs = [e + factor**2 * price * part * size for e, part in zip(errors, parts, strict=True)]
         best = int(np.argmin(costs))
-        expected = errors[best] if factor == 1 else expected
+        expected = ExpectedError(held=withholding.errors[best], steps=shown[best]) if factor == 1 else expected
         least = max(least, SHARES[best])
         shares[factor] = least
     return tuple((factor, shares[factor]) for factor in sorted(factors)), expected
@@ -312,7 +312,7 @@ class Calibration:
     key_factors: tuple[float, ...]
     shares: Shares
     byte_price: float
-    expected: float  # mean squared error of pictures of the top rung
+    expected: ExpectedError  # of the top rung
 
     def apply(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
@@ -340,7 +340,7 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     steps, price = solve_steps(top, subject)
     shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
     if subject.layout.removal_error > 0:
-        expected += subject.pruning.within(steps.rows).error
+        expected = replace(expected, rows=subject.pruning.within(steps.rows).error)
     if not shares:
         return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected)
     levels = choose_levels(top, subject, steps, price)

@@ -29,7 +29,7 @@ from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-CHECKED = 8  # further ones, which show what leaving out would do
+CHECKED = 16  # further ones, which show what leaving out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
 SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many decide and measure
 LOOKED_AT = 3  # frames, where no camera is given

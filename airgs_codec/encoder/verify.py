@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
+from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, measure_quality
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
@@ -31,7 +32,7 @@ ATTEMPTS = 4  # encodes at most
 SHORTFALL_DB = 0.5  # of the top rung, that is not taken
 CHECKING = 2  # seed of the views that tell what failed: neither those that decided nor those that measure
 CHECKED = 8  # pictures that tell what failed
-BLAME = 0.2  # share of the error from which a part of it is to blame
+BLAME = 0.5  # share of what is more than was expected from which a part is to blame for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +43,7 @@ class Attempt:
     original: PreparedSequence  # with all SH bands
     settings: EncodeSettings  # nothing is left to calibrate
     work: Work
-    expected: float | None  # mean squared error of pictures of the top rung; None: any is taken
+    expected: ExpectedError | None  # of the top rung; None: any is taken
     rounds: Rounds  # of pictures that measure it; a count of 0: none do
     given: bool = False  # levels were asked for by hand: they stay as they are
 
@@ -104,10 +105,10 @@ def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repai
     if lower:
         return _drop(attempt.settings, {j: better[j] for j in lower}, quality)
     beaten = 0 in better and quality[better[0]] > quality[0]
-    promised = psnr(attempt.expected) if attempt.expected else (quality[better[0]] if beaten else 0.0)
-    if quality[0] >= promised - SHORTFALL_DB and not beaten:
+    expected = attempt.expected or ExpectedError(steps=_squared_error(quality[better[0]] if beaten else quality[0]))
+    if quality[0] >= psnr(expected.total) - SHORTFALL_DB and not beaten:
         return None
-    repair = _take_back(attempt, encoded, quality[0], max(promised, quality[0] + SHORTFALL_DB))
+    repair = _take_back(attempt, encoded, quality[0], expected)
     return _drop(attempt.settings, better, quality) if beaten and repair is None else repair
 
 
@@ -130,6 +131,11 @@ def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, in
     return found
 
 
+def _squared_error(decibels: float) -> float:
+    """The mean squared error of a PSNR."""
+    return 10 ** (-decibels / 10)
+
+
 def _rung_psnr(m: Manifest, level: int) -> float:
     pooled = pooled_quality(m, level, m.levels[level].quality)
     assert pooled is not None
@@ -144,22 +150,23 @@ def _without(settings: EncodeSettings, beaten: Sequence[int]) -> EncodeSettings:
     return replace(settings, levels=tuple(levels), key_factors=tuple(settings.key_factors[q] for q in used))
 
 
-def _take_back(attempt: Attempt, encoded: Encoded, measured: float, promised: float) -> Repair | None:
-    """Less left out or fewer updates withheld, whichever is to blame for a shortfall of the top rung; None: neither."""
-    settings = attempt.settings
-    total, wanted = 10 ** (-measured / 10), 10 ** (-promised / 10)
-    story = f"top rung {measured:.2f} dB where {promised:.2f} dB were expected"
+def _take_back(attempt: Attempt, encoded: Encoded, measured: float, expected: ExpectedError) -> Repair | None:
+    """Less left out or fewer updates withheld, whichever is to blame for a shortfall of the top rung; None: neither.
+
+    A part is to blame that makes more error than was expected of it, by BLAME of the error that all make beyond that.
+    """
+    settings, total = attempt.settings, _squared_error(measured)
+    story = f"top rung {measured:.2f} dB where {psnr(expected.total):.2f} dB were expected"
+    beyond = BLAME * (total - expected.total)
     rows, held = _part_errors(attempt, encoded)
-    if rows > BLAME * total and rows >= held:
-        steps = replace(settings.steps, rows=settings.steps.rows * (wanted / total) ** 0.5 / 2)
-        return Repair(
-            replace(settings, steps=steps), f"{story}: Gaussians left out cost {psnr(rows):.1f} dB, fewer are"
-        )
-    if held > BLAME * total:
-        top = replace(
-            settings.levels[0], pruned=settings.levels[0].pruned / 2 if settings.levels[0].pruned > 0.1 else 0.0
-        )
-        keep_all = settings.levels[0].pruned == 0  # nothing was withheld: rows held to be static are to blame
+    if rows - expected.rows > beyond and rows - expected.rows >= held - expected.held:
+        finer = settings.steps.rows * (expected.total / total) ** 0.5 / 2
+        fewer = replace(settings, steps=replace(settings.steps, rows=finer))
+        return Repair(fewer, f"{story}: Gaussians left out cost {psnr(rows):.1f} dB, fewer are")
+    if held - expected.held > beyond:
+        pruned = settings.levels[0].pruned
+        top = replace(settings.levels[0], pruned=pruned / 2 if pruned > 0.1 else 0.0)
+        keep_all = pruned == 0  # nothing was withheld: rows held to be static are to blame
         fixed = replace(settings, levels=(top, *settings.levels[1:]), keep_all=settings.keep_all or keep_all)
         return Repair(fixed, f"{story}: updates withheld cost {psnr(held):.1f} dB, fewer are")
     return None

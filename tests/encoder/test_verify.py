@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder import verify
 from airgs_codec.encoder.batch import Encoded, encode_sequence
 from airgs_codec.encoder.measure import Rounds
@@ -33,6 +34,7 @@ SETTINGS = EncodeSettings(
     threads=1,
     region=replace(region(place(0.0)), width=96, height=72),
 )
+EXPECTED = ExpectedError(1e-5, 1e-5, 8e-5)
 
 
 @pytest.fixture(scope="module")
@@ -85,18 +87,21 @@ def test_levels_that_were_asked_for_stay(attempt, encoded):
 
 
 def test_a_top_rung_within_half_a_decibel_of_its_promise_is_taken(attempt, encoded):
-    promised = replace(attempt, expected=10**-4.44)
+    promised = replace(attempt, expected=ExpectedError(steps=10**-4.44))
     assert find_repair(promised, encoded, measured(encoded, [44.0, 40.0, 36.0])) is None
 
 
-def blamed(attempt, encoded, monkeypatch, rows, held, expected=1e-4):
+def blamed(attempt, encoded, monkeypatch, rows, held):
     """The repair of a top rung of 37 dB where 40 were promised, of which these errors are known."""
     monkeypatch.setattr(verify, "_part_errors", lambda *_: (rows, held))
-    return find_repair(replace(attempt, expected=expected), encoded, measured(encoded, [37.0, 36.0, 35.0]))
+    return find_repair(replace(attempt, expected=EXPECTED), encoded, measured(encoded, [37.0, 36.0, 35.0]))
 
 
 def test_a_shortfall_that_steps_alone_explain_is_taken(attempt, encoded, monkeypatch):
-    assert blamed(attempt, encoded, monkeypatch, 0.0, 0.0) is None
+    """3 dB are twice the error that was expected; a part is to blame that makes half of what is more."""
+    assert blamed(attempt, encoded, monkeypatch, 5.9e-5, 5.9e-5) is None
+    assert blamed(attempt, encoded, monkeypatch, 6.1e-5, 5.9e-5).settings.steps.rows < SETTINGS.steps.rows
+    assert blamed(attempt, encoded, monkeypatch, 5.9e-5, 6.1e-5).settings.keep_all
 
 
 def test_a_top_rung_that_a_cheaper_one_beats_is_dropped_where_nothing_else_is_to_blame(attempt, encoded, monkeypatch):
@@ -140,7 +145,7 @@ def test_what_was_withheld_is_taken_back_until_a_promise_is_kept(attempt):
     reached = pooled_quality(whole.manifest, 0, 0).psnr
     assert whole.stories == ()
     fewer = replace(SETTINGS, levels=(replace(LEVELS[0], pruned=0.3), *LEVELS[1:]))
-    second = encode_verified(replace(attempt, settings=fewer, expected=10 ** (-reached / 10)))
+    second = encode_verified(replace(attempt, settings=fewer, expected=ExpectedError(steps=10 ** (-reached / 10))))
     quality = pooled_quality(second.manifest, 0, 0).psnr
     assert quality > reached - verify.SHORTFALL_DB
     assert 1 <= len(second.stories) < verify.ATTEMPTS and f"dB where {reached:.2f} dB" in second.stories[0]
