@@ -39,3 +39,16 @@ def test_encoding_and_comparing_take_both(tmp_path, capsys):
     airgs.compare(sequence, tmp_path / "a.airgs", progress=lambda *told: told_of.append(told))
     assert Bars.made and all(bar.n == bar.total for bar in Bars.made)
     assert told_of[-1] == ("comparing", 2, 2)
+
+
+def test_encoding_is_one_stage_that_ends_where_it_was_said_to(tmp_path):
+    told_of = []
+    sequence = airgs.Sequence.from_arrays(moving_frames(60, 4))
+    settings = airgs.EncodeSettings(
+        calibrate="none", measure_pictures=1, decide_pictures=2, preset="ultrafast", group_frames=2
+    )
+    airgs.encode(sequence, tmp_path / "a.airgs", settings, progress=lambda *words: told_of.append(words))
+    encoding = [words for words in told_of if words[0].startswith("encoding")]
+    assert {name for name, _, _ in encoding} >= {"encoding: states, 1 of 2", "encoding: quality, 2 of 2", "encoding"}
+    done, totals = zip(*[words[1:] for words in encoding], strict=True)
+    assert list(done) == sorted(done) and list(totals) == sorted(totals) and done[-1] == totals[-1]

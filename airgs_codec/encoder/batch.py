@@ -44,6 +44,44 @@ from airgs_codec.package.region import first_views
 from airgs_codec.package.tables import Group, file_entry
 from airgs_codec.places.place import Memory
 from airgs_codec.places.results import user_cache
+from airgs_codec.progress import Progress, name_of
+
+# Seconds that a job takes and more for each frame of its group, of scenes of ten thousand Gaussians: only their ratios
+# matter, which tell how much of the whole is done. Others take next to nothing.
+SECONDS = {
+    CALIBRATION.name: (5, 0),
+    SURVEY.name: (1, 0.01),
+    KEY.name: (2, 0),
+    STATES.name: (1, 0.05),
+    QUALITY.name: (1, 0.05),
+}
+
+
+class EncodeProgress:
+    """Progress of all of an encode: its stage is `encoding`, and after a colon what is being done."""
+
+    def __init__(self, progress: Progress, prepared: PreparedSequence, settings: EncodeSettings) -> None:
+        """What comes behind `prepared` is told to `progress`."""
+        frames, self._progress = len(prepared.sequence) / len(prepared), progress
+        self._units = {name: fixed + each * frames for name, (fixed, each) in SECONDS.items()}
+        self._total = sum(len(prepared) * unit for name, unit in self._units.items() if name != CALIBRATION.name)
+        if settings.calibrate != "none":
+            self._total += self._units[CALIBRATION.name]
+        self._done, self._now = 0.0, ("", 0)
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """`done` of `total` parts of a stage are finished; one that is taken again was not planned for."""
+        unit = self._units.get(name_of(stage), 0.0)
+        before = self._now[1] if self._now[0] == stage and self._now[1] <= done else 0
+        self._now = stage, done
+        self._done += unit * (done - before)
+        self._total = max(self._total, self._done + unit * (total - done))
+        told = f"encoding: {stage}" if total == 1 else f"encoding: {stage}, {done} of {total}"
+        self._progress(told, round(self._done), round(self._total))
+
+    def end(self) -> None:
+        """Say that all is done."""
+        self._progress("encoding", round(self._total), round(self._total))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +105,7 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     calibrating = prepared.job(CALIBRATION, subject, once)
     choosing = prepared.job(BANDS, subject, settings, {"calibration": made_by(calibrating)})
     found, cached = work.cached(calibrating, user_cache("calibration"))
+    work.progress("calibration", 1, 1)
     calibration: Calibration = found
     bands, note = work.result(choosing)
     expected = calibration.expected.at(settings.quality) if settings.calibrate == "ladder" else None

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
-from airgs_codec.encoder.batch import calibrate_sequence
+from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
@@ -186,6 +186,8 @@ def _encode_rows(
     with closing(held):
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
         original = prepare(ordered, settings, work, beside.attribution, tracked.views)
+        whole = EncodeProgress(work.progress, original, settings)
+        work = replace(work, progress=whole)
         work.run([original.job(SURVEY, group) for group in original.windows[0]])
         survey_s = watch.lap()
         found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
@@ -195,6 +197,7 @@ def _encode_rows(
             attempt = search_quality(attempt, goal)
         search_s = watch.lap()
         verified = encode_verified(attempt)
+        whole.end()
     decisions = [*tracked.notes, *verified.manifest.decisions, *found.decisions, *verified.stories]
     manifest = replace(verified.manifest, decisions=decisions)
     seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
