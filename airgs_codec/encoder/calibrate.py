@@ -58,7 +58,7 @@ STEPS = {
 Slope = tuple[float, float]
 # Of each level: the factor on every step, its key quality. A rung costs what a package with only that rung would: all
 # steps grow alike, and with their square the price of a byte.
-LEVELS = ((1.0, 0), (1.6, 1), (2.5, 1), (3.8, 2), (5.8, 2))
+LEVELS = ((1.0, 0), (1.8, 1), (3.2, 1), (5.8, 2))
 TIERS = (0.6, 0.25, 0.15)  # of the rows: each has its own key steps. More cost more positions than they save steps
 FACTORS = (0.2, 0.5, 1.0, 2.0, 4.0, 8.0)  # on the steps, for which a share is chosen
 SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withholds, tried
