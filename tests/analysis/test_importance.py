@@ -118,6 +118,9 @@ def test_things_go_as_long_as_they_pay():
     # guesses that are too low: fewer are left out
     assert select_omissions(sizes, np.zeros(3), error, 1.0)[0].tolist() == [True, False, False]
     assert select_omissions(sizes, np.zeros(3), lambda chosen: 1e9, 1.0)[0].tolist() == [False] * 3
+    # at half of what their bytes are worth, and no dearer
+    assert select_omissions(sizes, np.zeros(3), lambda chosen: 4.9 * chosen.sum(), 1.0)[0].tolist() == [True] * 3
+    assert select_omissions(sizes, np.zeros(3), lambda chosen: 5.1 * chosen.sum(), 1.0)[0].tolist() == [False] * 3
 
 
 def test_guessed_bytes_are_the_entropy():

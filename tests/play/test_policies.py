@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc, discounted_throughput
+from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, Model, choose_robust_mpc, discounted_throughput
 from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
 from airgs_codec.play.policies.paper import (
@@ -158,6 +158,21 @@ def test_mpc_chooses_as_brute_force_does(buffer_s, rate):
     """Its grid rounds what a second of waiting costs between two of its points, 10 s / 79 apart, no more."""
     s = state(rate, buffer_s, end=4, shown=36.0)
     assert best_total(s, rate, 4, choose_robust_mpc(s).index) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
+
+
+def test_a_step_of_mpc_weighs_quality_stalls_changes_and_the_reserve():
+    """Two rungs of 1 s, at 1000 B/s 2 s and 0.5 s to fetch, of 40 and 36 dB, after either of two; nothing follows."""
+    grid_s = np.array([0.0, 1.0, 2.5, RESERVE_S + 3])
+    sizes, quality, before = np.array([[2000, 500]]), np.array([40.0, 36.0]), np.array([40.0, 30.0])
+    found = Model(8e3, 0.0, grid_s[-1], grid_s).value_before(sizes, quality, before, 1.0, np.zeros((2, 80)))
+
+    def total(took_s, shown, before_it, buffer_s):
+        left_s = min(max(buffer_s - took_s, 0) + 1, grid_s[-1])
+        waited = STALL_DB * max(took_s - buffer_s, 0) + LOW_BUFFER_DB * max(RESERVE_S - left_s, 0)
+        return shown - waited - SWITCH_DB * abs(shown - before_it)
+
+    expected = [[max(total(2, 40, b, g), total(0.5, 36, b, g)) for g in grid_s] for b in before]
+    np.testing.assert_allclose(found, expected)
 
 
 def test_the_oracles_know_the_trace():

@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,22 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Replaced, Request, Shown, SimulatedDownloader
+from airgs_codec.play.downloader import (
+    Arrival,
+    Arrived,
+    BatchKind,
+    Partial,
+    Replaced,
+    Request,
+    Shown,
+    SimulatedDownloader,
+)
+from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
-from airgs_codec.play.policies.state import Policy
+from airgs_codec.play.policies.state import STALL_DB, Policy
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
@@ -93,6 +104,7 @@ def test_half_the_rate_stalls_and_the_frozen_picture_counts():
     assert len(ticks) == 23  # 20 frames, 0.28 s of waiting at 10 fps
     assert ticks[10:13] == [(0, 9)] * 3
     assert log.metrics.stall_ratio == pytest.approx(0.28 / 2.28)
+    assert log.metrics.qoe == pytest.approx((2 * 40 - STALL_DB * 0.28) / 2)
 
 
 def test_headers_round_trips_and_decoding_cost_time():
@@ -216,6 +228,14 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
     assert better.metrics.wasted > 0 == kept.metrics.wasted
 
 
+@pytest.mark.parametrize("rtt", [0.3, 0.6, 0.9])
+@pytest.mark.parametrize("rate", [4e4, 6e4, 1e5])
+def test_a_replacement_that_a_round_trip_makes_late_is_not_asked_for(rate, rtt):
+    options = {"policy": "paper-no-cliff", "buffer_s": 3.0, "loops": 8, "replace": True}
+    log = play(tiny_manifest(), link([2e4, rate], [0, 3], 1000, rtt=rtt), **options)
+    assert all(f.arrival_s <= log.shown[f.position].start_s for f in log.fetches if f.kind is BatchKind.REPLACEMENT)
+
+
 def test_a_better_key_serves_the_rest_of_its_group():
     """Six segments in one group; the first comes with the coarse key, a later one brings the fine one."""
     m = segmented(tiny_manifest(groups=(60,)), 6)
@@ -236,6 +256,17 @@ def test_a_download_that_would_come_too_late_is_given_up():
     assert waited[1] < waited[0]
     given_up = next(f for f in hasty.fetches if f.abandoned)
     assert given_up.arrival_s - given_up.request_s >= 0.5 and 0 < given_up.wasted <= given_up.bytes
+
+
+@pytest.mark.parametrize(("left", "given_up"), [(1400, False), (1600, True)])
+def test_a_download_is_given_up_where_the_smallest_one_would_come_sooner(left, given_up):
+    """500 B at 1000 B/s after a round trip of 1 s: 1.5 s, with a deadline that neither meets."""
+    player = SimpleNamespace(
+        settings=rules(abandon=True), policy=Policy("any", None), connection=SimpleNamespace(rtt_s=1.0), now_s=10.0
+    )
+    too_late = Fetcher.give_up(player, 10.5, 6000, 500)
+    assert too_late(Partial(12.0, 2.0, 2000, 2000 + left)) is given_up
+    assert not too_late(Partial(8.0, 2.0, 2000, 2000 + left))  # in time
 
 
 def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
@@ -390,6 +421,10 @@ def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, bu
     ends = [s.start_s + s.frames / 10 for s in a.shown]
     for end, later in zip(ends, a.shown[1:], strict=False):
         assert later.stall_s >= 0 and later.start_s == pytest.approx(end + later.stall_s)
+    quality = np.array([s.psnr for s in a.shown if s.psnr is not None])
+    if len(quality):
+        lost = np.abs(np.diff(quality)).sum() + STALL_DB * a.metrics.stall_s
+        assert a.metrics.qoe == pytest.approx((quality.sum() - lost) / len(quality))
     assert sum(a.bytes_by_kind.values()) <= a.metrics.wire_bytes
     assert all(0 <= f.wasted <= f.bytes for f in a.fetches)
     used = over.bytes_between(0.0, a.fetches[-1].arrival_s)

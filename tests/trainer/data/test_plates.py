@@ -81,6 +81,19 @@ def shadow(t, picture):
     picture -= 8 * np.exp(-(((x - 4 * t) / 6) ** 2))[None, :, None]
 
 
+def checks(t, picture):
+    """A pattern whose mean is that of the wall, in the last frame alone."""
+    if t == 11:
+        y, x = np.mgrid[:16, :16]
+        picture[16:32, 16:32] += np.where((x + y) % 2, 25.0, -25.0)[..., None]
+
+
+def test_texture_that_moves_is_not_taken_for_noise():
+    _, noisy = filmed(12, checks)
+    settled = settled_one(seen(noisy[11]), plate_of(noisy))
+    assert settled.moving[16:32, 16:32].all() and settled.moving.mean() < 0.4
+
+
 def test_a_soft_shadow_is_not_flattened():
     clean, noisy = filmed(12, shadow)
     plate = plate_of(noisy)
