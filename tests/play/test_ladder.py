@@ -24,28 +24,32 @@ def kept(*qualities: float, **options: float) -> list[int]:
 
 
 @pytest.mark.parametrize(
-    ("case", "levels", "expected"),
+    ("case", "qualities", "expected"),
     [
         # a level that costs less and is no worse replaces the one above it, so a drop of 0 cannot come up
-        ("1: the first drop is 0", kept(40, 40, 39.9, 36), [1, 2]),
-        ("2: a plateau, then a drop", kept(40, 39, 39, 38, 30), [0, 2, 3]),
-        ("3: a first drop of 0.001 dB is no yardstick", kept(40, 39.999, 39.9, 39.8), [0, 1, 2, 3]),
-        ("4: quality rises when pruning", kept(38, 40, 39, 38), [1, 2, 3]),
-        ("5: the mean of the earlier drops, not the last one", kept(40, 39, 37.2, 34, 28), [0, 1, 2]),
-        ("5: a slow slide ends at the floor", kept(34, 32, 30, 28, 26, min_quality=29.0), [0, 1, 2]),
-        ("6: a cliff at the first level", kept(40, 36, 35), [0]),
-        ("6: no cliff there", kept(40, 38, 36), [0, 1, 2]),
-        ("6: a first drop of just the cliff is none", kept(40, 37), [0, 1]),
-        ("3: after tiny drops, half a dB is the least cliff", kept(40, 39.9, 39.45), [0, 1, 2]),
-        ("3: and more than that is one", kept(40, 39.9, 39.35), [0, 1]),
-        ("10: one level", kept(40), [0]),
-        ("11: infinite quality counts as the cap", kept(math.inf, 99, 98), [0, 1, 2]),
-        ("16: level 0 has no privilege", kept(30, 35), [1]),
+        ("1: the first drop is 0", (40, 40, 39.9, 36), [1, 2]),
+        ("2: a plateau, then a drop", (40, 39, 39, 38, 30), [0, 2, 3]),
+        ("3: a first drop of 0.001 dB is no yardstick", (40, 39.999, 39.9, 39.8), [0, 1, 2, 3]),
+        ("4: quality rises when pruning", (38, 40, 39, 38), [1, 2, 3]),
+        ("5: the mean of the earlier drops, not the last one", (40, 39, 37.2, 34, 28), [0, 1, 2]),
+        ("6: a cliff at the first level", (40, 36, 35), [0]),
+        ("6: no cliff there", (40, 38, 36), [0, 1, 2]),
+        ("6: a first drop of just the cliff is none", (40, 37), [0, 1]),
+        ("3: after tiny drops, half a dB is the least cliff", (40, 39.9, 39.45), [0, 1, 2]),
+        ("3: and more than that is one", (40, 39.9, 39.35), [0, 1]),
+        ("10: one level", (40,), [0]),
+        ("11: infinite quality counts as the cap", (math.inf, 99, 98), [0, 1, 2]),
+        ("16: level 0 has no privilege", (30, 35), [1]),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_undefined_cases_of_the_ladder(case, levels, expected):
-    assert levels == expected
+def test_undefined_cases_of_the_ladder(case, qualities, expected):
+    assert kept(*qualities) == expected
+
+
+@pytest.mark.parametrize(("floor", "expected"), [(29.0, [0, 1, 2]), (30.0, [0, 1, 2]), (30.5, [0, 1])])
+def test_a_slow_slide_ends_at_the_floor_5(floor, expected):
+    assert kept(34, 32, 30, 28, 26, min_quality=floor) == expected
 
 
 def test_sizes_that_do_not_fall_9():
