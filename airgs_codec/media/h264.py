@@ -25,18 +25,15 @@ DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
 KEY_QP = 14  # a step of 3.17 luma levels
 STATE_QP = 20  # a step of 6.35 luma levels
-# x264 codes IDR pictures finer and B-pictures coarser than the constant QP by these ratios of steps.
-# A key unit is one IDR, so its ratio is 1; a state segment's IDR is what its other pictures predict from.
-KEY_IP_RATIO = 1.0
-STATE_IP_RATIO = 1.2
-STATE_PB_RATIO = 1.3
+STATE_PB_RATIO = 1.3  # of the steps of B-pictures, to those of others: most are predicted from by none
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 # Decoders and screens that take full-range pictures for limited ones clip what is outside: no decoded luma is.
 DARKEST, BRIGHTEST = 16, 235
 _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 14496-10, table A-1):
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
-_MOST_REFERENCES = 16  # that any preset asks for
+_MOST_REFERENCES = 4  # more take time and save no bytes
+_MOST_BETWEEN = 3  # B-pictures in a row: motion is even, whatever a lookahead at half the resolution sees in planes
 _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
@@ -83,7 +80,6 @@ class CodecSettings:
     """What x264 is told."""
 
     qp: int
-    ip_ratio: float
     pb_ratio: float
     preset: str = DEFAULT_PRESET
     stills: bool = False  # every GOP is one picture: nothing is referred to, nothing reordered
@@ -92,34 +88,39 @@ class CodecSettings:
         """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: `ClosedGop`s decide the IDRs.
 
         Deblocking off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
+        Nothing moves across a plane, so that a wide search for motion finds chance. States of the fox took 5 % fewer
+        bytes at equal error with these searches, references and B-pictures than with the preset's.
         x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that, the
         `size` (width, height) and the `rate`. Where it would come to more than 5.1 it is told 5.1, which leaves as many
         reference pictures as that allows.
         """
         params = (
             f"keyint=infinite:scenecut=0:open-gop=0:aq-mode=0:psy=0:mbtree=0:rc-lookahead=0:sync-lookahead=0:"
-            f"no-deblock=1:ipratio={self.ip_ratio}:pbratio={self.pb_ratio}:fullrange=on:threads=1"
+            f"no-deblock=1:ipratio=1:pbratio={self.pb_ratio}:fullrange=on:threads=1:b-adapt=0:me=dia:merange=4"
         )
         options = {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
-        if self.stills:
-            options |= {"refs": "1", "bf": "0"}
+        options |= {"refs": str(self._references), "bf": "0" if self.stills else str(_MOST_BETWEEN)}
         return options if self._suits_level(size, rate) else options | {"level": _LEVEL}
+
+    @property
+    def _references(self) -> int:
+        return 1 if self.stills else _MOST_REFERENCES
 
     def _suits_level(self, size: tuple[int, int], rate: Fraction) -> bool:
         """Whether x264 derives no higher level than 5.1, whatever the preset."""
         macroblocks = -(-size[0] // 16) * -(-size[1] // 16)
-        held = macroblocks * (1 if self.stills else _MOST_REFERENCES)
+        held = macroblocks * self._references
         return held <= _LEVEL_BUFFER and macroblocks * rate <= _LEVEL_RATE
 
 
 def key_codec(preset: str) -> CodecSettings:
     """The settings of key pictures at an x264 preset."""
-    return CodecSettings(KEY_QP, KEY_IP_RATIO, 1.0, preset, stills=True)
+    return CodecSettings(KEY_QP, 1.0, preset, stills=True)
 
 
 def state_codec(preset: str) -> CodecSettings:
     """The settings of state pictures at an x264 preset."""
-    return CodecSettings(STATE_QP, STATE_IP_RATIO, STATE_PB_RATIO, preset)
+    return CodecSettings(STATE_QP, STATE_PB_RATIO, preset)
 
 
 def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> CodedGop:

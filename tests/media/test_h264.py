@@ -37,7 +37,7 @@ def pictures(count, seed=0, width=96, height=64):
 @pytest.mark.parametrize("preset", ["ultrafast", "veryslow"])
 def test_every_closed_gop_decodes_alone_and_completely(preset):
     gops = [pictures(12), pictures(7, 1), pictures(1, 2)]
-    codec = CodecSettings(STATE_QP, 1.4, 1.3, preset)
+    codec = CodecSettings(STATE_QP, 1.3, preset)
     for gop in gops:
         coded = encode_gop(ClosedGop(gop, 12000, 1000), SIZE, Fraction(24), codec)
         decoded = list(coded.pictures("x"))
@@ -49,12 +49,12 @@ def test_every_closed_gop_decodes_alone_and_completely(preset):
 
 
 def test_the_stream_carries_no_encoder_banner():
-    coded = encode_gop(ClosedGop(pictures(2), 0, 1), SIZE, Fraction(24), CodecSettings(KEY_QP, 1.0, 1.0))
+    coded = encode_gop(ClosedGop(pictures(2), 0, 1), SIZE, Fraction(24), CodecSettings(KEY_QP, 1.0))
     assert b"x264" not in coded.fragment
 
 
 def test_broken_bytes_are_refused():
-    coded = encode_gop(ClosedGop(pictures(3), 0, 1), SIZE, Fraction(24), CodecSettings(KEY_QP, 1.0, 1.0))
+    coded = encode_gop(ClosedGop(pictures(3), 0, 1), SIZE, Fraction(24), CodecSettings(KEY_QP, 1.0))
     with pytest.raises(FormatError) as caught:
         open_segment(b"moof?", "x")
     assert caught.value.reason == "bad_picture"
@@ -90,7 +90,7 @@ def test_no_flipped_bit_changes_a_picture(codec):
 
 
 def test_a_stream_that_decodes_to_something_else_is_not_published():
-    codec = CodecSettings(STATE_QP, 1.2, 1.3, "veryfast")
+    codec = CodecSettings(STATE_QP, 1.3, "veryfast")
     right, wrong = pictures(4), pictures(4, 5)
     coded = encode_gop(ClosedGop(right, 0, 1), SIZE, Fraction(24), codec)
     check_gop(coded, ClosedGop(right, 0, 1), codec)

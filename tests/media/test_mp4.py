@@ -23,7 +23,7 @@ from airgs_codec.media.mp4 import (
 @pytest.fixture(scope="module")
 def gops():
     pictures = [np.full((64, 64), level, np.uint8) for level in (90, 100, 110)]
-    codec = CodecSettings(20, 1.2, 1.3, "ultrafast")
+    codec = CodecSettings(20, 1.3, "ultrafast")
     closed = (ClosedGop(pictures, 0, 1), ClosedGop(pictures[:1], 3, 1))
     return [encode_gop(gop, (64, 64), Fraction(24), codec) for gop in closed]
 
