@@ -1,18 +1,21 @@
 """What follows from how much pictures depend on rows: motion classes, and what errors in channels cost.
 
 The displacement of a row is sent the finer, the more pictures depend on it: a row of class c has the motion unit 2^c
-world units. N rows, T frames, C colour channels.
+world units. Rows that move together have one class: neighbours then have alike samples, which video codecs code well.
+N rows, T frames, C colour channels.
 """
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.package.layout import COLOUR, STATE
-from airgs_codec.package.tables import LEAST_CLASS, MOST_CLASS, STATE_ATTRIBUTES, StateSteps
+from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, STATE_ATTRIBUTES, StateSteps
 from airgs_codec.scene.gaussians import Gaussians
 
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
@@ -38,6 +41,49 @@ def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians) -> NDArray[n
     if not len(seen):  # nothing is visible: every row counts alike
         return np.full(len(g), round(math.log2(_median_size(g))), np.int16)
     return motion_classes(sensitivity, FLOOR * float(np.median(seen)))
+
+
+def share_class(
+    classes: NDArray[np.int16],
+    sensitivity: NDArray[np.float64],
+    displacements: Iterable[NDArray[np.floating]],
+    step: float,
+) -> NDArray[np.int16]:
+    """(N,) motion classes, or one for all rows where their displacements take fewer bits with it.
+
+    `classes` and `sensitivity` (N,) are those of rows in file order, `displacements` (3, N) of some frames, in world
+    units, `step` that of means. With one class equal steps err about as much in pictures.
+    """
+    total = float(sensitivity.sum())
+    if total == 0:
+        return classes
+    units = motion_units(classes).astype(np.float64)
+    shared = math.sqrt(float(sensitivity @ np.square(units)) / total)
+    apart, together = 0.0, 0.0
+    for moved in displacements:
+        apart += _transform_bits(moved / (step * units))
+        together += _transform_bits(moved / (step * shared))
+    return np.full_like(classes, round(math.log2(shared))) if together < apart else classes
+
+
+def _transform_bits(samples: NDArray[np.floating]) -> float:
+    """About the bits that samples (c, N), in steps, of rows in file order take in an atlas.
+
+    The Walsh-Hadamard transform of a block of rows is also that of their places in it. A coefficient x takes
+    log2(1 + x^2) / 2 bits: the rate of a Gaussian source (Cover and Thomas, Elements of Information Theory, 10.3.2).
+    """
+    rows = BLOCK * BLOCK
+    blocks = np.pad(samples, ((0, 0), (0, -samples.shape[1] % rows))).reshape(-1, rows)
+    return float(np.log2(1 + np.square(blocks @ _hadamard(rows))).sum()) / 2
+
+
+@functools.cache
+def _hadamard(order: int) -> NDArray[np.float64]:
+    """The orthonormal Hadamard matrix of an order that is a power of 2."""
+    matrix = np.ones((1, 1))
+    while len(matrix) < order:
+        matrix = np.block([[matrix, matrix], [matrix, -matrix]]) / math.sqrt(2)
+    return matrix
 
 
 def _median_size(g: Gaussians) -> float:

@@ -14,11 +14,12 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._sampling import middle_frames
 from airgs_codec.analysis.importance import RowPruning, WrittenRows
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity
 from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
 from airgs_codec.coding.grid import fit_grid, grid_codes
-from airgs_codec.coding.motion import channel_weights, classify_motion, withheld_error
+from airgs_codec.coding.motion import channel_weights, classify_motion, share_class, withheld_error
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Survey
@@ -30,6 +31,7 @@ from airgs_codec.scene.gaussians import Gaussians, mean_frame
 
 INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
 MOST_FACTOR = 3.0  # of a tier on key steps, times the least of any
+MOTION_FRAMES = 4  # that tell whether rows move together
 CODED_HERE = -1  # in place of a row of an earlier group
 
 
@@ -262,13 +264,18 @@ def lay_out(
     """Order, units, steps and transforms of a group: `loaded` are its frames, of which some rows are `written`."""
     steps = settings.steps.scaled(settings.quality)
     canonical = mean_frame(loaded.frames).take(written.rows)
-    classes = classify_motion(survey.sensitivity.take(written.rows).means, canonical)
-    grid = fit_grid(canonical.means, classes, steps.grid)
-    codes = grid_codes(canonical.means, classes, grid)
     score = survey.score(settings.usage)
     moved = survey.usage.moved if settings.usage == "max" else None  # it is a product of that measure alone
     tiles = assign_tiles(canonical.means, settings.tiles).astype(np.uint16)
     units = tiles * len(settings.tiers) + assign_tiers(score[written.rows], settings.tiers)
+    sensitivity = survey.sensitivity.take(written.rows).means
+    classes = classify_motion(sensitivity, canonical)
+    order = np.lexsort((grid_codes(canonical.means, classes, fit_grid(canonical.means, classes, steps.grid)), units))
+    moving = (loaded.frames[t].means[written.rows] for t in middle_frames(0, len(loaded.frames), MOTION_FRAMES))
+    changes = ((means - canonical.means)[order].T for means in moving)
+    classes[order] = share_class(classes[order], sensitivity[order], changes, steps.state.means)
+    grid = fit_grid(canonical.means, classes, steps.grid)
+    codes = grid_codes(canonical.means, classes, grid)
     order = np.lexsort((codes, units))
     rows = written.rows[order]
     transform = colour_transform(canonical.take(order), steps.key)
