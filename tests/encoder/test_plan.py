@@ -6,11 +6,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
+from airgs_codec.coding.grid import fit_grid, grid_codes
+from airgs_codec.coding.motion import motion_classes, motion_units, share_class
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.encoder.plan import assign_depths, assign_tiers
 from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.sample import LengthCost, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.inspect.validate import validate
+from airgs_codec.media.h264 import state_codec
 from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import STATIC
 from airgs_codec.scene.sequence import open_sequence
@@ -37,6 +41,31 @@ def test_levels_are_nested_and_withhold_their_share_of_the_lowest_scores(score, 
         assert kept.sum() == round((1 - share) * moving.sum())
         if kept.any() and (moving & ~kept).any():
             assert score[kept].min() >= score[moving & ~kept].max()
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(together):
+    """They do where they turn as one body; where each moves on its own, the fine ones pay for the others."""
+    rng = np.random.default_rng(3)
+    sensitivity = 4.0 ** rng.integers(-4, 5, 4096)
+    classes = motion_classes(sensitivity, 1e-9)
+    means = rng.normal(size=(4096, 3)).astype(np.float32)
+    means = means[np.argsort(grid_codes(means, np.zeros_like(classes), fit_grid(means, np.zeros_like(classes), 1e-3)))]
+    turn = np.cross([0.1, 0.2, 1.0], means + [3, 0, 0]) if together else rng.normal(size=means.shape)
+    moved = np.array([3 * np.sin(0.2 + 0.3 * t) * turn.T for t in range(8)])
+    chosen = share_class(classes, sensitivity, moved, 1.0)
+    assert len(np.unique(chosen)) == (1 if together else len(np.unique(classes)))
+
+    units = motion_units(classes).astype(np.float64)
+    shared = np.sqrt(np.mean(sensitivity * units**2) / np.mean(sensitivity))
+    assert not together or abs(chosen[0] - np.log2(shared)) <= 0.5
+    codec = state_codec("veryfast")
+    scores = []
+    for unit in (units, shared):
+        coded, decoded = encode_and_decode(moved / unit, np.ones(3), codec)
+        error = float(np.mean(sensitivity * np.square((decoded - moved / unit) * unit)))
+        scores.append(LengthCost(8, sum(coded), error).score)
+    assert scores[together] < 0.9 * scores[not together]
 
 
 def test_depths_keep_to_tiers():
