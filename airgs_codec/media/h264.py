@@ -23,7 +23,7 @@ from airgs_codec.media.mp4 import CodedPicture, media_segment, read_samples, rea
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
-KEY_QP = 14  # a step of 3.17 luma levels
+KEY_QP = 20  # a step of 6.35 luma levels
 STATE_QP = 20  # a step of 6.35 luma levels
 STATE_PB_RATIO = 1.3  # of the steps of B-pictures, to those of others: most are predicted from by none
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
