@@ -11,10 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, least_turned, rename_axes, to_rotation_vector
 
 OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
+NARROWER = 1.0  # bits a row that other names of axes must save
+LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
 
 
 class LazyFrames(Sequence[Gaussians]):
@@ -127,6 +129,27 @@ def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
     if count := int((zero & finite).sum()):
         notes.append(f"{where}: {count} Gaussians with zero quaternions were given identity")
     return Repaired(LazyFrames(lambda place: _repaired(frames[place], finite), range(len(frames))), notes)
+
+
+def turn_least(repaired: Repaired) -> Repaired:
+    """Name the axes of rows so that they are turned least, where they take fewer bits then; what they show stays.
+
+    A row has the names that turn it least in the middle frame in all frames of the group. Rows keep the names that they
+    have where log-scales and rotation vectors would not take NARROWER bits a row less, by the logarithms of how much
+    they vary: names may mean something, such as which axis is thin.
+    """
+    frames = repaired.frames
+    middle = frames[len(frames) // 2]
+    cube = least_turned(middle)
+    if _spread(middle) - _spread(rename_axes(middle, cube)) < NARROWER:
+        return repaired
+    return replace(repaired, frames=LazyFrames(lambda place: rename_axes(frames[place], cube), range(len(frames))))
+
+
+def _spread(g: Gaussians) -> float:
+    """Bits that log-scales and rotation vectors of a row take, but for a constant."""
+    values = np.concatenate([g.log_scales.astype(np.float64), to_rotation_vector(g.quaternions.astype(np.float64))], 1)
+    return float(np.log2(np.maximum(values.std(axis=0), LEAST_SPREAD)).sum())
 
 
 def _repaired(frame: Gaussians, finite: NDArray[np.bool_]) -> Gaussians:

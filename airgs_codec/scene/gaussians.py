@@ -6,6 +6,7 @@ angle, in radians. N Gaussians, K = (degree + 1)^2 - 1 SH coefficients past DC.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -198,6 +199,28 @@ def conjugate(q: Floats) -> Floats:
     return q * np.array([1, -1, -1, -1], q.dtype)
 
 
+def _cube_rotations() -> NDArray[np.float64]:
+    """(24, 4) unit quaternions of the rotations that bring a cube to itself, one of q and -q."""
+    whole = [q for q in itertools.product((0.0, 1.0, -1.0), repeat=4) if np.count_nonzero(q) in (1, 2, 4)]
+    ahead = np.array([q for q in whole if next(filter(None, q)) > 0])
+    return ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+
+
+def least_turned(g: Gaussians) -> NDArray[np.intp]:
+    """(N,) which of CUBE each of N unit quaternions must be followed by to be as near to no rotation as can be."""
+    return np.asarray(np.abs(g.quaternions @ (CUBE * [1, -1, -1, -1]).T).argmax(axis=1))
+
+
+def rename_axes(g: Gaussians, cube: NDArray[np.intp]) -> Gaussians:
+    """The same shapes, each row turned by a rotation (N,) of CUBE first, its log-scales in the order that asks for.
+
+    A Gaussian looks alike whichever of its axes is called x, and whichever way along it is counted as ahead.
+    """
+    axes = np.abs(to_matrices(CUBE)).argmax(axis=1)[cube]
+    turned = multiply(g.quaternions.astype(np.float64), CUBE[cube]).astype(np.float32)
+    return replace(g, quaternions=turned, log_scales=np.take_along_axis(g.log_scales, axes, axis=1))
+
+
 def to_matrices(quaternions: Floats) -> NDArray[np.float64]:
     """(..., 4) quaternions of any length but 0 -> (..., 3, 3) rotations: column c is what axis c becomes."""
     q = np.asarray(quaternions, np.float64)
@@ -231,3 +254,6 @@ def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
             v = (v | (v >> np.uint64(shift))) & np.uint64(mask)
         index[:, axis] = v
     return index
+
+
+CUBE = _cube_rotations()
