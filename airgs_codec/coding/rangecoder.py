@@ -38,7 +38,11 @@ _CHANCE_MOST = CHANCE_HALF - CHANCE_LEAST
 _LENGTHS = 1 << LENGTH_BITS  # nodes of the tree of bit lengths
 _NODES = _LENGTHS + (_LENGTHS << MODELLED_BITS)
 _FIRST, _LAST = 3, 2 * MODEL_MEMORY + 3  # what a model divides its error by: at first, and from MODEL_MEMORY decisions
-_CODE, _RANGE, _AT, _CACHE, _PENDING = range(5)  # places in the state of the coder
+# Dividing by d is multiplying by the d-th of these and dropping _SHARE_BITS bits: exact below 2^(_SHARE_BITS - 7).
+_SHARE_BITS = 32
+_SHARES = [0, *((1 << _SHARE_BITS) // divisor + 1 for divisor in range(1, _LAST + 1))]
+_CODE, _RANGE, _AT, _CACHE, _PENDING, _CONTEXT = range(6)  # places in the state of the encoder
+_END = 3  # in that of the decoder, after the same first three: bytes of the file
 _BATCH = 1 << 14  # numbers coded into one buffer
 _MOST_BYTES = 40  # of a number: 9 modelled decisions of at most 11 bits, 60 plain ones, and bytes kept back
 
@@ -46,12 +50,14 @@ Whole = Any  # a list of int, or (M,) int64 where the loop is compiled
 Loop = Callable[..., Any]
 
 
-def _encode(values: Whole, chances: Whole, divisors: Whole, state: Whole, out: Any, context: int) -> int:
-    """Write the bytes of `values` to `out` after state[_AT]; gives the context of the number after them.
+def _encode(values: Whole, chances: Whole, divisors: Whole, shares: Whole, state: Whole, out: Any) -> None:
+    """Write the bytes of `values` to `out` after state[_AT].
 
-    `chances`, `divisors`: of each model the chance of a 1 in 1/65536, and what its error is divided by.
+    `chances`, `divisors`: of each model the chance of a 1 in 1/65536, and what its error is divided by, which `shares`
+    do.
     """
     low, span, at, cache, pending = state[_CODE], state[_RANGE], state[_AT], state[_CACHE], state[_PENDING]
+    context = state[_CONTEXT]
     contexts = len(chances) // _NODES
     for value in values:
         length = 0
@@ -67,7 +73,10 @@ def _encode(values: Whole, chances: Whole, divisors: Whole, state: Whole, out: A
                 model = place + node
                 chance, divisor = chances[model], divisors[model]
                 part = (span >> 15) * min(max(chance >> 1, CHANCE_LEAST), _CHANCE_MOST)
-                chances[model] = chance + 2 * (65535 * bit - chance) // divisor
+                if bit:
+                    chances[model] = chance + (2 * (65535 - chance) * shares[divisor] >> _SHARE_BITS)
+                else:
+                    chances[model] = chance - ((2 * chance + divisor - 1) * shares[divisor] >> _SHARE_BITS)
                 divisors[model] = min(divisor + 2, _LAST)
                 node = 2 * node + bit
             low, span = (low, part) if bit else (low + part, span - part)
@@ -83,11 +92,11 @@ def _encode(values: Whole, chances: Whole, divisors: Whole, state: Whole, out: A
                 low = (low & 0x00FFFFFF) << 8
         context = min(value, MODEL_CONTEXTS - 1) % contexts
     state[_CODE], state[_RANGE], state[_AT], state[_CACHE], state[_PENDING] = low, span, at, cache, pending
-    return context
+    state[_CONTEXT] = context
 
 
-def _decode(values: Whole, chances: Whole, divisors: Whole, state: Whole, data: Any, end: int) -> None:
-    """Fill `values` from `data`, whose `end` bytes are followed by zeros; stop once the end was passed."""
+def _decode(values: Whole, chances: Whole, divisors: Whole, shares: Whole, state: Whole, data: Any) -> None:
+    """Fill `values` from `data`, whose state[_END] bytes are followed by zeros; stop once the end was passed."""
     code, span, at, context = state[_CODE], state[_RANGE], state[_AT], 0
     contexts = len(chances) // _NODES
     for k in range(len(values)):
@@ -103,11 +112,11 @@ def _decode(values: Whole, chances: Whole, divisors: Whole, state: Whole, data: 
             part = (span >> 15) * half
             if code < part:
                 span = part
-                chances[model] = chance + 2 * (65535 - chance) // divisor
+                chances[model] = chance + (2 * (65535 - chance) * shares[divisor] >> _SHARE_BITS)
                 node = 2 * node + 1
             else:
                 code, span = code - part, span - part
-                chances[model] = chance + -2 * chance // divisor
+                chances[model] = chance - ((2 * chance + divisor - 1) * shares[divisor] >> _SHARE_BITS)
                 node *= 2
             if divisor < _LAST:
                 divisors[model] = divisor + 2
@@ -127,7 +136,7 @@ def _decode(values: Whole, chances: Whole, divisors: Whole, state: Whole, data: 
                 code, span, value = code - part, span - part, 2 * value
             while span < RANGE_LEAST:
                 code, span, at = code << 8 | data[at], span << 8, at + 1
-        if at > end:
+        if at > state[_END]:
             break
         values[k] = value
         if contexts > 1:
@@ -170,17 +179,17 @@ def _worth_compiling(loop: Loop, numbers: int) -> Loop | None:
     return _compiled(loop) if _numbers > LOADING or "numba" in sys.modules else None
 
 
-def _models(order: int) -> tuple[list[int], list[int]]:
-    """Return `chances` and `divisors` of fresh models, one for each context and node."""
+def _models(order: int) -> tuple[list[int], list[int], list[int]]:
+    """Return `chances` and `divisors` of fresh models, one for each context and node, and `shares`."""
     count = MODEL_CONTEXTS**order * _NODES
-    return [CHANCE_HALF] * count, [_FIRST] * count
+    return [CHANCE_HALF] * count, [_FIRST] * count, _SHARES
 
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
     """Columns -> bytes, which `ColumnReader` gives back. Raises ValueError for a number below 0."""
     compiled = _worth_compiling(_encode, sum(len(numbers) for numbers, _ in columns))
     encode: Loop = compiled or _encode
-    state, out = _mutable([0, RANGE_START, 0, 0, 1], compiled), bytearray(_MOST_BYTES * _BATCH)
+    state, out = _mutable([0, RANGE_START, 0, 0, 1, 0], compiled), bytearray(_MOST_BYTES * _BATCH)
     buffer = np.frombuffer(out, np.uint8) if compiled else out
     parts = []
     for numbers, order in columns:
@@ -188,13 +197,13 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
         if len(values) and int(values.min()) < 0:
             raise ValueError(f"expected numbers from 0, got {values.min()}")
         models = [_mutable(column, compiled) for column in _models(order)]
-        context = 0
+        state[_CONTEXT] = 0
         for start in range(0, len(values), _BATCH):
             some = values[start : start + _BATCH]
-            context = encode(some if compiled else some.tolist(), *models, state, buffer, context)
+            encode(some if compiled else some.tolist(), *models, state, buffer)
             parts.append(bytes(out[: state[_AT]]))
             state[_AT] = 0
-    low, _, _, cache, pending = map(int, state)  # the bytes that were kept back, to which a carry may still be added
+    low, _, _, cache, pending, _ = map(int, state)  # the bytes that were kept back, to which a carry may still be added
     rest = (int.from_bytes(bytes([cache]) + b"\xff" * (pending - 1), "big") << 32) + low
     return b"".join([*parts, rest.to_bytes(pending + 4, "big")])
 
@@ -224,7 +233,7 @@ class ColumnReader:
         self.where = where
         if len(data) < END_BYTES:
             raise FormatError("bad_sidecar", where, f"expected at least {END_BYTES} bytes, got {len(data)}")
-        self._state = [int.from_bytes(data[1:END_BYTES], "big"), RANGE_START, END_BYTES]
+        self._state = [int.from_bytes(data[1:END_BYTES], "big"), RANGE_START, END_BYTES, len(data)]
         if data[0]:
             raise FormatError("bad_sidecar", where, f"expected a first byte of 0, got {data[0]}")
 
@@ -233,15 +242,16 @@ class ColumnReader:
         if self._absent:
             return np.zeros(count, np.int64)
         compiled = _worth_compiling(_decode, count)
-        values, *models = (_mutable(numbers, compiled) for numbers in ([0] * count, *_models(order)))
+        values: Whole = np.zeros(count, np.int64) if compiled else [0] * count
+        models = [_mutable(numbers, compiled) for numbers in _models(order)]
         state = _mutable(self._state, compiled)
         data = np.frombuffer(self._data, np.uint8) if compiled else self._data
         decode: Loop = compiled or _decode
-        decode(values, *models, state, data, self._end)
+        decode(values, *models, state, data)
         self._state = list(map(int, state))
         if self._state[_AT] > self._end:
             raise FormatError("bad_sidecar", self.where, f"expected {count} more numbers, got the end of the file")
-        return np.array(values, np.int64)
+        return np.asarray(values, np.int64)
 
     def close(self) -> None:
         """Refuse data that is not used up exactly."""
