@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import UNIT
+from airgs_codec.coding.quantize import scale_codes
+from airgs_codec.coding.rangecoder import worth_compiling
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
 
 CELLS = BLOCK * BLOCK
@@ -137,8 +139,54 @@ def read_codes(
     return codes
 
 
+def read_values(
+    picture: NDArray[np.uint8],
+    atlas: Atlas,
+    bases: NDArray[np.int32] | None,
+    rows: slice,
+    units: NDArray[np.float32],
+) -> NDArray[np.float32]:
+    """The same codes times the (channels,) value of a code of each channel, as (channels, n) values."""
+    loop = worth_compiling(_fill_line, 0)
+    if loop is None:
+        return scale_codes(read_codes(picture, atlas, bases, rows), units)
+    start, stop, _ = rows.indices(atlas.rows)
+    values = np.empty((len(atlas.centres), stop - start), np.float32)
+    values[:] = (np.array(atlas.centres, np.int32).astype(np.float32) * units)[:, None]
+    none = np.empty(0, np.int32)
+    for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
+        channel = atlas.planes[plane]
+        base = none if bases is None else bases[plane, rows]
+        loop(samples, places, base, np.int32(atlas.centres[channel] - GREY), units[channel], values[channel])
+    return values
+
+
+def _fill_line(
+    samples: NDArray[np.uint8],
+    places: NDArray[np.intp],
+    bases: NDArray[np.int32],
+    centre: np.int32,
+    unit: np.float32,
+    values: NDArray[np.float32],
+) -> None:
+    """Fill (n,) `values` from samples at (n,) places, with (n,) bases or none at all."""
+    if len(bases):
+        for i in range(len(values)):
+            values[i] = np.float32(np.int32(samples[places[i]]) + centre + np.int32(UNIT) * bases[i]) * unit
+    else:
+        for i in range(len(values)):
+            values[i] = np.float32(np.int32(samples[places[i]]) + centre) * unit
+
+
 def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Iterator[NDArray[np.uint8]]:
     """The (n,) samples of some rows in one plane after another."""
+    return (samples.take(places) for samples, places in _find_planes(picture, atlas, rows))
+
+
+def _find_planes(
+    picture: NDArray[np.uint8], atlas: Atlas, rows: slice
+) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.intp]]]:
+    """The samples from the first one of each plane on, and the (n,) places of some rows among them."""
     if not atlas.planes:
         return
     width, lines = atlas.size
@@ -150,4 +198,4 @@ def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Itera
     flat = np.lib.stride_tricks.as_strided(picture, (stride * (len(picture) - 1) + picture.shape[1],), (1,))
     places = row_places(atlas.rows, atlas.plane_width, stride)[rows]
     for start in plane_starts(atlas, stride):
-        yield flat[start:].take(places)
+        yield flat[start:], places

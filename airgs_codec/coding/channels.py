@@ -17,7 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.grid import grid_means
-from airgs_codec.coding.kernels import FrameMemory, consecutive, for_chunks, klt_colours, to_quaternions
+from airgs_codec.coding.kernels import (
+    FrameMemory,
+    add_rows,
+    consecutive,
+    for_chunks,
+    klt_colours,
+    to_quaternions,
+    turn_rows,
+)
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
@@ -145,7 +153,7 @@ def dequantise_parts(
         log_scales[rows] = channels[KEY.slice("log_scales")].T
         quaternions[rows] = to_quaternions(channels[KEY.slice("quaternions")])
         opacity[rows] = channels[KEY.slice("opacity")][0]
-        colour[rows] = klt_colours(channels[KEY.slice(COLOUR)], *of)
+        colour[rows] = klt_colours(channels[KEY.slice(COLOUR)], *of).T
 
     for_chunks(fill, count, WIDTH)
     return Canonical(means, units, quaternions, log_scales, opacity, colour, sidecar.depths, transform)
@@ -227,33 +235,38 @@ class StateApplier:
             out["colours"] = self.memory.empty_like(base.colours)
 
         def fill(rows: slice) -> None:
-            for name, column in out.items():
-                column[rows] = getattr(base if name == "colours" else shown, name)[rows]
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
+            if stop - start < rows.stop - rows.start:
+                for name, column in out.items():
+                    column[rows] = getattr(base if name == "colours" else shown, name)[rows]
             if start < stop:
                 self._add(out, self.rows[start:stop], read(slice(start, stop)))
 
         for_chunks(fill, len(shown), WIDTH)
         if self.has_colour:
-            out["sh_rest"] = split_colours(out.pop("colours"))[1]
+            dc, out["sh_rest"] = split_colours(out.pop("colours"))
+            out.setdefault("sh_dc", dc)
         return replace(shown, **out)
 
     def _changing(self) -> list[str]:
         """Names of the columns of a frame, without SH rest, that states may change."""
         names = ["means", "log_scales", "opacity_logits"]
-        return names + ["quaternions"] * self.has_rotation + ["sh_dc"] * self.has_colour
+        more = self.has_colour and self.base.colours.shape[1] > 3  # else SH DC is all colours
+        return names + ["quaternions"] * self.has_rotation + ["sh_dc"] * more
 
     def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], channels: NDArray[np.float32]) -> None:
         """Write what (10 + C, n) channels make of these rows (n,)."""
         base, some = self.base, consecutive(rows)
-        out["means"][some] = base.means[some] + (channels[_MEANS] * base.motion_units[some]).T
-        out["log_scales"][some] += channels[_SCALES].T
+        add_rows(channels[_MEANS] * base.motion_units[some], base.means, rows, out["means"])
+        add_rows(channels[_SCALES], base.log_scales, rows, out["log_scales"])
         out["opacity_logits"][some] = from_opacity(base.opacity[some] + channels[_OPACITY][0])
         if self.has_rotation:
-            out["quaternions"][some] = multiply(to_quaternions(channels[_ROTATION]), base.quaternions[some])
+            turn_rows(channels[_ROTATION], base.quaternions, rows, out["quaternions"])
         if self.has_colour:
-            out["colours"][some] += klt_colours(channels[_COLOUR], self.transform, self.colour_steps)
-            out["sh_dc"][some] = out["colours"][some, :3]
+            change = klt_colours(channels[_COLOUR], self.transform, self.colour_steps)
+            add_rows(change, base.colours, rows, out["colours"])
+            if "sh_dc" in out:
+                out["sh_dc"][some] = out["colours"][some, :3]
 
 
 def _parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:

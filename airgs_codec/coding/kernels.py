@@ -3,6 +3,9 @@
 What is worked out row by row never needs more memory than a chunk of rows takes. n rows, C colour channels. Arithmetic
 is in float32, within the bounds of FORMAT.md (section 5, Precision), in one order of operations: equal channels give
 equal rows on every machine, however rows are cut into chunks.
+
+Loops over rows run where numba is loaded already, as it is once there were many numbers (`rangecoder`); numpy gives the
+same bits without them.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
+from airgs_codec.coding.rangecoder import worth_compiling
+from airgs_codec.scene.gaussians import multiply
 
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
@@ -84,26 +89,70 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
 
 
-def to_quaternions(vectors: Floats) -> Floats:
-    """Rotation vectors (3, n) -> unit quaternions (n, 4).
+def add_rows(changes: Floats, base: NDArray[np.floating], rows: NDArray[np.intp], out: Floats) -> None:
+    """Write to some rows (n,), n > 0, of `out` (N, c) the sums of those of `base` (N, c) and `changes` (c, n)."""
+    if loop := worth_compiling(_add_rows, 0):
+        loop(changes, base, rows, out)
+    else:
+        some = consecutive(rows)
+        out[some] = base[some] + changes.T
 
-    Sine and cosine are taken in float64 and rounded: float32 ones differ from one machine to the next.
+
+def _add_rows(changes: Floats, base: NDArray[np.floating], rows: NDArray[np.intp], out: Floats) -> None:
+    for i in range(len(rows)):
+        row = rows[i]
+        for c in range(len(changes)):
+            out[row, c] = base[row, c] + changes[c, i]
+
+
+def turn_rows(vectors: Floats, base: Floats, rows: NDArray[np.intp], out: Floats) -> None:
+    """Write to some rows (n,), n > 0, of `out` (N, 4) the products of rotation vectors (3, n) and `base` (N, 4)."""
+    if loop := worth_compiling(_turn_rows, 0):
+        loop(*_half_turns(vectors), vectors, base, rows, out)
+    else:
+        some = consecutive(rows)
+        out[some] = multiply(to_quaternions(vectors), base[some])
+
+
+def _turn_rows(
+    cosine: Floats, factor: Floats, vectors: Floats, base: Floats, rows: NDArray[np.intp], out: Floats
+) -> None:
+    for i in range(len(rows)):
+        row, aw = rows[i], cosine[i]
+        ax, ay, az = factor[i] * vectors[0, i], factor[i] * vectors[1, i], factor[i] * vectors[2, i]
+        bw, bx, by, bz = base[row, 0], base[row, 1], base[row, 2], base[row, 3]
+        out[row, 0] = aw * bw - ax * bx - ay * by - az * bz
+        out[row, 1] = aw * bx + ax * bw + ay * bz - az * by
+        out[row, 2] = aw * by - ax * bz + ay * bw + az * bx
+        out[row, 3] = aw * bz + ax * by - ay * bx + az * bw
+
+
+def to_quaternions(vectors: Floats) -> Floats:
+    """Rotation vectors (3, n) -> unit quaternions (n, 4)."""
+    cosine, factor = _half_turns(vectors)
+    quaternions = np.empty((len(cosine), 4), np.float32)
+    quaternions[:, 0] = cosine
+    quaternions[:, 1:] = (factor * vectors).T
+    return quaternions
+
+
+def _half_turns(vectors: Floats) -> tuple[Floats, Floats]:
+    """The cosines (n,) of half the angles of rotation vectors (3, n), and their sines over the angles.
+
+    Both are taken in float64 and rounded: float32 ones differ from one machine to the next.
     """
     x, y, z = vectors
     angle = np.sqrt(x * x + y * y + z * z)
     half = (angle / np.float32(2)).astype(np.float64)
     factor = np.full_like(angle, 0.5)
     np.divide(np.sin(half).astype(np.float32), angle, out=factor, where=angle > _SMALL_ANGLE)
-    quaternions = np.empty((len(angle), 4), np.float32)
-    quaternions[:, 0] = np.cos(half)
-    quaternions[:, 1:] = (factor * vectors).T
-    return quaternions
+    return np.cos(half).astype(np.float32), factor
 
 
 def klt_colours(channels: Floats, transform: Floats, steps: Floats) -> Floats:
-    """(C, n) KLT channels -> (n, C) colours: their product with the transform (C, C), times the steps (C,)."""
+    """(C, n) KLT channels -> (C, n) colours: their product with the transform (C, C), times the steps (C,)."""
     width, rows = channels.shape
-    colours = np.empty((rows, width), np.float32)
+    colours = np.empty((width, rows), np.float32)
     some = [k for k in range(width) if channels[k].any()]  # the others would add 0
     size = max(1, _STRIP // max(1, width))
     for start in range(0, rows, size):
@@ -111,6 +160,5 @@ def klt_colours(channels: Floats, transform: Floats, steps: Floats) -> Floats:
         total, part = np.zeros(strip.shape, np.float32), np.empty(strip.shape, np.float32)
         for k in some:
             total += np.multiply(transform[k][:, None], strip[k], out=part)
-        total *= steps[:, None]
-        colours[start : start + size] = total.T
+        np.multiply(total, steps[:, None], out=colours[:, start : start + size])
     return colours

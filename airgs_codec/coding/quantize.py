@@ -61,6 +61,16 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
 
 def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
     """(C, N) codes, (C,) steps -> (C, N) values."""
+    return scale_codes(codes, code_units(steps, gain))
+
+
+def code_units(steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
+    """(C,) steps -> (C,) values of a code."""
+    return (steps / gain).astype(np.float32)
+
+
+def scale_codes(codes: NDArray[np.int32], units: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(C, N) codes, (C,) values of a code -> (C, N) values."""
     values = codes.astype(np.float32)
-    values *= (steps / gain).astype(np.float32)[:, None]
+    values *= units[:, None]
     return values

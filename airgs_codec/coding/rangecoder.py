@@ -172,7 +172,7 @@ def _compiled(loop: Loop) -> Loop | None:
 _numbers = 0  # that have come so far
 
 
-def _worth_compiling(loop: Loop, numbers: int) -> Loop | None:
+def worth_compiling(loop: Loop, numbers: int) -> Loop | None:
     """Return what numba makes of a loop, for so many more numbers; None where the loop should run as it stands."""
     global _numbers
     _numbers += numbers
@@ -187,7 +187,7 @@ def _models(order: int) -> tuple[list[int], list[int], list[int]]:
 
 def encode_columns(columns: Sequence[Column]) -> bytes:
     """Columns -> bytes, which `ColumnReader` gives back. Raises ValueError for a number below 0."""
-    compiled = _worth_compiling(_encode, sum(len(numbers) for numbers, _ in columns))
+    compiled = worth_compiling(_encode, sum(len(numbers) for numbers, _ in columns))
     encode: Loop = compiled or _encode
     state, out = _mutable([0, RANGE_START, 0, 0, 1, 0], compiled), bytearray(_MOST_BYTES * _BATCH)
     buffer = np.frombuffer(out, np.uint8) if compiled else out
@@ -241,7 +241,7 @@ class ColumnReader:
         """The next column, (count,) numbers of this order."""
         if self._absent:
             return np.zeros(count, np.int64)
-        compiled = _worth_compiling(_decode, count)
+        compiled = worth_compiling(_decode, count)
         values: Whole = np.zeros(count, np.int64) if compiled else [0] * count
         models = [_mutable(numbers, compiled) for numbers in _models(order)]
         state = _mutable(self._state, compiled)
@@ -265,7 +265,7 @@ def sum_gaps(gaps: NDArray[np.int64], low: NDArray[np.int64], bits: int) -> NDAr
 
     None when a code does not fit `bits`.
     """
-    compiled = _worth_compiling(_sum_gaps, 0)
+    compiled = worth_compiling(_sum_gaps, 0)
     codes = _mutable([0] * len(gaps), compiled)
     columns = (gaps, low) if compiled else (gaps.tolist(), low.tolist())
     fill: Loop = compiled or _sum_gaps

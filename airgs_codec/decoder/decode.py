@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import read_codes
+from airgs_codec.coding.atlas import read_codes, read_values
 from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical, no_rows
-from airgs_codec.coding.quantize import from_codes
+from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
@@ -152,17 +152,17 @@ def decode_canonical(
 def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Iterator[Canonical]:
     """The rows of a key unit, which has some: those that it keeps, then the others."""
     m, g = package.manifest, package.manifest.groups[group]
-    read, sidecar = _read_key(package, group, unit, quality)
+    shown, sidecar = _read_key(package, group, unit, quality)
     base, kept = m.base_of(group), sidecar.kept
     if base is not None and len(kept.rows):
         transform = unpack_matrix(m.groups[base].colour_transform, m.colour_channels)
         yield join_canonical(list(_decode_unit(package, base, unit, quality)), transform).kept(kept.rows, kept.depths)
-    if len(sidecar.codes):
+    if shown is not None:
         steps = KEY.steps(g.key_steps, m.colour_channels) * (m.qualities[quality].factor * g.units[unit].factor)
-        transform = unpack_matrix(g.colour_transform, m.colour_channels)
+        transform, units = unpack_matrix(g.colour_transform, m.colour_channels), code_units(steps, m.key_gain)
 
         def values(rows: slice) -> NDArray[np.float32]:
-            return from_codes(read(rows), steps, m.key_gain)
+            return read_values(shown[0], g.units[unit].qualities[quality], shown[1], rows, units)
 
         yield dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
 
@@ -172,14 +172,14 @@ def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[N
 
     Raises FormatError.
     """
-    read, sidecar = _read_key(package, group, unit, quality)
-    return read(slice(None)), sidecar
+    shown, sidecar = _read_key(package, group, unit, quality)
+    if shown is None:
+        return np.empty((KEY.width(package.manifest.colour_channels), 0), np.int32), sidecar
+    return read_codes(shown[0], package.manifest.groups[group].units[unit].qualities[quality], shown[1]), sidecar
 
 
-def _read_key(
-    package: Package, group: int, unit: int, quality: int
-) -> tuple[Callable[[slice], NDArray[np.int32]], KeySidecar]:
-    """Return what gives the codes of some rows of a key unit, and its sidecar, as in `decode_key`.
+def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_Shown | None, KeySidecar]:
+    """The picture of a key unit, None where every row is kept, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
     """
@@ -190,8 +190,7 @@ def _read_key(
     kept = entry.kept, 0 if base is None else m.groups[base].units[unit].count
     count, data = entry.count - entry.kept, package.read(sidecar_path)
     if not media_paths:
-        none = np.empty((KEY.width(m.colour_channels), 0), np.int32)
-        return lambda rows: none, unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
+        return None, unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
     (media,), atlas = media_paths, entry.qualities[quality]
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
     with ThreadPoolExecutor(1) as pool:
@@ -205,7 +204,7 @@ def _read_key(
     if picture is None:
         raise FormatError("bad_picture", media, "expected one picture, got none")
     expect_size(picture, atlas, media)
-    return functools.partial(read_codes, picture, atlas, next(jumps.running())), sidecar
+    return (picture, next(jumps.running())), sidecar
 
 
 def decode_state(
@@ -282,20 +281,20 @@ def decode_segment(
         return
     parts = _tile_states(package, index, base, level, there)
     group = m.groups[m.group_of(index)]
-    steps = STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
+    units = code_units(STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor, m.state_gain)
     varies = [any(_varies(part.atlas, STATE.slice(name)) for part in parts) for name in ("quaternions", COLOUR)]
     applier = StateApplier.of(base, np.concatenate([part.rows for part in parts]), group.state_steps, *varies)
     frames = range(places[0], places[-1] + 1)
     pictures = [_decode_pictures(package, index, level, frames, part.tile) for part in parts]
 
     def read(shown: Sequence[_Shown], some: slice) -> NDArray[np.float32]:
-        codes, first = [], 0
+        values, first = [], 0
         for part, (picture, bases) in zip(parts, shown, strict=True):
             start, stop = max(0, some.start - first), min(len(part.rows), some.stop - first)
             if start < stop:
-                codes.append(read_codes(picture, part.atlas, bases, slice(start, stop)))
+                values.append(read_values(picture, part.atlas, bases, slice(start, stop), units))
             first += len(part.rows)
-        return from_codes(codes[0] if len(codes) == 1 else np.concatenate(codes, axis=1), steps, m.state_gain)
+        return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
 
     for place, shown in zip(frames, zip(*pictures, strict=True), strict=True):
         if place in places:
