@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.escapes import UNIT
+from airgs_codec.coding.escapes import UNIT, Bases
 from airgs_codec.coding.quantize import scale_codes
 from airgs_codec.coding.rangecoder import worth_compiling
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
@@ -121,11 +121,11 @@ def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None))
 
 
 def read_codes(
-    picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32] | None, rows: slice = slice(None)
+    picture: NDArray[np.uint8], atlas: Atlas, bases: Bases | NDArray[np.int32], rows: slice = slice(None)
 ) -> NDArray[np.int32]:
     """A picture and the (P, N) bases in force -> (channels, n) codes of some rows.
 
-    A channel without a plane is its centre. None for the bases where there are no escapes.
+    A channel without a plane is its centre.
     """
     start, stop, _ = rows.indices(atlas.rows)
     codes = np.empty((len(atlas.centres), stop - start), np.int32)
@@ -134,15 +134,15 @@ def read_codes(
         line = codes[atlas.planes[plane]]
         line += samples
         line -= GREY
-        if bases is not None:
-            line += UNIT * bases[plane, rows]
+        if (base := bases[plane]) is not None:
+            line += UNIT * base[rows]
     return codes
 
 
 def read_values(
     picture: NDArray[np.uint8],
     atlas: Atlas,
-    bases: NDArray[np.int32] | None,
+    bases: Bases | NDArray[np.int32],
     rows: slice,
     units: NDArray[np.float32],
 ) -> NDArray[np.float32]:
@@ -156,7 +156,8 @@ def read_values(
     none = np.empty(0, np.int32)
     for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
         channel = atlas.planes[plane]
-        base = none if bases is None else bases[plane, rows]
+        base = bases[plane]
+        base = none if base is None else base[rows]
         loop(samples, places, base, np.int32(atlas.centres[channel] - GREY), units[channel], values[channel])
     return values
 
@@ -172,10 +173,10 @@ def _fill_line(
     """Fill (n,) `values` from samples at (n,) places, with (n,) bases or none at all."""
     if len(bases):
         for i in range(len(values)):
-            values[i] = np.float32(np.int32(samples[places[i]]) + centre + np.int32(UNIT) * bases[i]) * unit
+            values[i] = np.float32(np.int32(samples[np.uintp(places[i])]) + centre + np.int32(UNIT) * bases[i]) * unit
     else:
         for i in range(len(values)):
-            values[i] = np.float32(np.int32(samples[places[i]]) + centre) * unit
+            values[i] = np.float32(np.int32(samples[np.uintp(places[i])]) + centre) * unit
 
 
 def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Iterator[NDArray[np.uint8]]:

@@ -17,15 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.grid import grid_means
-from airgs_codec.coding.kernels import (
-    FrameMemory,
-    add_rows,
-    consecutive,
-    for_chunks,
-    klt_colours,
-    to_quaternions,
-    turn_rows,
-)
+from airgs_codec.coding.kernels import FrameMemory, add_states, consecutive, for_chunks, klt_colours, to_quaternions
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import COLOUR, KEY, STATE
@@ -257,16 +249,15 @@ class StateApplier:
     def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], channels: NDArray[np.float32]) -> None:
         """Write what (10 + C, n) channels make of these rows (n,)."""
         base, some = self.base, consecutive(rows)
-        add_rows(channels[_MEANS] * base.motion_units[some], base.means, rows, out["means"])
-        add_rows(channels[_SCALES], base.log_scales, rows, out["log_scales"])
         out["opacity_logits"][some] = from_opacity(base.opacity[some] + channels[_OPACITY][0])
-        if self.has_rotation:
-            turn_rows(channels[_ROTATION], base.quaternions, rows, out["quaternions"])
-        if self.has_colour:
-            change = klt_colours(channels[_COLOUR], self.transform, self.colour_steps)
-            add_rows(change, base.colours, rows, out["colours"])
-            if "sh_dc" in out:
-                out["sh_dc"][some] = out["colours"][some, :3]
+        moves, turns, colour = channels[_MEANS] * base.motion_units[some], channels[_ROTATION], channels[_COLOUR]
+        colour = klt_colours(colour, self.transform, self.colour_steps) if self.has_colour else channels[:0]
+        changes = moves, channels[_SCALES], turns if self.has_rotation else channels[:0], colour
+        columns = base.means, base.log_scales, base.quaternions, base.colours
+        written = out.get("quaternions", base.quaternions), out.get("colours", base.colours)
+        add_states(changes, columns, rows, (out["means"], out["log_scales"], *written))
+        if "sh_dc" in out:
+            out["sh_dc"][some] = out["colours"][some, :3]
 
 
 def _parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:

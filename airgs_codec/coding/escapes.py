@@ -16,6 +16,7 @@ from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.errors import FormatError
 
 UNIT = 128  # codes that a base of 1 stands for
+Bases = Sequence[NDArray[np.int32] | None]  # those in force, (N,) of each plane; None for a plane before its first jump
 # |luma - 128| never exceeds it as encoded. Decoded luma must stay within 16 and 235, which leaves 11 levels for the
 # error of the video codec: at the QP of states 10 is the largest met in noise of every kind, 6 in real scenes.
 LIMIT = 96
@@ -85,16 +86,18 @@ class Escapes:
         np.add.at(bases, self.index[:upto] % area, self.jumps[:upto])
         return bases.reshape(self.shape[1:])
 
-    def running(self) -> Iterator[NDArray[np.int32] | None]:
-        """(P, N) bases of one frame after the other, the same array every time; None before the first jump."""
+    def running(self) -> Iterator[Bases]:
+        """The bases of one frame after the other, the same arrays every time."""
         frames, planes, rows = self.shape
-        bounds = np.searchsorted(self.index, np.arange(frames + 1) * planes * rows)
-        bases: NDArray[np.int32] | None = None
-        for start, stop in itertools.pairwise(bounds):
-            if stop and bases is None:
-                bases = np.zeros(self.shape[1:], np.int32)
-            if bases is not None:
-                bases.ravel()[self.index[start:stop] % bases.size] += self.jumps[start:stop]
+        starts = np.arange(frames * planes + 1) * rows
+        spans = itertools.pairwise(np.searchsorted(self.index, starts).tolist())
+        bases: list[NDArray[np.int32] | None] = [None] * planes
+        for frame in range(frames):
+            for plane, (start, stop) in enumerate(itertools.islice(spans, planes)):
+                if start < stop:
+                    jumped = np.zeros(rows, np.int32) if (before := bases[plane]) is None else before
+                    jumped[self.index[start:stop] - starts[frame * planes + plane]] += self.jumps[start:stop]
+                    bases[plane] = jumped
             yield bases
 
 

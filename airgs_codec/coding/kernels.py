@@ -26,8 +26,11 @@ from airgs_codec.scene.gaussians import multiply
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
 Floats = NDArray[np.float32]
+# Means, which are float64 in a base, log-scales, rotations and colours.
+Columns = tuple[NDArray[np.floating], Floats, Floats, Floats]
 
 _SMALL_ANGLE = np.float32(1e-8)  # radians; below it sin(a/2)/a is 1/2, as in `scene.gaussians`
+_TURN = 2  # place of rotations among columns
 _STRIP = 1 << 18  # numbers that colours are summed up in at a time: they stay in the cache of a core
 
 
@@ -89,42 +92,43 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
 
 
-def add_rows(changes: Floats, base: NDArray[np.floating], rows: NDArray[np.intp], out: Floats) -> None:
-    """Write to some rows (n,), n > 0, of `out` (N, c) the sums of those of `base` (N, c) and `changes` (c, n)."""
-    if loop := worth_compiling(_add_rows, 0):
-        loop(changes, base, rows, out)
-    else:
-        some = consecutive(rows)
-        out[some] = base[some] + changes.T
+def add_states(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Columns) -> None:
+    """Write to some rows (n,), n > 0, of `out` those of `base` with (c, n) changes; of rotations those are vectors.
+
+    Where changes of rotations or colours have no channels, these columns are not touched.
+    """
+    vectors = changes[_TURN]
+    if loop := worth_compiling(_add_states, 0):
+        turns = _half_turns(vectors) if len(vectors) else (vectors.ravel(), vectors.ravel())
+        loop(changes, turns, base, rows, out)
+        return
+    some = consecutive(rows)
+    for place, (column, before, change) in enumerate(zip(out, base, changes, strict=True)):
+        if len(change):
+            turned = place == _TURN
+            column[some] = multiply(to_quaternions(change), before[some]) if turned else before[some] + change.T
 
 
-def _add_rows(changes: Floats, base: NDArray[np.floating], rows: NDArray[np.intp], out: Floats) -> None:
-    for i in range(len(rows)):
-        row = rows[i]
-        for c in range(len(changes)):
-            out[row, c] = base[row, c] + changes[c, i]
-
-
-def turn_rows(vectors: Floats, base: Floats, rows: NDArray[np.intp], out: Floats) -> None:
-    """Write to some rows (n,), n > 0, of `out` (N, 4) the products of rotation vectors (3, n) and `base` (N, 4)."""
-    if loop := worth_compiling(_turn_rows, 0):
-        loop(*_half_turns(vectors), vectors, base, rows, out)
-    else:
-        some = consecutive(rows)
-        out[some] = multiply(to_quaternions(vectors), base[some])
-
-
-def _turn_rows(
-    cosine: Floats, factor: Floats, vectors: Floats, base: Floats, rows: NDArray[np.intp], out: Floats
+def _add_states(
+    changes: Columns, turns: tuple[Floats, Floats], base: Columns, rows: NDArray[np.intp], out: Columns
 ) -> None:
+    """The same, where `turns` are the `_half_turns` of the rotation vectors."""
+    (moves, sizes, vectors, dyes), (cosine, factor) = changes, turns
+    (old_means, old_scales, old_turns, old_colours), (means, scales, quaternions, colours) = base, out
     for i in range(len(rows)):
-        row, aw = rows[i], cosine[i]
-        ax, ay, az = factor[i] * vectors[0, i], factor[i] * vectors[1, i], factor[i] * vectors[2, i]
-        bw, bx, by, bz = base[row, 0], base[row, 1], base[row, 2], base[row, 3]
-        out[row, 0] = aw * bw - ax * bx - ay * by - az * bz
-        out[row, 1] = aw * bx + ax * bw + ay * bz - az * by
-        out[row, 2] = aw * by - ax * bz + ay * bw + az * bx
-        out[row, 3] = aw * bz + ax * by - ay * bx + az * bw
+        row = np.uintp(rows[i])
+        for axis in range(3):
+            means[row, axis] = old_means[row, axis] + moves[axis, i]
+            scales[row, axis] = old_scales[row, axis] + sizes[axis, i]
+        if len(vectors):
+            aw, ax, ay, az = cosine[i], factor[i] * vectors[0, i], factor[i] * vectors[1, i], factor[i] * vectors[2, i]
+            bw, bx, by, bz = old_turns[row, 0], old_turns[row, 1], old_turns[row, 2], old_turns[row, 3]
+            quaternions[row, 0] = aw * bw - ax * bx - ay * by - az * bz
+            quaternions[row, 1] = aw * bx + ax * bw + ay * bz - az * by
+            quaternions[row, 2] = aw * by - ax * bz + ay * bw + az * bx
+            quaternions[row, 3] = aw * bz + ax * by - ay * bx + az * bw
+        for channel in range(len(dyes)):
+            colours[row, channel] = old_colours[row, channel] + dyes[channel, i]
 
 
 def to_quaternions(vectors: Floats) -> Floats:
@@ -144,8 +148,8 @@ def _half_turns(vectors: Floats) -> tuple[Floats, Floats]:
     x, y, z = vectors
     angle = np.sqrt(x * x + y * y + z * z)
     half = (angle / np.float32(2)).astype(np.float64)
-    factor = np.full_like(angle, 0.5)
-    np.divide(np.sin(half).astype(np.float32), angle, out=factor, where=angle > _SMALL_ANGLE)
+    factor = np.sin(half).astype(np.float32) / np.maximum(angle, _SMALL_ANGLE)
+    factor[angle <= _SMALL_ANGLE] = 0.5
     return np.cos(half).astype(np.float32), factor
 
 

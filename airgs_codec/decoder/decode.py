@@ -219,7 +219,7 @@ def decode_state(
         yield read_codes(picture, atlas, bases)
 
 
-_Shown = tuple[NDArray[np.uint8], NDArray[np.int32] | None]  # (pages * H, W) luma, the bases in force until the next
+_Shown = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) luma, the bases in force until the next
 
 
 def _decode_pictures(package: Package, index: int, level: int, frames: range, tile: int) -> Iterator[_Shown]:
