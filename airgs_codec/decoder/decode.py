@@ -25,7 +25,7 @@ from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.media.h264 import open_segment
+from airgs_codec.media.h264 import decode_ahead, open_segment
 from airgs_codec.package.layout import COLOUR, KEY, STATE
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
@@ -229,9 +229,10 @@ def _decode_pictures(package: Package, index: int, level: int, frames: range, ti
     atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
     shape = (m.segments[index].stop - m.segments[index].start, len(atlas.planes), atlas.rows)
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
+    coming = decode_ahead(itertools.islice(pictures, last))
     bases = _escapes_again(package, (index, level, tile), lambda: escapes.unpack(columns, shape, media)).running()
     shown = 0
-    for shown, picture in enumerate(_ahead(itertools.islice(pictures, last)), 1):
+    for shown, picture in enumerate(coming, 1):
         now = next(bases)
         if shown > first:
             expect_size(picture, atlas, media)
@@ -250,15 +251,6 @@ def _escapes_again(package: Package, which: _Which, read: Callable[[], escapes.E
             known.clear()
         known[which] = found
     return found
-
-
-def _ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
-    """The same pictures, of which the next one is decoded on another thread while one is worked with."""
-    with ThreadPoolExecutor(1) as pool:
-        coming = pool.submit(next, pictures, None)
-        while (picture := coming.result()) is not None:
-            coming = pool.submit(next, pictures, None)
-            yield picture
 
 
 def decode_segment(
