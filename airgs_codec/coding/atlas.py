@@ -152,7 +152,8 @@ def read_values(
         return scale_codes(read_codes(picture, atlas, bases, rows), units)
     start, stop, _ = rows.indices(atlas.rows)
     values = np.empty((len(atlas.centres), stop - start), np.float32)
-    values[:] = (np.array(atlas.centres, np.int32).astype(np.float32) * units)[:, None]
+    for channel in set(range(len(values))).difference(atlas.planes):
+        values[channel] = np.float32(atlas.centres[channel]) * units[channel]
     none = np.empty(0, np.int32)
     for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
         channel = atlas.planes[plane]

@@ -222,9 +222,9 @@ class StateApplier:
     def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
         """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
         shown, base = self.shown, self.base
-        out = {name: self.memory.empty_like(getattr(shown, name)) for name in self._changing()}
+        out = {name: self.memory.empty(getattr(shown, name).shape) for name in self._changing()}
         if self.has_colour:
-            out["colours"] = self.memory.empty_like(base.colours)
+            out["colours"] = self.memory.empty(base.colours.shape)
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()

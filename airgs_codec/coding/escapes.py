@@ -116,7 +116,8 @@ def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
         raise FormatError("bad_sidecar", reader.where, "escapes are not in ascending order inside the segment")
     if count and int(zigzag.max()) >= 1 << 32:
         raise FormatError("bad_sidecar", reader.where, "an escape jumps by more than 31 bits")
-    return Escapes(shape, np.cumsum(gaps), ((zigzag >> 1) ^ -(zigzag & 1)).astype(np.int32))
+    half, sign = (zigzag >> 1).astype(np.int32), (zigzag & 1).astype(np.int32)
+    return Escapes(shape, np.cumsum(gaps, out=gaps), np.bitwise_xor(half, -sign, out=half))
 
 
 def pack(found: Escapes) -> bytes:

@@ -15,9 +15,10 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.coding.rangecoder import worth_compiling
@@ -67,18 +68,18 @@ class FrameMemory:
     """
 
     def __init__(self) -> None:
-        self._arrays: list[Floats] = []
+        self._arrays: list[NDArray[Any]] = []
 
-    def empty_like(self, like: Floats) -> Floats:
-        """Return an array of the shape of `like` with any content, which nobody else has."""
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
+        """Return an array with any content, which nobody else has."""
         for array, held in zip(self._arrays, _references(self._arrays), strict=True):
-            if array.shape == like.shape and held <= _OURS:
+            if array.shape == shape and array.dtype == dtype and held <= _OURS:
                 return array
-        self._arrays.append(np.empty_like(like))
+        self._arrays.append(np.empty(shape, dtype))
         return self._arrays[-1]
 
 
-def _references(arrays: list[Floats]) -> list[int]:
+def _references(arrays: list[NDArray[Any]]) -> list[int]:
     """How often each array is held, by whatever this version of Python counts here besides."""
     return [sys.getrefcount(array) for array in arrays]
 

@@ -9,7 +9,7 @@ import functools
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -21,6 +21,7 @@ from airgs_codec._arguments import argument
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes, read_values
 from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical, no_rows
+from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
@@ -229,7 +230,7 @@ def _decode_pictures(package: Package, index: int, level: int, frames: range, ti
     atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
     shape = (m.segments[index].stop - m.segments[index].start, len(atlas.planes), atlas.rows)
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
-    coming = decode_ahead(itertools.islice(pictures, last))
+    coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
     bases = _escapes_again(package, (index, level, tile), lambda: escapes.unpack(columns, shape, media)).running()
     shown = 0
     for shown, picture in enumerate(coming, 1):

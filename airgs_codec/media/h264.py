@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -220,6 +220,7 @@ class Pictures:
     where: str  # names the segment in errors
     pages: int = 1
     checksums: Sequence[int] | None = None  # CRC-32 of the luma of as many pictures, each page in display order
+    memory: Callable[[tuple[int, int], type], NDArray[np.uint8]] = np.empty  # that pictures of several pages are in
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         """(pages * H, W) luma of each picture in display order: its pages one below another; stop to stop decoding.
@@ -241,7 +242,9 @@ class Pictures:
                 if len(shapes) > 1:
                     detail = f"expected {self.pages} pages of equal pictures, got {shapes}"
                     raise FormatError("bad_picture", self.where, detail)
-                yield np.concatenate(parts)
+                height, width = parts[0].shape
+                out = self.memory((self.pages * height, width), np.uint8)
+                yield np.concatenate(parts, out=out)
 
     def _decode_page(self, first: int, length: int) -> Iterator[NDArray[np.uint8]]:
         """(H, W) luma of each picture of the page with these samples."""

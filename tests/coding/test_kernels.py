@@ -34,25 +34,26 @@ def test_a_forked_process_has_threads_of_its_own():
     assert os.waitpid(child, 0)[1] == 0 and (seen == 1).all()
 
 
-LIKE = np.zeros((1000, 3), np.float32)
+SHAPE = 1000, 3
 
 
 def test_what_is_let_go_of_is_given_out_again():
     memory = FrameMemory()
-    first = memory.empty_like(LIKE)
+    first = memory.empty(SHAPE)
     place = first.ctypes.data
     del first
-    assert memory.empty_like(LIKE[:500]).shape == (500, 3)
-    assert memory.empty_like(LIKE).ctypes.data == place
+    assert memory.empty((500, 3)).shape == (500, 3)
+    assert memory.empty(SHAPE, np.int32).dtype == np.int32
+    assert memory.empty(SHAPE).ctypes.data == place
 
 
 def test_what_somebody_has_is_not_given_out_and_views_count():
     memory = FrameMemory()
-    whole, other = memory.empty_like(LIKE), memory.empty_like(LIKE)
+    whole, other = memory.empty(SHAPE), memory.empty(SHAPE)
     assert not np.shares_memory(whole, other)
     view = whole.reshape(-1, 3, 1)[10:]
     del whole
-    assert not any(np.shares_memory(view, memory.empty_like(LIKE)) for _ in range(3))
+    assert not any(np.shares_memory(view, memory.empty(SHAPE)) for _ in range(3))
 
 
 def test_frames_that_are_kept_stay_as_they_were():
