@@ -260,9 +260,8 @@ def _decode(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]
     try:
         context = av.CodecContext.create("h264", "r")
         context.thread_count = 1
-        packets = [av.Packet(start_codes(sample)) for sample in samples]
-        for packet in [*packets, None]:
-            for frame in context.decode(packet):
+        for sample in [*samples, None]:
+            for frame in context.decode(None if sample is None else av.Packet(start_codes(sample))):
                 yield _luma(frame, where)
     except (av.FFmpegError, CodecError) as error:
         raise FormatError("bad_picture", where, f"expected H.264: {error}") from error

@@ -5,7 +5,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from airgs_codec.coding import kernels
+from airgs_codec.coding import atlas, kernels, rangecoder
 from airgs_codec.coding.atlas import read_codes
 from airgs_codec.decoder.decode import decode_frames, decode_state
 from airgs_codec.package.package import open_package
@@ -24,6 +24,20 @@ def test_how_many_rows_are_decoded_together_changes_nothing(monkeypatch, level):
     for a, b in zip(*frames, strict=True):
         for f in fields(a):
             np.testing.assert_array_equal(getattr(a, f.name), getattr(b, f.name))
+
+
+@pytest.mark.parametrize("case", sorted(path.stem for path in GOLDEN.glob("*.json")))
+def test_compiled_loops_give_the_bits_that_numpy_gives(monkeypatch, case):
+    frames = []
+    for compiled in (lambda loop, numbers: None, lambda loop, numbers: rangecoder._compiled(loop)):
+        for module in (atlas, kernels):
+            monkeypatch.setattr(module, "worth_compiling", compiled)
+        package = open_package(GOLDEN / case)
+        levels = range(len(package.manifest.levels))
+        stop = package.manifest.frames
+        frames.append([f.gaussians for level in levels for f in decode_frames(package, 0, stop, level=level)])
+    for a, b in zip(*frames, strict=True):
+        assert all(getattr(a, f.name).tobytes() == getattr(b, f.name).tobytes() for f in fields(a))
 
 
 def test_the_codes_of_some_rows_are_those_of_all_of_them():
