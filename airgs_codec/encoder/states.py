@@ -107,10 +107,12 @@ def code_states(
     omitted, no_planes = omissions.planes(settings.scaled_price)
     still, no_segments = omissions.segments(settings.scaled_price)
     levels, quality = [], 0
+    written = np.arange(len(layout.rows))
     for number, level in enumerate(settings.levels):
-        if level.quality != quality:
-            quality = level.quality
-            values = StateValues.write(file, frames, layout.rows, bases[quality], layout.state_steps)
+        if level.quality != quality:  # no later level carries rows that this one does not
+            quality, written = level.quality, np.flatnonzero((depths != STATIC) & (depths >= number))
+            base = bases[quality].part(written)
+            values = StateValues.write(file, frames, layout.rows[written], base, layout.state_steps)
         steps = STATE.steps(layout.state_steps, layout.colours) * level.factor
         tiles = []
         for tile in range(layout.tiles):
@@ -118,7 +120,8 @@ def code_states(
             rows = part.start + np.flatnonzero((depths[part] != STATIC) & (depths[part] >= number))
             fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
             alpha = bases[quality].opacity[rows].astype(np.float64)
-            coder = _LevelCoder(values, rows, alpha, steps, fetched, scratch / f"{number} {tile}")
+            places = np.searchsorted(written, rows)
+            coder = _LevelCoder(values, places, alpha, steps, fetched, scratch / f"{number} {tile}")
             tiles.append(coder.code(omitted))
         levels.append(tuple(tiles))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
@@ -177,7 +180,7 @@ class _LevelCoder:
     """Codes the n rows of a tile in a level, one channel after the other."""
 
     values: StateValues
-    rows: NDArray[np.intp]  # (n,) among the N
+    rows: NDArray[np.intp]  # (n,) among those of the values
     alpha: NDArray[np.float64]  # (n,) canonical, as decoded
     steps: NDArray[np.float64]  # (10 + C,)
     fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
