@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli.manifest import main
+from airgs_codec.decoder.decode import decode_canonical
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
@@ -13,6 +14,7 @@ from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.package import open_package
+from airgs_codec.scene.gaussians import to_rotation_vector
 from airgs_codec.scene.sequence import open_sequence
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
@@ -63,3 +65,13 @@ def test_left_out_rows_and_bands_do_not_matter(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4, 1)))
     encode(sequence, tmp_path / "out", replace(FAST, keep_all=False))
     assert validate(tmp_path / "out") == exceeded(measure_errors(open_package(tmp_path / "out"), sequence)) == []
+
+
+def test_promises_hold_of_rows_whose_axes_have_other_names(tmp_path):
+    scene = write_sequence(tmp_path / "scene", moving_frames(400, 3))  # turned anyhow
+    encode(open_sequence(scene), tmp_path / "package", FAST)
+    measured = list(measure_errors(open_package(tmp_path / "package"), open_sequence(scene)))
+    assert sum(e.attribute == "quaternions" and "key" in e.where and e.rows > 0 for e in measured)
+    assert all(e.error <= e.bound for e in measured)
+    base = decode_canonical(open_package(tmp_path / "package"), 0, 0)
+    assert np.linalg.norm(to_rotation_vector(base.quaternions), axis=1).max() < np.radians(70)  # 62.8, and a step
