@@ -90,7 +90,7 @@ class CodecSettings:
         """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: `ClosedGop`s decide the IDRs.
 
         Deblocking off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
-        Nothing moves across a plane, so that a wide search for motion finds chance. States of the fox took 5 % fewer
+        Nothing moves across a plane, so that a wide search for motion finds chance. States of the fox took 4 % fewer
         bytes at equal error with these searches, references and B-pictures than with the preset's.
         x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that, the
         `size` (width, height) and the `rate`. Where it would come to more than 5.1 it is told 5.1, which leaves as many
