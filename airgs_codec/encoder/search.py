@@ -80,9 +80,10 @@ class Goal:
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
     """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
-    It is met to TOLERANCES, or to ENOUGH of them after TRIALS trials. The search steps by SLOPES until two trials lie
-    on both sides of the goal, then by regula falsi between the nearest two: trials are noisy by about a tolerance, so
-    no slope between two of them can be trusted. Raises OutOfReachError.
+    It is met to TOLERANCES, or as near as TRIALS trials came where some lie on both sides of it, else to ENOUGH of them.
+    The search steps by SLOPES until two trials lie on both sides of the goal, then by regula falsi between the nearest
+    two: trials are noisy by more than a tolerance where few Gaussians decide, so no slope between two of them can be
+    trusted. Raises OutOfReachError.
     """
     slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
     seen: dict[float, float] = {}
@@ -95,7 +96,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
         if factor in seen:
             break
     best = min(seen, key=lambda f: abs(seen[f]))
-    if abs(seen[best]) <= ENOUGH:
+    if abs(seen[best]) <= ENOUGH or min(seen.values()) < 0 < max(seen.values()):
         return best
     wide = TOLERANCES[goal.kind]
     got = goal.value + seen[best] * wide if goal.kind == PSNR else goal.value * math.exp(seen[best] * wide)

@@ -1,7 +1,7 @@
 """The errors of a package against the sequence it was made of, attribute by attribute, beside what it promises.
 
-The order of rows in a package is not stored: each of its rows is matched with the nearest original one, by means,
-log-scales, opacity and SH DC in three frames of the group. N rows of a group.
+The order of rows in a package is not stored: each of its rows is matched with the nearest original one, by all
+attributes but SH rest in three frames of the group. N rows of a group.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import STATIC, Group, unpack_matrix
-from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
+from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence
 
 
@@ -89,10 +89,11 @@ def _match(
 
 
 def _features(g: Gaussians, group: Group, scale: float) -> NDArray[np.float64]:
-    """(N, 10) in steps."""
+    """(N, 19) in steps; of rotations the matrices, which know no half turn and differ by sqrt(2) times small angles."""
     steps, means = group.state_steps, g.means.astype(np.float64) / scale
     opacity = g.opacities()[:, None] / steps.opacity
-    return np.hstack([means, g.log_scales / steps.log_scales, opacity, g.sh_dc / steps.sh_dc])
+    turns = to_matrices(g.quaternions).reshape(len(g), 9) / (2**0.5 * steps.quaternions)
+    return np.hstack([means, g.log_scales / steps.log_scales, turns, opacity, g.sh_dc / steps.sh_dc])
 
 
 def _keys(

@@ -40,6 +40,7 @@ def package(tmp_path_factory):
         decide_pictures=2,
         measure_pictures=0,
         group_frames=30,
+        keys="apart",
         preset="ultrafast",
         keep_all=True,
         levels=levels,

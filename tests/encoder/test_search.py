@@ -39,6 +39,17 @@ def test_a_search_ends_at_its_goal():
         find_quality(Goal(SIZE, 0.5), lambda f: 1.0 + 12.0 * f**-0.9, 1.0)
     with pytest.raises(ConfigError, match="positive PSNR, got nan"):
         Goal(PSNR, math.nan)
+
+
+def test_a_goal_between_two_trials_is_in_reach_however_they_jump():
+    tried = {}
+
+    def trial(factor):
+        tried[factor] = 42.0 - 7.0 * math.log(factor) + (1.0 if factor < 1.5 else -1.0)
+        return tried[factor]
+
+    found = find_quality(Goal(PSNR, 39.1), trial, 1.0)
+    assert abs(tried[found] - 39.1) == min(abs(got - 39.1) for got in tried.values()) > 0.3
     with pytest.raises(ConfigError, match="at most 100 dB, that of equal pictures, got 200"):
         Goal(PSNR, 200)
 
