@@ -276,7 +276,7 @@ class EncodeSettings:
         """The settings at another quality; levels withhold what `shares` says for their steps."""
         if not self.shares:
             return replace(self, quality=quality)
-        levels = (replace(level, pruned=self._share(quality * level.factor)) for level in self.levels)
+        levels = (replace(level, pruned=round(self._share(quality * level.factor), 3)) for level in self.levels)
         return replace(self, quality=quality, levels=tuple(levels))
 
     def _share(self, factor: float) -> float:
