@@ -52,7 +52,7 @@ PARTS = (1, 2, 3, 5, 8, 12, 24)  # of equal length that a run of frames is split
 PICTURES, PICTURE_PIXELS = 12, 60_000  # that tell which rows matter, and how large they are at most
 WORSE = 2  # lengths in turn that cost more than a longer one, after which shorter ones are not tried
 SEGMENTS = 2  # of a group, evenly spaced, whose states are coded
-SHARES = (0.0, 0.4, 0.75)  # of the updates withheld, tried
+STATES = ((0.0, 1.0), (0.4, 1.0), (0.0, 2.0), (0.4, 2.0))  # shares of the updates withheld, factors on steps, tried
 BLOCKS = 40  # of rows that are coded
 LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
 RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
@@ -154,20 +154,20 @@ class CalibrationSample:
         values = state_channels([self.key, *self.frames], base, steps.state)
         return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
 
-    def cost_without(
+    def cost_of(
         self,
         states: NDArray[np.float64],
         steps: StepSettings,
         scores: NDArray[np.float64],
         moving: NDArray[np.bool_],
-        share: float,
+        way: tuple[float, float],
     ) -> tuple[float, float]:
-        """Bytes a frame and error of pictures when a share of the updates, those of the least `scores`, is withheld.
+        """Bytes a frame and error of pictures of one of STATES; the updates of the least `scores` are withheld.
 
         `states` are those of `self.states`.
         """
-        sent = assign_depths(scores, moving, [share]) == 0
-        size, coded = replace(self, moving=sent).code_states(states, 1.0)
+        sent = assign_depths(scores, moving, [way[0]]) == 0
+        size, coded = replace(self, moving=sent).code_states(states, way[1])
         return size, float(self.error(np.where(sent, coded, states[1:]), steps).sum())
 
     def code_states(
@@ -280,9 +280,9 @@ class _Trial:
             coded = replace(sample, frames=shown, segment_frames=len(shown))
             states = coded.states(base, steps)
             scores, moving = rank_updates(states[1:], states[1:] - states[0], weights)
-            shares = [pool.submit(coded.cost_without, states, steps, scores, moving, share) for share in SHARES]
-            costs.append([share.result() for share in shares])
-        totals: list[list[float]] = np.mean(costs, axis=0).tolist()  # bytes and error for each share
+            trials = [pool.submit(coded.cost_of, states, steps, scores, moving, way) for way in STATES]
+            costs.append([trial.result() for trial in trials])
+        totals: list[list[float]] = np.mean(costs, axis=0).tolist()  # bytes and error of each way
         return min((LengthCost(length, key_bytes + b, e) for b, e in totals), key=lambda cost: cost.score)
 
     def _sample(self, window: GroupSpan) -> CalibrationSample:
