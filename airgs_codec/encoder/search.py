@@ -81,9 +81,9 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
     """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
     It is met to TOLERANCES, or as near as TRIALS trials came where some lie on both sides of it, else to ENOUGH of
-    them. The search steps by SLOPES until two trials lie on both sides of the goal, then by regula falsi between the nearest
-    two: trials are noisy by more than a tolerance where few Gaussians decide, so no slope between two of them can be
-    trusted. Raises OutOfReachError.
+    them. The search steps by SLOPES until two trials lie on both sides of the goal, then by regula falsi between the
+    nearest two: trials are noisy by more than a tolerance where few Gaussians decide, so no slope between two of them
+    can be trusted. Raises OutOfReachError.
     """
     slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
     seen: dict[float, float] = {}
