@@ -91,8 +91,8 @@ def _place(look: _Look, margin: float) -> Place:
 
 
 def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
-    """To a millionth of `size`: nobody stands more exactly, and every viewer fetches them."""
-    return [round(float(v), 6 - int(np.floor(np.log10(size)))) for v in vector]
+    """To a hundred-thousandth of `size`: nobody stands more exactly, and every viewer fetches them."""
+    return [round(float(v), 5 - int(np.floor(np.log10(size)))) for v in vector]
 
 
 def _look(camera: Camera, g: Gaussians) -> _Look:

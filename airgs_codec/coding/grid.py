@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,7 +53,17 @@ def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float
     if not np.isfinite(extent) or extent > 1e30:
         raise SceneError(f"means span {extent:g} world units: expected at most 1e30")
     finest = int(classes.min())
-    while extent / (cell * 2.0**finest) >= 2**MAX_BITS:
+    while True:
+        step = cell * 2.0**finest
+        origin = [_short(value, step) for value in low.tolist()]
+        cells = float((high - origin).max()) / step
+        if cells < 2**MAX_BITS:
+            return Grid(origin, step, max(1, int(cells).bit_length()), finest)
         finest += 1
-    step = cell * 2.0**finest
-    return Grid(low.tolist(), step, max(1, int(extent / step).bit_length()), finest)
+
+
+def _short(value: float, step: float) -> float:
+    """At most `value`, and by less than a tenth of a step where float64 can tell: few digits, as viewers fetch them."""
+    digits = 1 - math.floor(math.log10(step))
+    below = round(math.floor(value * 10.0**digits) / 10.0**digits, digits)
+    return below if below <= value else value

@@ -37,7 +37,7 @@ def test_encode_reports_what_it_did(tmp_path, capsys):
     words = [str(scene), "--x264-preset", "veryfast", "--measure-pictures", "2"]
     assert encode.main(words) == 0
     out = capsys.readouterr().out
-    assert "Q0 + L0" in out and "play it: airgs-serve " in out and len(out.splitlines()) <= 24
+    assert " + L0 " in out and "play it: airgs-serve " in out and len(out.splitlines()) <= 24
     assert encode.main([*words, "--verbose"]) == 0
     assert "quality against the original" in capsys.readouterr().out
     assert (tmp_path / "scene.airgs" / "manifest.mpd").exists()
