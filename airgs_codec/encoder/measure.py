@@ -21,9 +21,8 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 LOWER = 2  # one picture of the first round in so many measures the rungs below the top one
 OFF_LADDER = 6  # one in so many measures key qualities that are not those of a level; a multiple of LOWER
-UNSURE = (
-    0.035  # relative standard error of the top rung's mean squared error above which more are measured: 0.3 dB are two
-)
+# Relative standard error of the top rung's mean squared error above which more pictures are measured: two are 0.3 dB.
+UNSURE = 0.035
 ROUNDS = 12  # of pictures, at most
 
 

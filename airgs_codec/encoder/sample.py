@@ -52,7 +52,7 @@ PARTS = (1, 2, 3, 5, 8, 12, 24)  # of equal length that a run of frames is split
 PICTURES, PICTURE_PIXELS = 12, 60_000  # that tell which rows matter, and how large they are at most
 WORSE = 2  # lengths in turn that cost more than a longer one, after which shorter ones are not tried
 SEGMENTS = 2  # of a group, evenly spaced, whose states are coded
-STATES = ((0.0, 1.0), (0.4, 1.0), (0.0, 2.0), (0.4, 2.0))  # shares of the updates withheld, factors on steps, tried
+WAYS = ((0.0, 1.0), (0.4, 1.0), (0.0, 2.0), (0.4, 2.0))  # shares of the updates withheld, factors on steps, tried
 BLOCKS = 40  # of rows that are coded
 LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
 RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
@@ -162,7 +162,7 @@ class CalibrationSample:
         moving: NDArray[np.bool_],
         way: tuple[float, float],
     ) -> tuple[float, float]:
-        """Bytes a frame and error of pictures of one of STATES; the updates of the least `scores` are withheld.
+        """Bytes a frame and error of pictures of one of WAYS; the updates of the least `scores` are withheld.
 
         `states` are those of `self.states`.
         """
@@ -280,7 +280,7 @@ class _Trial:
             coded = replace(sample, frames=shown, segment_frames=len(shown))
             states = coded.states(base, steps)
             scores, moving = rank_updates(states[1:], states[1:] - states[0], weights)
-            trials = [pool.submit(coded.cost_of, states, steps, scores, moving, way) for way in STATES]
+            trials = [pool.submit(coded.cost_of, states, steps, scores, moving, way) for way in WAYS]
             costs.append([trial.result() for trial in trials])
         totals: list[list[float]] = np.mean(costs, axis=0).tolist()  # bytes and error of each way
         return min((LengthCost(length, key_bytes + b, e) for b, e in totals), key=lambda cost: cost.score)

@@ -153,14 +153,14 @@ def _without(settings: EncodeSettings, beaten: Sequence[int]) -> EncodeSettings:
 def _take_back(attempt: Attempt, encoded: Encoded, measured: float, expected: ExpectedError) -> Repair | None:
     """Less left out or fewer updates withheld, whichever is to blame for a shortfall of the top rung; None: neither.
 
-    A part is to blame that makes more error than was expected of it, by BLAME of the error that all make beyond that.
+    A part is to blame that makes more error than was expected of it, by BLAME of what all parts make beyond that.
     """
     settings, total = attempt.settings, _squared_error(measured)
     story = f"top rung {measured:.2f} dB where {psnr(expected.total):.2f} dB were expected"
-    beyond = BLAME * (total - expected.total)
+    beyond = BLAME * max(0.0, total - expected.total)
     rows, held = _part_errors(attempt, encoded)
     if rows - expected.rows > beyond and rows - expected.rows >= held - expected.held:
-        finer = settings.steps.rows * (expected.total / total) ** 0.5 / 2
+        finer = settings.steps.rows * min(1.0, expected.total / total) ** 0.5 / 2
         fewer = replace(settings, steps=replace(settings.steps, rows=finer))
         return Repair(fewer, f"{story}: Gaussians left out cost {psnr(rows):.1f} dB, fewer are")
     if held - expected.held > beyond:

@@ -127,6 +127,15 @@ def test_fewer_updates_are_withheld_where_they_are_to_blame(attempt, encoded, mo
     assert repair.settings.levels[0].pruned == 0.25 and not repair.settings.keep_all
 
 
+@pytest.mark.parametrize(("rows", "word"), [(9e-6, "L0 dropped"), (1.1e-5, "Gaussians left out")])
+def test_no_part_is_blamed_for_less_than_was_expected_of_it(attempt, encoded, monkeypatch, rows, word):
+    """A rung of 41 dB where 40 were expected, which a cheaper one beats all the same."""
+    monkeypatch.setattr(verify, "_part_errors", lambda *_: (rows, 0.0))
+    monkeypatch.setattr(verify, "_find_better", lambda *_: {0: 1})
+    repair = find_repair(replace(attempt, expected=EXPECTED), encoded, measured(encoded, [41.0, 42.0, 35.0]))
+    assert word in repair.story and repair.settings.steps.rows <= SETTINGS.steps.rows
+
+
 def test_parts_of_the_error_are_rendered_in_views_of_their_own(attempt, encoded, monkeypatch):
     group = encoded.group(0)
 
