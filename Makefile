@@ -7,7 +7,7 @@ HEAD := manifests/showcase/head.airgs
 
 VIEWS := tests/data/fox_views
 
-.PHONY: demo demo-train demo-study test lint web-check pytest soak gpu page clean
+.PHONY: demo demo-train demo-study test lint web-check pytest soak mutants gpu page clean
 
 # torch is pinned here, in one place; where pip would take its CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.
 .venv/installed: pyproject.toml Makefile
@@ -79,6 +79,13 @@ soak: .venv/installed
 	$(BIN)/python -m tools.lab soak-live
 	$(BIN)/python -m tests.long.watch
 
+# Changes rules that decide, one operator or constant at a time, and runs their tests: survivors are what no test asks.
+# About an hour; CONTRIBUTING.md explains those that are left.
+mutants: .venv/installed
+	$(BIN)/pip install --quiet mutmut==3.8.1
+	$(BIN)/mutmut run
+	$(BIN)/mutmut results
+
 # For a machine with an NVIDIA GPU: its driver, and nvcc and a C++ compiler, since gsplat comes from PyPI as source and
 # is compiled once, for minutes, before anything is timed. PyPI's torch 2.13 is for CUDA 13, and so must the toolkit be
 # (on the PATH, or at CUDA_HOME); ninja comes with gsplat, and torch looks for it on the PATH.
@@ -94,4 +101,4 @@ gpu: .venv/gpu
 	$(BIN)/python -m tools.lab devices $(VIEWS) $(SCENE)
 
 clean:
-	rm -rf build .venv web/node_modules web/out
+	rm -rf build mutants .venv web/node_modules web/out
