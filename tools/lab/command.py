@@ -2,7 +2,7 @@
 
     python -m tools.lab                     every experiment: its name, its question, how long it takes
     python -m tools.lab NAME … [-o FOLDER]  run one; its page, pictures, CSV and JSON go to FOLDER
-    python -m tools.lab figures             which command makes which figure of which document
+    python -m tools.lab publish DATA        run all that documents show, in a folder of scenes (hours)
 
 What was measured stays in FOLDER/work, so that a run that was interrupted goes on.
 """
@@ -10,7 +10,9 @@ What was measured stays in FOLDER/work, so that a run that was interrupted goes 
 from __future__ import annotations
 
 import importlib
+import os
 import shlex
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -18,12 +20,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from airgs_codec._report import require_matplotlib, table
-from airgs_codec._settings import setting
+from airgs_codec._report import require_matplotlib
+from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import make_app, run_program, takes
 from airgs_codec.cli.terminal import Bar  # before all that loads numba
-from tools.lab.experiments import EXPERIMENTS, FIGURES, Experiment
-from tools.lab.page import Made, Page, text_of, update, write_page
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.tables import VERSION
+from tools.lab.experiments import EXPERIMENTS, MEASUREMENTS, Experiment, Measurement
+from tools.lab.options import expect_names
+from tools.lab.page import Made, Page, text_of, write_page
+from tools.lab.published import FIGURES, REPOSITORY, publish, today_and_commit
 from tools.lab.results import Results
 from tools.lab.timing import machine
 
@@ -59,7 +65,15 @@ class Output:
     output: Path | None = setting(
         None, f"folder of the page, its pictures and figures (default: {OUTPUT}/NAME)", short="-o", metavar="FOLDER"
     )
-    update: Path | None = setting(None, "page to put the page into, too, between its marks", metavar="PAGE")
+    publish: str = setting("", "put the page and its figures into docs/results, as this measurement", metavar="NAME")
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """Options of `publish`."""
+
+    data: Path = required("a folder of scenes, by the names that commands of documents give them")
+    only: tuple[str, ...] = setting(tuple(one.name for one in MEASUREMENTS), "of these measurements")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -69,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(*(f"{one.name:<16} {one.question} ({one.takes})" for one in EXPERIMENTS), sep="\n")
         return 0
     app = make_app(PROGRAM, about=__doc__)
-    app.command(_figures, name="figures")
+    app.command(takes(Published)(_publish), name="publish")
     for one in EXPERIMENTS:
         if one.name == words[0]:  # it alone is loaded
             app.command(_command(one, words), name=one.name)
@@ -78,11 +92,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     return run_program(f"lab {words[0]}", app, words)
 
 
-def _figures() -> int:
-    """Print which command makes which figure of which document."""
-    head = ["file", "document", "command"]
-    print(*table(head, [[one.file, one.document, one.command] for one in FIGURES]), sep="\n")
-    return 0
+def _publish(options: Published) -> int:
+    """Run what documents show, and put its pages and figures into docs/results; the status is 1 where some failed."""
+    expect_names("--only", options.only, Published(options.data).only)
+    failed = []
+    for one in (one for one in MEASUREMENTS if one.name in options.only):
+        words = [*shlex.split(one.words), "--publish", one.name, "-o", str((OUTPUT / one.name).absolute())]
+        call = [sys.executable, "-m", "tools.lab", *words]
+        if subprocess.run(call, cwd=options.data, env=os.environ | {"PYTHONPATH": str(REPOSITORY)}).returncode:
+            failed.append(one.name)
+    print(f"failed: {', '.join(failed)}" if failed else f"{FIGURES}: {len(options.only)} measurements")
+    return int(bool(failed))
+
+
+def measurement_of(name: str, words: Sequence[str]) -> Measurement:
+    """The measurement of a name. Raises ConfigError where there is none, or where its command is another."""
+    expect_names("--publish", (name,), tuple(one.name for one in MEASUREMENTS))
+    found = next(one for one in MEASUREMENTS if one.name == name)
+    asked = shlex.split(found.words)
+    if list(words[: len(asked)]) != asked or not set(words[len(asked) :: 2]) <= {"--publish", "-o"}:
+        raise ConfigError(f"--publish {name}: expected the command that documents show, {PROGRAM} {found.words}")
+    return found
 
 
 def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]:
@@ -92,10 +122,12 @@ def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]
     def command(options: Any, output: Output) -> int:
         require_matplotlib("a page")
         folder, begun = output.output or OUTPUT / experiment.name, time.perf_counter()
+        measurement = measurement_of(output.publish, words) if output.publish else None
+        said = f"{PROGRAM} {measurement.words if measurement else shlex.join(words)}"
 
         def write(page: Page) -> Made:
             took = time.perf_counter() - begun
-            made = Made(experiment.name, experiment.question, f"{PROGRAM} {shlex.join(words)}", machine(), took)
+            made = Made(experiment.name, experiment.question, said, machine(), took, *today_and_commit(), VERSION)
             write_page(page, made, folder)
             return made
 
@@ -106,8 +138,8 @@ def _command(experiment: Experiment, words: Sequence[str]) -> Callable[..., int]
             lab.progress.close()
         assert isinstance(page, Page)
         made = write(page)
-        if output.update:
-            update(output.update, page, made)
+        if measurement:
+            publish(measurement, page, replace(made, name=measurement.name), folder)
         print(f"{text_of(page)}\n\n{folder}, {made.seconds:.0f} s; {made.machine}")
         return int(page.failed)
 

@@ -1,7 +1,8 @@
 """The tables of experiments and of what they make.
 
-An experiment has a question, a module with `Options` and `run`, and a time that it takes. A figure of a document has
-the command that makes it: a test holds that nothing is left out, and all is there.
+An experiment has a question, a module with `Options` and `run`, and a time that it takes. A measurement is what a
+document of results shows of one. A figure of a document that no measurement makes has the command that makes it: a test
+holds that nothing is left out, and all is there.
 """
 
 from __future__ import annotations
@@ -65,8 +66,23 @@ EXPERIMENTS = (
 
 
 @dataclass(frozen=True, slots=True)
+class Measurement:
+    """What a document shows of an experiment."""
+
+    name: str  # of its marks in the document, and of its entry in figures.json
+    document: str  # in docs/results, without .md
+    words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
+
+
+MEASUREMENTS = (
+    Measurement("work-precision", "work_precision", "work-precision --scene fox=fox/ --spinach spinach_4.splatv"),
+    Measurement("stiff", "stiff", "stiff"),
+)
+
+
+@dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture, a CSV or the tables of a document."""
+    """A picture, a CSV or the tables of a document that no measurement makes."""
 
     file: str  # below docs/; of tables the document itself
     document: str
@@ -94,10 +110,4 @@ FIGURES = (
     *_of("docs/results/paper.md", "python -m tools.lab reproduce -o OUT",
          *(f"docs/results/paper-{name}" for name in
            ("quality.png", "ablations.png", "methods.csv", "streams.csv", "ablations.csv"))),
-    *_of("docs/results/work_precision.md", "python -m tools.lab work-precision -o OUT",
-         "docs/results/work_precision.csv",
-         *(f"docs/results/precision-{name}.png"
-           for name in ("decode", "encode", "renderer", "selector", "survey", "trainer"))),
-    *_of("docs/results/stiff.md", "python -m tools.lab stiff -o OUT", "docs/results/stiff.csv",
-         *(f"docs/results/stiff-{name}.png" for name in ("trainer", "gradients", "codec", "selector"))),
 )  # fmt: skip

@@ -85,18 +85,30 @@ class Page:
     how: str = ""  # it was measured
     failed: bool = False
     more: Mapping[str, Any] = field(default_factory=dict)  # figures for the JSON alone
-    before: str = ""  # when and where it was measured, where that was not now
+    data: Sequence[Table] = ()  # what pictures are drawn from, for the JSON and files alone
+
+    def tables(self) -> list[Table]:
+        """All tables, those that the page does not show last."""
+        return [*(one for section in self.sections for one in section.tables), *self.data]
 
 
 @dataclass(frozen=True, slots=True)
 class Made:
     """How a page came about."""
 
-    name: str  # of the experiment
+    name: str  # of the experiment, or of what is published of it
     question: str
     command: str
     machine: str
     seconds: float
+    date: str  # YYYY-MM-DD
+    commit: str  # of the code, with a + where it had changed since
+    format: int  # of packages
+
+    def said(self) -> str:
+        """How it came about, in a line."""
+        code = f"commit {self.commit}, format {self.format}"
+        return f"Measured {self.date} in {self.seconds:,.0f} s, {code} ({self.machine})."
 
 
 def rows_of(values: Iterable[Any]) -> list[Row]:
@@ -153,7 +165,7 @@ def _body(page: Page, made: Made) -> Iterator[str]:
             yield wrapped(section.answer)
         yield from ("\n".join(markdown_table(one)) for one in section.tables if one.rows)
     yield f"```sh not-run\n{made.command}\n```"
-    yield wrapped(page.before or f"Measured in {made.seconds:.0f} s ({made.machine}).")
+    yield wrapped(made.said())
 
 
 def markdown_table(one: Table) -> list[str]:
@@ -169,12 +181,11 @@ def write_page(page: Page, made: Made, folder: Path) -> None:
     Raises ConfigError without matplotlib, OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    tables = [one for section in page.sections for one in section.tables]
     for picture in (picture for section in page.sections for picture in section.pictures):
         write_picture(picture, folder / f"{picture.name}.png")
-    for one in tables:
+    for one in page.tables():
         write_csv(one.rows, folder / f"{one.name}.csv")
-    figures = {one.name: list(one.rows) for one in tables}
+    figures = {one.name: list(one.rows) for one in page.tables()}
     write_json(folder / f"{made.name}.json", dataclasses.asdict(made) | {"figures": figures} | dict(page.more))
     write_bytes(folder / f"{made.name}.md", markdown(page, made).encode())
 

@@ -6,7 +6,7 @@ import json
 import math
 import multiprocessing
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import pytest
@@ -15,15 +15,15 @@ from airgs_codec.cli.options import read_options
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
 from tests.support.paths import REPOSITORY
-from tools.lab import main
-from tools.lab.command import Lab
-from tools.lab.experiments import EXPERIMENTS, FIGURES
+from tools.lab import main, published
+from tools.lab.command import PROGRAM, Lab
+from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
 from tools.lab.options import expect_names, required, setting
 from tools.lab.page import Made, Page, Picture, Section, Table, markdown, text_of, update, wrapped, write_page
 from tools.lab.results import Results, content
 from tools.lab.timing import alone, middle, seconds_of, timed
 
-MADE = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2)
+MADE = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +151,7 @@ def test_a_page_goes_between_its_marks(tmp_path):
     assert text.startswith("# A\n\n<!-- tools.lab thing: begin -->\n\nBy hand.") and "old" not in text
     assert text.endswith("<!-- tools.lab thing: end -->\n\n## B\n")
     with pytest.raises(ConfigError, match="other: begin"):
-        update(document, page(), Made("other", "", "", "", 0))
+        update(document, page(), replace(MADE, name="other"))
 
 
 def test_work_is_timed_here_and_alone():
@@ -200,19 +200,20 @@ def test_bad_input_is_one_line(tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().err == f"lab {EXPERIMENTS[0].name}: scene: expected a scene\n"
 
 
-def test_the_table_of_figures_names_all_that_there_is_and_nothing_else(capsys):
-    assert main(["figures"]) == 0
+def test_every_picture_of_the_documents_is_of_a_measurement_or_of_the_table_of_figures():
     assert len({one.file for one in FIGURES}) == len(FIGURES)
     for one in FIGURES:
         assert (REPOSITORY / one.file).is_file() and (REPOSITORY / one.document).is_file(), one
+    measured = {f"docs/results/{name}.png" for entry in published.read_figures().values() for name in entry["pictures"]}
     there = {p.relative_to(REPOSITORY).as_posix() for p in (REPOSITORY / "docs").rglob("*") if p.is_file()}
-    assert {file for file in there if not file.endswith(".md")} <= {one.file for one in FIGURES}
+    made = {one.file for one in FIGURES} | measured | {"docs/results/figures.json"}
+    assert {file for file in there if not file.endswith(".md")} == made
 
 
 def test_commands_of_the_table_of_figures_are_commands():
     from tools.check_docs import command_error
 
-    for command in {one.command for one in FIGURES}:
+    for command in {one.command for one in FIGURES} | {f"{PROGRAM} {one.words}" for one in MEASUREMENTS}:
         if not command.startswith("("):
             assert command_error(command.split(), whole=True) is None, command
 

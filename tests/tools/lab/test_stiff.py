@@ -1,14 +1,13 @@
 """Stiff cases: how an experiment is judged, where regions lie, what the page says."""
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
-from tests.support.paths import REPOSITORY
-from tools.lab import main
+from tools.lab import main, published
 from tools.lab.command import Lab
 from tools.lab.numerics import stiff
 from tools.lab.numerics.fits import TRAINER, fit
@@ -30,7 +29,7 @@ from tools.lab.numerics.outcome import (
 )
 from tools.lab.numerics.problems import AXES, faint_or_opaque, needles, quaternions_of
 from tools.lab.numerics.steps import LIMIT, judge_factors, spread_slopes, unlimited
-from tools.lab.page import text_of, write_csv, write_picture
+from tools.lab.page import text_of, write_picture
 
 
 @pytest.mark.parametrize(
@@ -94,21 +93,24 @@ def test_a_fault_is_told(monkeypatch, end, words, failed):
     assert made.failed == failed and f"{words} of them is a fault" in text_of(made).replace("\n", " ")
 
 
-def test_a_page_is_made_again_of_its_csv(tmp_path, monkeypatch):
-    cells = CASE.run()
+def test_a_page_draws_maps_of_its_cells(tmp_path, monkeypatch):
     monkeypatch.setattr(stiff, "CASES", (CASE,))
-    write_csv([asdict(cell) for cell in cells], tmp_path / "stiff.csv")
-    assert stiff.read_cells(tmp_path / "stiff.csv") == cells
-    made = stiff.run(stiff.Options(rows=tmp_path / "stiff.csv"), Lab.at(tmp_path, quiet=True))
+    made = stiff.page(CASE.run())
     write_picture(made.sections[1].pictures[0], tmp_path / "map.png")
     assert 2_000 < (tmp_path / "map.png").stat().st_size < 100_000
 
 
-def test_the_page_of_the_documents_is_that_of_its_csv():
-    folder = REPOSITORY / "docs" / "results"
-    made = stiff.page(stiff.read_cells(folder / "stiff.csv"))
-    text = " ".join((folder / "stiff.md").read_text().split())
-    assert not made.failed and all(" ".join(s.answer.split()) in text for s in made.sections)
+def test_every_conclusion_of_the_documents_follows_from_their_figures():
+    entry = published.read_figures()["stiff"]
+    cells = [Cell(**row | {"value": math.nan if row["value"] is None else row["value"]}) for row in rows(entry)]
+    made = stiff.page(cells)
+    assert not made.failed and [made.how, *(s.answer for s in made.sections)] == entry["answers"]
+
+
+def rows(entry):
+    return [
+        dict(zip(entry["tables"]["stiff"]["columns"], row, strict=True)) for row in entry["tables"]["stiff"]["rows"]
+    ]
 
 
 def test_what_is_finished_is_not_tried_again(tmp_path, monkeypatch):

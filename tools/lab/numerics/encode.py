@@ -1,4 +1,6 @@
-"""Bytes of a frame at 43 dB against seconds of the encoder: of x264's presets and `--preset quick`, calibrated or not.
+"""Bytes of a frame at 43 dB against seconds of the encoder.
+
+Points are x264's presets, calibrated or not, `--preset quick`, and how many pictures decide.
 
 The quality factor is interpolated between two encodes near the target. PSNR is that of the package, from views by
 which nothing was decided. Seconds are those of the whole encode but for measuring, with an empty cache of calibrations.
@@ -28,7 +30,8 @@ MEASURED = 8  # pictures of a segment, at least
 PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
 FEW_PRESETS = ("ultrafast", "veryslow")  # of every scene but the first, of quick runs, and where it is calibrated
 ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
-PLAIN, CALIBRATED, PREVIEW = "default steps", "calibrated", "--preset quick"
+DECIDING = (2, 6, 24, 48)  # --decide-pictures
+PLAIN, CALIBRATED, PREVIEW, DECIDED = "default steps", "calibrated", "--preset quick", "pictures that decide"
 UNIT = "kB a frame at 43 dB"
 
 
@@ -41,28 +44,29 @@ class Trial:
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """A row for each preset, calibrated and not, and one for `--preset quick`."""
-    repeats = 1 if bench.quick else 2
+    """A row for each preset, calibrated and not, for `--preset quick`, and for each number of deciding pictures."""
     for scene in bench.scenes:
-        presets = FEW_PRESETS if bench.quick or scene is not bench.scenes[0] else PRESETS
-        for curve, setting, settings in variants(presets):
-            place = Place("encode", "presets", scene.name, curve, setting)
-
-            make = partial(_row, place, scene.sequence, settings, repeats)
-            yield Point("encode", scene, {"place": place, "repeats": repeats}, make)
+        whole = scene is bench.scenes[0] and not bench.quick
+        for curve, setting, settings in variants(PRESETS if whole else FEW_PRESETS, DECIDING if whole else ()):
+            place = Place("encode", scene.name, curve, setting)
+            make = partial(_row, place, scene.sequence, settings, bench.repeats)
+            yield Point("encode", scene, {"place": place, "repeats": bench.repeats}, make)
 
 
 def _row(place: Place, sequence: GaussianSequence, settings: EncodeSettings, repeats: int) -> list[Row]:
     size, took = at_target(sequence, settings, repeats)
-    return [Row.of(place, took, [size / 1e3], UNIT, size)]
+    return [Row.of(place, took, [size / 1e3], UNIT)]
 
 
-def variants(presets: Sequence[str]) -> Iterator[tuple[str, str, EncodeSettings]]:
+def variants(presets: Sequence[str], deciding: Sequence[int]) -> Iterator[tuple[str, str, EncodeSettings]]:
     """(curve, setting, settings) of every point."""
+    calibrated = replace(ONE_RUNG, calibrate="steps")
     for preset in presets:
         yield PLAIN, preset, replace(ONE_RUNG, preset=preset)
     for preset in FEW_PRESETS:
-        yield CALIBRATED, preset, replace(ONE_RUNG, preset=preset, calibrate="steps")
+        yield CALIBRATED, preset, replace(calibrated, preset=preset)
+    for count in deciding:
+        yield DECIDED, str(count), replace(calibrated, decide_pictures=count)
     yield PREVIEW, PREVIEW, replace(as_preview(ONE_RUNG), measure_pictures=MEASURED)
 
 

@@ -1,8 +1,7 @@
-"""What every part of `work_precision` is given and what it gives: scenes, points to measure, rows."""
+"""What every question of `work_precision` is given and what it gives: scenes, points to measure, rows."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.package import Package, open_package
+from airgs_codec.play.trace import Trace
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
@@ -26,13 +26,13 @@ FOX, FOX_VIEWS = DATA / "fox", DATA / "fox_views"
 FOX_FPS = 24
 SPINACH_VIEWS = "spinach_views.json"  # beside the clip
 SPINACH_FRAMES = 8  # of the clip, the first ones
+REPEATS = 5
 
 
 class Place(NamedTuple):
     """Where in the report a row stands."""
 
-    section: str
-    panel: str
+    question: str
     scene: str
     curve: str
     setting: str  # a point of the curve
@@ -42,41 +42,33 @@ class Place(NamedTuple):
 class Row:
     """One measurement: medians of repeated runs, with their quartiles."""
 
-    section: str
-    panel: str
+    question: str
     scene: str
     curve: str
     setting: str
     seconds: float  # of CPU time, all threads together
     seconds_low: float  # lower quartile
     seconds_high: float  # upper quartile
-    error: float  # in `unit`; NaN where nothing can err
+    error: float  # in `unit`
     error_low: float
     error_high: float
     unit: str
     wall: float  # seconds by the clock on the wall, median
-    bytes: float = math.nan  # a frame; NaN where there are none
-    runs: int = 1
+    runs: int
+    note: str = ""  # what stands beside its point
 
     @staticmethod
-    def of(place: Place, took: Sequence[Took], errors: Sequence[float], unit: str = "", size: float = math.nan) -> Row:
-        """The row of some runs, at least one; `errors` are of runs, too, and none where nothing can err."""
+    def of(place: Place, took: Sequence[Took], errors: Sequence[float], unit: str, note: str = "") -> Row:
+        """The row of some runs, at least one; `errors` are of runs, too."""
         spread = quartiles([t.cpu for t in took])
         wall = quartiles([t.wall for t in took])[0]
-        return Row(*place, *spread, *quartiles(errors or [math.nan]), unit, wall, size, len(took))
+        return Row(*place, *spread, *quartiles(errors), unit, wall, len(took), note)
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
     """Median, lower and upper quartile."""
     low, middle, high = np.percentile(np.asarray(values, np.float64), [25, 50, 75])
     return float(middle), float(low), float(high)
-
-
-def read_row(fields: Mapping[str, str]) -> Row:
-    """A row of a CSV. Raises TypeError, ValueError."""
-    words = {name: fields[name] for name in (*Place._fields, "unit")}
-    numbers = {name: float(text or "nan") for name, text in fields.items() if name not in (*words, "runs")}
-    return Row(**words, **numbers, runs=int(fields["runs"]))  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,11 +95,17 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What all parts share."""
+    """What all questions share."""
 
     scenes: tuple[Scene, ...]  # the first is the fox
     folder: Path  # of packages and models
+    traces: tuple[Trace, ...] = ()  # of links; none: made ones
     quick: bool = False
+
+    @property
+    def repeats(self) -> int:
+        """Runs of each point."""
+        return 2 if self.quick else REPEATS
 
     def package(self, scene: Scene, settings: EncodeSettings, name: str) -> Package:
         """A package of a scene, encoded once; `name` tells it from others of the scene."""

@@ -5,7 +5,6 @@ Exit status 1 where the code as it is diverges or is not finite.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,7 +33,7 @@ from tools.lab.numerics.outcome import (
     ranges,
 )
 from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of, write_csv
+from tools.lab.page import Page, Picture, Section, Table, rows_of
 from tools.lab.results import content
 
 if TYPE_CHECKING:
@@ -58,8 +57,7 @@ HOW = (
     "Where numbers are at their ends every experiment converges, is bounded by something named, or is refused in one "
     "line. A fit converges that halves its loss in 30 iterations (6 to 12 Gaussians, two pictures of 32 x 32); a "
     "gradient, within 1e-3 of float64; steps, at the optimum; a plan, within 0.01 dB of its relaxation; a session, "
-    "without waiting. It does not fit where nothing moves though pictures show an error. All experiments are in "
-    "[stiff.csv](stiff.csv)."
+    "without waiting. It does not fit where nothing moves though pictures show an error."
 )
 
 
@@ -69,15 +67,11 @@ class Options:
 
     only: tuple[str, ...] = setting(PARTS, f"some of {', '.join(PARTS)}")
     quick: bool = setting(False, "a third of the values")
-    rows: Path | None = setting(None, "a CSV that an earlier run has written: try nothing, make its page again")
-    before: str = setting("", "a sentence on when and where those were tried")
 
 
 def run(options: Options, lab: Lab) -> Page:
     """Try what is missing, then write all cells. Raises ConfigError."""
     expect_names("--only", options.only, PARTS)
-    if options.rows is not None:
-        return page(read_cells(options.rows), options.before)
     torch.set_num_threads(1)
     cells: list[Cell] = []
     reads = {"quick": options.quick, "code": content(Path(__file__).parent)}
@@ -85,18 +79,10 @@ def run(options: Options, lab: Lab) -> Page:
         for case in (case for case in CASES if case.part in options.only):
             cells += lab.results.once(case.name, reads, partial(case.run, options.quick))
             lab.tell(f"{case.name:<24} {count_ends(case.shipped(cells))}")
-    write_csv(rows_of(cells), lab.folder / "stiff.csv")
     return page(cells)
 
 
-def read_cells(path: Path) -> list[Cell]:
-    """The cells of a CSV. Raises OSError, KeyError, ValueError."""
-    with path.open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    return [Cell(**row | {"x": float(row["x"]), "value": float(row["value"])}) for row in rows]  # type: ignore[arg-type]
-
-
-def page(cells: Sequence[Cell], before: str = "") -> Page:
+def page(cells: Sequence[Cell]) -> Page:
     """Return what the cells say."""
     tried = [case for case in CASES if case.shipped(cells)]
     own = [cell for case in tried for cell in case.shipped(cells)]
@@ -122,7 +108,9 @@ def page(cells: Sequence[Cell], before: str = "") -> Page:
         Section("\n".join(f"- {line}" for line in [*advice, f"Nothing to heed: {whole}."]), "What to do"),
         Section(f"{answer} {rejected(cells)}".strip(), "Where it ends how", pictures, [table]),
     ]
-    return Page(sections, HOW, failed=bool(wrong), more={"faults": rows_of(wrong)}, before=before)
+    return Page(
+        sections, HOW, failed=bool(wrong), more={"faults": rows_of(wrong)}, data=[Table("stiff", rows_of(cells))]
+    )
 
 
 def advice_of(case: Case, cells: Sequence[Cell]) -> str:

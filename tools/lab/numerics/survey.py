@@ -1,35 +1,35 @@
-"""How far a claimed PSNR is off, against the seconds of looking, and what more pictures that decide are worth.
+"""How far a claimed PSNR is off, against the seconds of looking.
 
-A claim is the PSNR of the top rung in some pictures, views and frames drawn anew for every trial. The truth is that of
-many other views in all frames.
+A claim is the PSNR of the top rung in some pictures, views and frames drawn anew for every trial: in a fixed number of
+pictures, or as the encoder does it, in so many again and again until it is sure. The truth is that of many other views
+in all frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import cycle, islice
 
 import numpy as np
 
-from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, measure_round, pictures_of
-from airgs_codec.encoder.survey import GroupSpan, Pictures, plan_views, survey_group
+from airgs_codec.encoder.measure import ROUNDS, Round, RoundErrors, Rounds, measure_groups, measure_round, pictures_of
+from airgs_codec.encoder.survey import Pictures, plan_views
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
 from airgs_codec.scene.gaussians import Gaussians
-from tools.lab.numerics.encode import ONE_RUNG, UNIT, at_target
+from tools.lab.numerics.encode import ONE_RUNG
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error, shown_frames
-from tools.lab.timing import seconds_of, timed
+from tools.lab.timing import seconds_of
 
 TRUE_VIEWS, TRUE_SEED, TRIAL_SEED = 48, 1000, 2000
 COUNTS = (1, 2, 4, 8, 16, 32)  # pictures
 APART, ONE_VIEW, ONE_FRAME = "own views", "one view", "one frame"
-OWN = "the encoder"
-MEASURED = (1, 2, 5, 10, 20)  # --measure-pictures
-DECIDING = (2, 6, 24, 48)  # --decide-pictures
+OWN = "the encoder, until it is sure"
+MEASURED = (2, 5, 20)  # --measure-pictures
 OFF = "dB that the claim is off"
 
 
@@ -60,27 +60,20 @@ class Subject:
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """Claims by how many pictures, of which views and frames; then what deciding pictures are worth."""
-    for scene in bench.scenes:
-        package = bench.package(scene, ONE_RUNG, "one-rung")
-        yield from claims(bench, Subject(scene, package, 4 if bench.quick else TRUE_VIEWS))
-    yield from deciding(bench, bench.scenes[0])
-
-
-def claims(bench: Bench, subject: Subject) -> Iterator[Point]:
     """|claimed - true| over seconds, for ways to spend so many pictures."""
-    trials = 3 if bench.quick else 8
-    counts = (1, 4, 16) if bench.quick else COUNTS
-    for curve in (APART, ONE_VIEW, ONE_FRAME):
-        for count in counts:
-            if curve == ONE_VIEW and count > len(subject.scene.sequence):
+    for scene in bench.scenes:
+        subject = Subject(scene, bench.package(scene, ONE_RUNG, "one-rung"), 4 if bench.quick else TRUE_VIEWS)
+        counts = (1, 4, 16) if bench.quick else COUNTS
+        ways: list[tuple[str, int, Callable[[Subject, Place, int], list[Row]]]] = [
+            (curve, count, claim) for curve in (APART, ONE_VIEW, ONE_FRAME) for count in counts
+        ]
+        ways += [(OWN, count, own) for count in MEASURED]
+        for curve, count, make in ways:
+            if curve == ONE_VIEW and count > len(scene.sequence):
                 continue
-            place = Place("survey", "claims", subject.scene.name, curve, str(count))
-            reads = {"place": place, "trials": trials, "views": subject.views}
-            yield Point("claim", subject.scene, reads, partial(claim, subject, place, trials))
-    for count in (2, 10) if bench.quick else MEASURED:
-        place = Place("survey", "claims", subject.scene.name, OWN, str(count))
-        yield Point("own claim", subject.scene, {"place": place, "views": subject.views}, partial(own, subject, place))
+            place = Place("claims", scene.name, curve, str(count))
+            reads = {"place": place, "trials": bench.repeats, "views": subject.views}
+            yield Point("claim", scene, reads, partial(make, subject, place, bench.repeats))
 
 
 def claim(subject: Subject, place: Place, trials: int) -> list[Row]:
@@ -100,40 +93,25 @@ def draws(subject: Subject, curve: str, count: int, trials: int) -> Iterator[Pic
         yield list(islice(zip(cycle(some), cycle(cameras)), count))
 
 
-def own(subject: Subject, place: Place) -> list[Row]:
+def own(subject: Subject, place: Place, trials: int) -> list[Row]:
     """Return what the encoder claims with so many `--measure-pictures`; it also measures SSIM and CIEDE2000."""
-    views = plan_views(subject.scene.sequence, ONE_RUNG)
-    package, groups = subject.package, range(len(subject.package.manifest.groups))
-    rounds = Rounds(int(place.setting))
+    looked = [seconds_of(partial(_own, subject, int(place.setting), trial)) for trial in range(trials)]
+    return [Row.of(place, [s for s, _ in looked], [abs(q - subject.truth) for _, q in looked], OFF)]
+
+
+def _own(subject: Subject, count: int, trial: int) -> float:
+    """The PSNR of the top rung that the encoder measures, in the pictures of later rounds in later trials."""
+    views, package = plan_views(subject.scene.sequence, ONE_RUNG), subject.package
+    m, groups = package.manifest, range(len(package.manifest.groups))
 
     def ask(asked: Round) -> list[RoundErrors]:
-        m = package.manifest
-        drawn = [pictures_of(views, m, group, asked, len(m.segments)) for group in groups]
+        later = replace(asked, number=asked.number + trial * ROUNDS)
+        drawn = [pictures_of(views, m, group, later, len(m.segments)) for group in groups]
         return [
             measure_round(package, subject.scene.sequence, views.renderer, group, pictures)
             for group, pictures in zip(groups, drawn, strict=True)
         ]
 
-    seconds, measured = seconds_of(lambda: measure_groups(package.manifest, groups, views, rounds, ask))
-    quality = pooled_quality(measured.whole(package.manifest), 0, 0)
+    quality = pooled_quality(measure_groups(m, groups, views, Rounds(count), ask).whole(m), 0, 0)
     assert quality is not None
-    return [Row.of(place, [seconds], [abs(quality.psnr - subject.truth)], OFF)]
-
-
-def deciding(bench: Bench, scene: Scene) -> Iterator[Point]:
-    """Bytes of a frame at 43 dB over the seconds of the survey, with more and more pictures that decide."""
-    for count in (2, 24) if bench.quick else DECIDING:
-        place = Place("survey", "deciding", scene.name, "calibrated", str(count))
-        repeats = 1 if bench.quick else 3
-        yield Point("deciding", scene, {"place": place, "repeats": repeats}, partial(decided, bench, place, repeats))
-
-
-def decided(bench: Bench, place: Place, repeats: int) -> list[Row]:
-    """Bytes at the target with so many deciding pictures, and what the survey takes."""
-    scene = bench.scenes[0]
-    settings = replace(ONE_RUNG, calibrate="steps", decide_pictures=int(place.setting))
-    size, _ = at_target(scene.sequence, settings, 1)
-    views, package = plan_views(scene.sequence, settings), bench.package(scene, ONE_RUNG, "one-rung")
-    spans = [GroupSpan(i, group.start, group.stop) for i, group in enumerate(package.manifest.groups)]
-    took = timed(lambda: [survey_group(scene.sequence, span, views) for span in spans], repeats)
-    return [Row.of(place, took, [size / 1e3], UNIT, size)]
+    return quality.psnr

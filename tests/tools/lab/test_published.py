@@ -1,0 +1,99 @@
+"""What is published comes from one file of figures: a number of README or docs/results that it lacks is found."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from airgs_codec.errors import ConfigError
+from tests.support.paths import REPOSITORY
+from tests.tools.lab.test_lab import MADE, page
+from tools.lab import published
+from tools.lab.command import PROGRAM, measurement_of
+from tools.lab.experiments import MEASUREMENTS, Measurement
+
+# Pages of which not all numbers are in figures.json yet.
+NOT_YET = {
+    "README", "baselines", "crowd", "numerics", "paper", "size", "stiff", "streaming", "tiles", "time", "training",
+    "views", "work_precision",
+}  # fmt: skip
+PAGES = sorted(published.RESULTS.glob("*.md"))
+ENTRY = {
+    "command": "airgs-encode --levels 7", "answers": ["It takes 1.5 s, 4 of 9."], "seconds": 81.2,
+    "tables": {"a": {"columns": ["kb", "share"], "rows": [[13.84, 0.2571], [1236.4, -0.000213]]}},
+}  # fmt: skip
+
+
+def own(name):
+    """The entries of a page; README and the first page of results show those of all."""
+    entries = published.read_figures()
+    return entries if name == "README" else {key: one for key, one in entries.items() if one["document"] == name}
+
+
+@pytest.mark.parametrize("path", [REPOSITORY / "README.md", *PAGES], ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_every_number_of_results_is_in_the_file_of_figures(path):
+    found = published.unsourced(path.read_text(), own(path.stem))
+    assert (found == []) is (path.stem not in NOT_YET), found
+
+
+def test_every_entry_is_that_of_a_measurement_and_made_by_its_command():
+    entries = published.read_figures()
+    commands = {one.name: (one.document, f"{PROGRAM} {one.words}") for one in MEASUREMENTS}
+    assert {name: (one["document"], one["command"]) for name, one in entries.items()} == {
+        name: commands[name] for name in entries
+    }
+    assert all(one["seconds"] > 0 and one["date"] and one["machine"] and one["commit"] for one in entries.values())
+
+
+@pytest.mark.parametrize(
+    ("text", "missing"),
+    [
+        ("13.8 kB, 13.84, 26 %, 25.7 %, 1,236 and 2e-4 in 81 s of 9 tries, `--levels 7`", []),
+        ("13.9 kB, 14 kB, 25 %", ["13.9", "25"]),
+        ("1,237 in 1.5 s with 7 levels", ["1,237"]),
+        ("SH 1, H.264, V³, [x](a-99.png), `--quality 99`, KhronosGroup/glTF#2573, Python 3.11", []),
+        ("```sh\nairgs-encode --levels 99\n```\n<!-- 99 -->\n320 by 240", ["320", "240"]),
+        ("| a | 13.84 | 0.0002 | 99.5 |", ["99.5"]),
+        ("-0.0 dB off by 0.21 ‰", ["0.21"]),
+    ],
+)
+def test_a_number_without_a_source_is_found(text, missing):
+    assert published.unsourced(text, {"one": ENTRY}) == missing
+
+
+def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeypatch):
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (tmp_path / "line.png").write_bytes(b"picture")
+    (folder / "thing.md").write_text("<!-- tools.lab thing: begin -->\n<!-- tools.lab thing: end -->\n")
+    monkeypatch.setattr(published, "RESULTS", folder)
+    monkeypatch.setattr(published, "FIGURES", folder / "figures.json")
+    monkeypatch.setattr(published, "MEASUREMENTS", (Measurement("thing", "thing", "thing"),))
+    published.publish(Measurement("thing", "thing", "thing"), page(), MADE, tmp_path)
+    assert (folder / "line.png").read_bytes() == b"picture"
+    text = (folder / "thing.md").read_text()
+    assert "It takes 1 ms." in text and "Measured 2026-11-26 in 3 s, commit abc1234, format 4 (2 cores)." in text
+    entry = json.loads((folder / "figures.json").read_text())["thing"]
+    assert entry["tables"]["times"] == {
+        "columns": ["name", "ms", "ok", "more"], "shown as": {"name": "name", "ms": "ms", "ok": "good"},
+        "rows": [["a|b", 1.25, True, 1], ["c", None, False, None]],
+    }  # fmt: skip
+    assert published.unsourced(text, {"thing": entry}) == []
+    with pytest.raises(ConfigError, match="other: begin"):
+        published.publish(Measurement("other", "thing", "other"), page(), replace(MADE, name="other"), tmp_path)
+
+
+def test_lines_of_figures_are_json_and_short_ones_stay_whole():
+    value = {"a": {"b": list(range(60)), "c": "d"}, "e": [], "f": [[1, 2.5, None]] * 30}
+    lines = list(published.lines_of(value))
+    assert json.loads("\n".join(lines)) == value
+    assert lines.count("  [1, 2.5, null],") == 29 and max(map(len, lines)) <= published.LINE
+
+
+@pytest.mark.parametrize(
+    "words", [["stiff", "--quick"], ["work-precision"], ["stiff", "--publish", "stiff", "--quick"]]
+)
+def test_only_the_command_that_documents_show_is_published(words):
+    with pytest.raises(ConfigError, match=r"expected the command that documents show, python -m tools\.lab stiff"):
+        measurement_of("stiff", words)
+    assert measurement_of("stiff", ["stiff", "--publish", "stiff", "-o", "a"]).name == "stiff"
