@@ -75,7 +75,11 @@ class Measurement:
 
 
 MEASUREMENTS = (
-    Measurement("work-precision", "work_precision", "work-precision --scene fox=fox/ --spinach spinach_4.splatv"),
+    Measurement(
+        "work-precision",
+        "work_precision",
+        "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
+    ),
     Measurement("stiff", "stiff", "stiff"),
 )
 

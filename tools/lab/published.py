@@ -55,6 +55,7 @@ def entry(measurement: Measurement, page: Page, made: Made) -> dict[str, Any]:
     how = {name: value for name, value in dataclasses.asdict(made).items() if name != "name"}
     pictures = [picture.name for section in page.sections for picture in section.pictures]
     tables = {one.name: _columns(one) for one in page.tables()}
+    how["seconds"] = round(made.seconds, 1)
     more = {"document": measurement.document} | how | {"answers": [line for line in answers if line]}
     return more | {"pictures": pictures, "more": dict(page.more), "tables": tables}
 
