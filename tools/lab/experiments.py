@@ -49,6 +49,7 @@ EXPERIMENTS = (
     _bench("start", "How long does a user wait before anything happens?", "10 s"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _room("tiles", "What do spatial tiles cost and save?", "30 min"),
+    _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
     _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
@@ -74,14 +75,33 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
+PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
-        "work-precision",
-        "work_precision",
+        "claims", "size",
+        "claims fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
+        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json "
+        "--targets default 36 40 43 --pictures 128",
+    ),
+    Measurement(
+        "rd-fox", "size",
+        f"rd fox/ fox/transforms.json --fps 24 --frames 24 --targets 48 46 44.5 43 41.5 40 38 {PEERS}",
+    ),
+    Measurement(
+        "rd-spinach", "size", f"rd spinach10/ spinach_views.json --fps 30 --at 40 --targets 42 40 38 36 {PEERS}"
+    ),
+    Measurement(
+        "rd-head", "size", f"rd head10/ head_views.json --fps 30 --at 44.5 --targets 46 44 42 40 38 {PEERS}"
+    ),
+    Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
+    Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
+    Measurement("tracked-fox", "size", "tracked fox_alone/ fox/transforms.json --fps 24 --frames 24 --as-it-is"),
+    Measurement(
+        "work-precision", "work_precision",
         "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
     Measurement("stiff", "stiff", "stiff"),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -193,7 +193,7 @@ def by_package(rows: Sequence[Row]) -> list[list[Row]]:
 
 
 def package_row(rows: Sequence[Row]) -> PlainRow:
-    """What people look at of a package: its top rung, the lowest of its ladder, by how much the ladder's claims are off."""
+    """What people look at of a package: its top rung, the lowest of its ladder, how far the ladder's claims are off."""
     top = rows[0]
     ladder = [row for row in rows if row.ladder]
     low = ladder[-1] if ladder else top
