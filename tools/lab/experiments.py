@@ -97,6 +97,16 @@ MEASUREMENTS = (
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
     Measurement("tracked-fox", "size", "tracked fox_alone/ fox/transforms.json --fps 24 --frames 24 --as-it-is"),
     Measurement(
+        "paper", "paper",
+        "reproduce --scenes fox=fox_views/,held=cam01+cam05+cam09+cam13 head=head_views/ spinach=spinach_views/ "
+        "--methods airgs v3 3dgstream 4dgs naive3dgs --show fox head --traces raca2018_4g_car/",
+    ),
+    Measurement(
+        "paper-system", "paper",
+        "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
+        "--traces raca2018_4g_car/",
+    ),
+    Measurement(
         "work-precision", "work_precision",
         "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),

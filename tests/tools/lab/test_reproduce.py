@@ -154,10 +154,13 @@ def test_pictures_are_drawn_of_what_there_is(tmp_path, monkeypatch):
     ablated = [{"question": "", "name": "as it is", "psnr": 30.0, "kb_frame": 9.0}]
     ablated += [{"question": "q", "name": n, "psnr": v, "kb_frame": v} for n, v in (("x", 29.0), ("y", math.nan))]
     monkeypatch.setattr(
-        reproduce, "side_by_side", lambda *_: {"taken": np.zeros((9, 9, 3)), "airgs": np.ones((9, 9, 3))}
+        reproduce, "side_by_side", lambda *_: {name: np.random.default_rng(1).random((64, 64, 3)) for name in METHODS}
     )
     lab = Lab.at(tmp_path / "lab", quiet=True)
-    section = quality([parse_subject(f"{scene}={FOX_VIEWS}") for scene in ("a", "b")], trained, lab)
+    scenes = [parse_subject(f"{scene}={FOX_VIEWS}") for scene in ("a", "b")]
+    assert len(quality(scenes, trained, lab, reproduce.Options()).pictures) == 2
+    section = quality(scenes, trained, lab, reproduce.Options(show=("a",)))
+    assert len(section.pictures) == 3
     drawn = [*section.pictures, Picture("times", "", partial(draw_times, times))]
     for picture in (*drawn, Picture("ablations", "", partial(draw_ablations, ablated))):
         write_picture(picture, tmp_path / f"{picture.name}.png")
