@@ -106,6 +106,12 @@ MEASUREMENTS = (
         "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
         "--traces raca2018_4g_car/",
     ),
+    Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
+    Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
+    Measurement(
+        "splits-kinoptic", "training",
+        "splits kinoptic_views/ --splits 4 --hold 2 --only 1 2 --frames 0:10 '--train=--max-size 480'",
+    ),
     Measurement(
         "work-precision", "work_precision",
         "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
