@@ -179,7 +179,7 @@ def _report(
 ) -> None:
     """Write the page of a package; of a part, which publishes none, that of its jobs."""
     if package:
-        write_report(folder, given, package, done.records, progress)
+        write_report(folder, given, package, done, progress)
     else:
         folder.mkdir(parents=True, exist_ok=True)
         write_jobs(folder / JOBS_NAME, done.records)
@@ -259,7 +259,7 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
         "frames": m.frames,
         "bytes": m.media_bytes() + report.manifest_bytes,
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
-        "seconds": {name: round(value, 3) for name, value in _times(report).items()},
+        "seconds": {stage.name: round(stage.seconds, 3) for stage in report.stages()},
         "calibration_cached": report.cached,
         "rows": {"matched": rows.matched, "sure": rows.sure, "unmatched": rows.unmatched, "alone": rows.alone},
         "repairs": [line for group in m.groups for line in group.repairs],
@@ -268,8 +268,8 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
 
 def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
     m = report.manifest
-    times = _times(report)
-    parts = ", ".join(f"{name} {value:.1f}" for name, value in times.items() if value >= 0.05)
+    stages = report.stages()
+    parts = ", ".join(f"{stage.name} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
     stored = "; calibration stored before" if report.cached else ""
     s = summarise(m, report.manifest_bytes)
     size = f"{m.frames} frames, {s.duration_s:.2f} s, {s.package_bytes / 1e6:.2f} MB with all rungs"
@@ -277,18 +277,7 @@ def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
         [
             format_summary(s) if verbose else format_ladder(s),
             "",
-            f"{target}: {size}; {sum(times.values()):.0f} s ({parts}{stored})",
+            f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts}{stored})",
             f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}",
         ]
     )
-
-
-def _times(report: EncodeReport) -> dict[str, float]:
-    return {
-        "order of rows": report.rows_s,
-        "views and lengths of groups": report.survey_s,
-        "calibration": report.calibrate_s,
-        "search": report.search_s,
-        "encoding": report.encode_s,
-        "measuring": report.measure_s,
-    }

@@ -118,16 +118,16 @@ def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
     return replace(steps, **{side: changed})
 
 
-def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float]:
-    """Steps of one price that together make the error that `subject.settings.steps` make, and the price.
-
-    Raises SceneError as `balance`.
+def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
+    """Steps of one price that together make the error that `subject.settings.steps` make, the price, and the bytes a
+    frame that they save, by the slopes. Raises SceneError as `balance`.
     """
-    steps = subject.settings.steps
-    factors, price = balance(measure_slopes(sample, subject))
+    steps, slopes = subject.settings.steps, measure_slopes(sample, subject)
+    factors, price = balance(slopes)
+    saved = sum(slopes[name][0] * float(np.log(factor)) for name, factor in factors.items())
     for name, factor in factors.items():
         steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
-    return steps, price
+    return steps, price, saved
 
 
 def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
@@ -313,6 +313,7 @@ class Calibration:
     shares: Shares
     byte_price: float
     expected: ExpectedError  # of the top rung
+    saved: float  # bytes a frame of the top rung that its steps save at equal error, by the slopes of the trials
 
     def apply(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
@@ -337,11 +338,11 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
         guess = guess_price(sample, subject)
         shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
         top = replace(sample, moving=withholding.sent(sample, shares[0][1])) if shares else sample
-    steps, price = solve_steps(top, subject)
+    steps, price, saved = solve_steps(top, subject)
     shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
     if subject.layout.removal_error > 0:
         expected = replace(expected, rows=subject.pruning.within(steps.rows).error)
     if not shares:
-        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected)
+        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected, saved)
     levels = choose_levels(top, subject, steps, price)
-    return Calibration(steps, levels, TIERS, key_factors(), shares, price, expected)
+    return Calibration(steps, levels, TIERS, key_factors(), shares, price, expected, saved)

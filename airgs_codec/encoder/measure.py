@@ -82,14 +82,15 @@ def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds:
         for index, of_segment in zip(indices, found, strict=True):
             for mine, new in zip(itertools.chain(*errors[index]), itertools.chain(*of_segment), strict=True):
                 mine += new
-        if done + 1 >= rounds.least and _standard_error(m, errors) <= UNSURE:
+        unsure = _standard_error(m, errors)
+        if done + 1 >= rounds.least and unsure <= UNSURE:
             break
     turn = views.measured(rounds.count)
     groups = []
     for number in numbers:
         segments = [_with_errors(m, m.segments[s], errors[s], turn) for s in m.segments_of(number)]
         groups.append(replace(m.groups[number], segments=segments))
-    return Measured(groups, (done + 1) * turn)
+    return Measured(groups, (done + 1) * turn, unsure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +99,7 @@ class Measured:
 
     groups: list[Group]
     pictures: int  # of each segment that were measured
+    unsure: float  # relative standard error of the top rung's mean squared error
 
     def whole(self, m: Manifest) -> Manifest:
         """The tables of a package of which these are all groups."""

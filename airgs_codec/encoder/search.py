@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -154,16 +153,20 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
-    numbers = itertools.count(1)
+    found: list[tuple[float, float]] = []
 
     def trial(factor: float) -> float:
+        found.append((factor, measure(factor)))
+        return found[-1][1]
+
+    def measure(factor: float) -> float:
         nonlocal rounds
-        work.progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
+        work.progress(f"trial {len(found) + 1}: quality factor {factor:.3g}", 0, 1)
         measuring = Measuring(original, rounds)
         encoded = encode_sequence(prepared, top.at(factor), work, measuring if goal.kind == PSNR else None)
         if goal.kind != PSNR:
             return kilobytes_a_frame(encoded.manifest, settings)
-        tables = measure_quality(encoded, measuring)
+        tables = measure_quality(encoded, measuring).whole(encoded.manifest)
         rounds = rounds.again(tables.views.measured // original.views.measured(rounds.count))  # the same ones for all
         measured = pooled_quality(tables, 0, 0)
         assert measured is not None
@@ -178,7 +181,7 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
         why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} dB"
         raise OutOfReachError(goal, error.got, error.factor, why) from None
     measured = rounds if attempt.rounds.count else attempt.rounds
-    return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured)
+    return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured, trials=tuple(found))
 
 
 def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:

@@ -46,6 +46,7 @@ class Attempt:
     expected: ExpectedError | None  # of the top rung; None: any is taken
     rounds: Rounds  # of pictures that measure it; a count of 0: none do
     given: bool = False  # levels were asked for by hand: they stay as they are
+    trials: tuple[tuple[float, float], ...] = ()  # quality factors that a search tried, and what they came to
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class Verified:
     stories: tuple[str, ...]  # one line a repair
     encode_s: float
     measure_s: float
+    unsure: float = 0.0  # as in `Measured`
 
 
 def encode_verified(attempt: Attempt) -> Verified:
@@ -82,13 +84,14 @@ def encode_verified(attempt: Attempt) -> Verified:
         encode_s += watch.lap()
         if not attempt.rounds.count:
             return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
-        manifest = measure_quality(encoded, measuring)
+        measured = measure_quality(encoded, measuring)
+        manifest = measured.whole(encoded.manifest)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:
             ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
             told = (*stories[:-1], *(s + ends for s in stories[-1:]))
-            return Verified(manifest, encoded, attempt.settings, told, encode_s, measure_s)
+            return Verified(manifest, encoded, attempt.settings, told, encode_s, measure_s, measured.unsure)
         stories.append(repair.story)
         attempt = replace(attempt, settings=repair.settings)
     raise AssertionError("unreachable")

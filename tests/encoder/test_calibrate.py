@@ -91,7 +91,7 @@ def test_a_step_far_from_its_price_comes_back(fox):
         start = StepSettings()
         start = with_step(start, "state.means", factor * get_step(start, "state.means"))
         subject = Subject.of(sequence, survey, replace(FAST, steps=start))
-        steps, price = solve_steps(subject.sample(24.0), subject)
+        steps, price, saved = solve_steps(subject.sample(24.0), subject)
         assert price > 0
         others = [get_step(steps, n) / get_step(start, n) for n in ("state.quaternions", "state.log_scales")]
         wanted[factor] = get_step(steps, "state.means") / get_step(start, "state.means") / float(np.mean(others))

@@ -148,7 +148,7 @@ def calibrated(sample: CalibrationSample) -> Judged:
     subject = cast(
         Subject, SimpleNamespace(settings=settings, frames=sample.frames, layout=SimpleNamespace(removal_error=0.0))
     )
-    steps, price = solve_steps(sample, subject)
+    steps, price, _ = solve_steps(sample, subject)
     if price == 0:
         return BOUNDED, 1.0, "neither bytes nor error depend on steps: they stay"
     slopes = [b for _, b in measure_slopes(sample, subject).values()]
