@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import importlib.util
+import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -37,7 +38,7 @@ STYLE = (
     "dt{font-weight:600}dd{margin:0 0 .6rem;font-size:17px}"
     ".pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem}"
     "figure{margin:0}figure.whole{grid-column:1/-1}figcaption{font-size:14px;color:#555}"
-    "img,video{width:100%;display:block}.panels div{display:flex;flex-wrap:wrap}"
+    "img,video,svg{width:100%;height:auto;display:block}.panels div{display:flex;flex-wrap:wrap}"
     ".panels img{flex:1 1 12rem;min-width:0;object-fit:cover}"
     "details{margin-top:1rem}summary{cursor:pointer;font-weight:600}.columns{overflow-x:auto}"
     "table{border-collapse:collapse;font-size:14px}tr:nth-child(even){background:#f4f4f6}"
@@ -47,30 +48,39 @@ STYLE = (
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture of a page, in a file beside it."""
+    """A picture of a page: a chart in it, or a file beside it."""
 
-    name: str  # of the file, a chart where `draw` draws it on axes
     caption: str
-    draw: Callable[[Any], None] | None = None
+    draw: Callable[[Any], None] | None = None  # draws a chart on axes
+    name: str = ""  # of the file
     panels: int = 1  # equal ones beside each other, which come one below the other where the screen is narrow
     shape: tuple[int, ...] = ()  # (H, W * panels, 3) of a picture of panels
 
     def to_html(self) -> str:
-        """The figure as HTML."""
-        name, caption = html.escape(self.name), html.escape(self.caption)
-        if name.endswith(".mp4"):
-            return (
-                f'<figure><video src="{name}" controls loop muted></video><figcaption>{caption}</figcaption></figure>'
-            )
-        if self.panels == 1:
-            return f'<figure><img src="{name}" alt="{caption}"><figcaption>{caption}</figcaption></figure>'
-        ratio = f"{self.shape[1] // self.panels}/{self.shape[0]}"
-        places = (
-            f"aspect-ratio:{ratio};object-position:{100 * i / (self.panels - 1):g}% 0" for i in range(self.panels)
-        )
-        shown = "".join(f'<img alt="{caption}" src="{name}" style="{place}">' for place in places)
-        wide = " whole" * (self.panels > 2)
-        return f'<figure class="panels{wide}"><div>{shown}</div><figcaption>{caption}</figcaption></figure>'
+        """The figure as HTML. Raises ConfigError without matplotlib."""
+        name, caption, kind = html.escape(self.name), html.escape(self.caption), ""
+        if self.draw is not None:
+            shown = _chart(self.draw)
+        elif name.endswith(".mp4"):
+            shown = f'<video src="{name}" controls loop muted></video>'
+        elif self.panels == 1:
+            shown = f'<img src="{name}" alt="{caption}">'
+        else:
+            kind = "panels whole" if self.panels > 2 else "panels"
+            ratio, parts = f"{self.shape[1] // self.panels}/{self.shape[0]}", range(self.panels)
+            places = (f"aspect-ratio:{ratio};object-position:{100 * i / (self.panels - 1):g}% 0" for i in parts)
+            shown = "".join(f'<img src="{name}" alt="{caption}" style="{place}">' for place in places)
+        return f'<figure class="{kind}"><div>{shown}</div><figcaption>{caption}</figcaption></figure>'
+
+
+def _chart(draw: Callable[[Any], None]) -> str:
+    """What `draw` draws on axes, as SVG."""
+    figure, drawn = new_figure(*CHART), io.StringIO()
+    axes = figure.subplots()
+    axes.grid(alpha=0.25)
+    draw(axes)
+    figure.savefig(drawn, format="svg")
+    return drawn.getvalue()[drawn.getvalue().index("<svg") :]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,20 +94,13 @@ class Page:
     reload_s: int | None = None  # seconds after which a browser loads it again, where it changes
 
     def write(self, path: Path) -> Path:
-        """Write the page and its charts beside it; gives its path. Raises OSError, ConfigError without matplotlib."""
-        assert len(self.pictures) <= MOST_PICTURES, "a page that shows everything shows nothing"
-        for picture in self.pictures:
-            if picture.draw is not None:
-                figure = new_figure(*CHART)
-                axes = figure.subplots()
-                axes.grid(alpha=0.25)
-                picture.draw(axes)
-                save_figure(figure, path.parent / picture.name)
+        """Write the page; gives its path. Raises OSError, ConfigError without matplotlib."""
         path.write_text(self.to_html(), encoding="utf-8")
         return path
 
     def to_html(self) -> str:
         """The page as HTML, all words escaped but those of `more`."""
+        assert len(self.pictures) <= MOST_PICTURES, "a page that shows everything shows nothing"
         again = "" if self.reload_s is None else f'<meta http-equiv="refresh" content="{self.reload_s}">'
         title, told = html.escape(self.title), [(HEADS[key], words) for key, words in self.answer.items() if words]
         answer = "".join(f"<dt>{name}</dt><dd>{html.escape(words)}</dd>" for name, words in told)
@@ -126,7 +129,7 @@ def html_table(rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
         for name, *cells in rows
     )
     if not head:
-        return f"<table>{body}</table>"
+        return f"<table>{body}</table>" if body else ""
     top = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
     return f'<div class="columns"><table><tr>{top}</tr>{body}</table></div>'
 

@@ -24,6 +24,7 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     figure = new_figure(15, 4.2)
     rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
     plot_rungs(summarise(m, manifest_bytes).rungs, rungs)
+    rungs.set_title("Rungs (grey: others show more)")
     _plot_bytes(time, m)
     draw_region(place, levelled(m.region, m.world))
     save_figure(figure, path, dpi=110)
@@ -39,7 +40,7 @@ def plot_rungs(rungs: Sequence[RungSummary], axes: Any) -> None:
     for x, y, name, best in measured:
         if best:
             axes.annotate(name, (x, y), (-5, 4), textcoords="offset points", fontsize=8, color=BLUE, ha="right")
-    axes.margins(0.2)
+    axes.margins(0.18, 0.1)
     axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB")
     if not measured:
         axes.text(0.5, 0.5, "quality was not measured", ha="center", transform=axes.transAxes)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -44,29 +43,25 @@ DOUBT_DB = 0.5  # of a claim, from which more pictures should measure
 def write_report(
     folder: Path, given: GaussianSequence, package: Package, done: EncodeReport, progress: Progress = silent
 ) -> Path:
-    """Write index.html with the answer, charts, the worst picture and a film of both sides; jobs.html tells of the
-    jobs; gives the page.
+    """Write index.html with the answer, charts, the worst picture and a film, and jobs.html; gives the first.
 
     `given`: what was encoded, as it came. Raises ConfigError when they cannot be written, or without matplotlib.
     """
-    a, b = side_of(given, "given"), side_of(package, "encoded")
+    (a, b), m, stages = (side_of(given, "given"), side_of(package, "encoded")), package.manifest, done.stages()
     words, views = shared_views(a, b)
-    views = [_small(view) for view in before_both(a, b, views)[:VIEWS]]
-    result = compare_two(a, b, range(a.frames), views, progress)
-    m, stages = package.manifest, done.stages()
-    rungs = summarise(m, done.manifest_bytes).rungs
+    result = compare_two(a, b, range(a.frames), [_small(v) for v in before_both(a, b, views)[:VIEWS]], progress)
+    rungs, front = summarise(m, done.manifest_bytes).rungs, _small(first_views(m.region, m.world)[0])
     with report_folder(folder):
         worst, name = side_by_side(a, b, _worst(result)), f"frame-{_worst(result).frame:06d}.png"
         write_png(folder / name, worst)
-        front = _small(first_views(m.region, m.world)[0])
         write_movie(folder / FILM_NAME, _film(a, b, before_both(a, b, [front])[0]), m.fps)
         if done.records:
             write_jobs(folder / JOBS_NAME, done.records)
         pictures = [
-            Picture("stages.svg", "Seconds of each part of the work.", partial(_draw_stages, stages)),
-            Picture("rungs.svg", "What viewers fetch and see; grey: no player should.", partial(plot_rungs, rungs)),
-            Picture(name, "The worst picture of the worst frame.", panels=3, shape=worst.shape),
-            Picture(FILM_NAME, "All frames; left: as given, right: as encoded."),
+            Picture("Seconds of each part of the work.", partial(_draw_stages, stages)),
+            Picture("What viewers fetch and see; grey: no player should.", partial(plot_rungs, rungs)),
+            Picture("The worst picture of the worst frame.", name=name, panels=3, shape=worst.shape),
+            Picture("All frames; left: as given, right: as encoded.", name=FILM_NAME),
         ]
         answer = {
             "good": _good(rungs[0], result, words.removesuffix(f" of {a.name}"), done.unsure),
@@ -75,9 +70,8 @@ def write_report(
             "useless": beaten_words({f"{r.key}+{r.state}": r.best for r in rungs if r.psnr is not None}) or "Nothing.",
             "change": advice(done) or "Nothing.",
         }
-        table = html_table([(s.name, f"{s.seconds:.1f}", s.bought) for s in stages], ("", "seconds", "what came of it"))
-        decided = "".join(f"<p>{html.escape(line)}</p>" for line in m.decisions)
-        more = {"The parts of the work": table + (LINK if done.records else ""), "What was decided": decided}
+        decided = html_table([(str(number), line) for number, line in enumerate(m.decisions, 1)])
+        more = {"Who did what": LINK if done.records else "", "What was decided": decided}
         return Page("What was encoded", answer, pictures, more).write(folder / "index.html")
 
 
@@ -130,12 +124,11 @@ def holds_back(rungs: Sequence[RungSummary]) -> str:
     coarser ones. Empty where one of them has none, or nothing was measured.
     """
     top, worth = rungs[0], {}
-    others = [("keys", r) for r in rungs if r.state == top.state][1:2] + [
-        ("states", r) for r in rungs if r.key == top.key
-    ][1:2]
-    for name, r in others:
+    for r in reversed(rungs):  # the next coarser ones come last
         if top.psnr is not None and r.psnr is not None and r.bytes_per_frame < top.bytes_per_frame:
+            name = "keys" if r.state == top.state else "states" if r.key == top.key else "both"
             worth[name] = 1e3 * (top.psnr - r.psnr) / (top.bytes_per_frame - r.bytes_per_frame)
+    worth.pop("both", None)
     if len(worth) < 2:
         return ""
     most, least = sorted(worth, key=lambda name: -worth[name])

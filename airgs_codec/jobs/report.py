@@ -16,8 +16,8 @@ IDLE = 0.5  # share of the time of all workers under which fewer would do
 
 
 def write_report(path: Path, records: Sequence[Record]) -> None:
-    """Write the page and its chart; there is at least one record. Raises ConfigError without matplotlib, OSError."""
-    chart = Picture("jobs.svg", "A row for each worker, a colour for each kind of job.", partial(_chart, records))
+    """Write the page; there is at least one record. Raises ConfigError without matplotlib, OSError."""
+    chart = Picture("A row for each worker, a colour for each kind of job.", partial(_chart, records))
     rows = []
     for kind in _kinds(records):
         some = [record for record in records if record.kind == kind]

@@ -49,15 +49,15 @@ def write_report(
     answer = training_answer(record, {view.camera.name: db for db, view in seen})
     psnr_words = f"Each frame; red: keyframes. PSNR is the {PSNR_DEFINITION}."
     shown = [
-        Picture("training.svg", psnr_words, partial(_psnr, record)),
-        Picture("seconds.svg", "Seconds of each frame; red: keyframes.", partial(_seconds, record)),
+        Picture(psnr_words, partial(_psnr, record)),
+        Picture("Seconds of each frame; red: keyframes.", partial(_seconds, record)),
     ]
     with report_folder(directory):
         for frame, view, words in ((worst, seen[0][1], "The worst frame"), (first, None, "Another one")):
             panels, name = compare(model, pictures, frame, renderer, view), f"frame-{frame:06d}.png"
             write_png(directory / name, panels)
             words += f": filmed, trained, and {ERROR_GAIN} times the error."
-            shown.append(Picture(name, words, panels=3, shape=panels.shape))
+            shown.append(Picture(words, name=name, panels=3, shape=panels.shape))
         if jobs:
             write_jobs(directory / JOBS_NAME, jobs)
         settings = f"<p><code>{html.escape(str(record.settings))}</code></p>"

@@ -41,6 +41,13 @@ def test_every_wait_has_its_reason_and_its_advice(log, why):
     assert {BELOW: "--levels", ASKED: "--policy robust-mpc", OVER: "--policy robust-mpc"}.get(why, "") in told["change"]
 
 
+def test_a_larger_buffer_is_advised_only_where_the_link_carries_enough_at_times():
+    rates = ([8e4, 8e4, 0, 0, 0, 0], [1.5e4])
+    outage, thin = (answer(play(TINY, link(r), "fixed:Q1+L2", loops=8, buffer_s=2.0)) for r in rates)
+    assert BELOW in outage["wrong"] and "--player.buffer" in outage["change"]
+    assert BELOW in thin["wrong"] and "--player.buffer" not in thin["change"] and "--levels" in thin["change"]
+
+
 def test_who_never_waits_is_told_so():
     told = answer(play(TINY, link([8e6])))
     assert told["wrong"].startswith("Nothing: the viewer never waited")
@@ -62,7 +69,7 @@ def test_the_worst_tenth_is_that_of_the_screen():
 
 def test_the_default_policy_is_not_recommended_to_itself():
     rules = SessionSettings(startup_s=0.0, loops=30)
-    log = simulate(Offers(TINY), link([8e4, 8e4, *[1e3] * 60]), "robust-mpc", rules)
+    log = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), "robust-mpc", rules)
     assert "--policy" not in answer(log)["change"] and "--player.buffer 20" in answer(log)["change"]
 
 
@@ -108,7 +115,9 @@ def study(qoe, traces=8, feasible=True, rungs=("Q0+L0",)):
 
 def test_a_study_recommends_what_did_best_on_its_links():
     told = study_answer(study({"robust-mpc": 38.0, "bola": 40.0, "paper": 39.0}))
-    assert told["good"].startswith("bola does best on 8 links") and "1.00 dB above that of paper, the next" in told["good"]
+    assert (
+        told["good"].startswith("bola does best on 8 links") and "1.00 dB above that of paper, the next" in told["good"]
+    )
     assert "chance" not in told["good"] and told["change"] == "Play with --policy bola."
     other = study_answer(study({"robust-mpc": 40.0, "bola": 38.0}))
     assert other["good"].startswith("robust-mpc") and other["change"] == "Stay with robust-mpc, the default."

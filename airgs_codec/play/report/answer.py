@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,8 +42,12 @@ def rung_record(log: SessionLog) -> list[dict[str, Any]]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Stall:
+def lowest_mbps(log: SessionLog) -> float:
+    """The rate of the smallest rung, without headers."""
+    return min(float(rung["mbps"]) for rung in rung_record(log))
+
+
+class Stall(NamedTuple):
     """A wait after the first picture."""
 
     at_s: float
@@ -55,24 +58,23 @@ class Stall:
 
 def find_stalls(log: SessionLog) -> list[Stall]:
     """Every wait after the first picture with its reason, the first of REASONS that holds."""
-    rungs, stalls = rung_record(log), []
-    lowest_bps = 1e6 * min(rung["mbps"] for rung in rungs)
+    rungs, lowest, stalls = rung_record(log), lowest_mbps(log), []
     for position, shown in enumerate(log.shown):
         if shown.stall_s <= SHORTEST_S:
             continue
         batches = [f for f in log.fetches if f.position == position and f.request_s < shown.ready_s]
         begun_s = min((f.request_s for f in batches), default=shown.ready_s)
-        took_s, at_s = max(shown.ready_s - begun_s, SHORTEST_S), shown.start_s - shown.stall_s
         came = log.link.bytes_between(begun_s, shown.ready_s) if log.link else sum(f.bytes for f in batches)
-        came_bps, expected_bps = 8 * came / took_s, max((f.throughput_bps for f in batches), default=0.0)
+        came_bps = 8 * came / max(shown.ready_s - begun_s, SHORTEST_S)
+        expected_bps = max((f.throughput_bps for f in batches), default=0.0)
         reasons = {
             FAULTS: shown.rung is None or any(f.retries for f in batches),
-            BELOW: came_bps < lowest_bps,
+            BELOW: came_bps < 1e6 * lowest,
             OVER: came_bps < expected_bps / 1.2,
             ASKED: came_bps < 1e6 * rungs[shown.rung or 0]["mbps"],
         }
         why = next((reason for reason, holds in reasons.items() if holds), SHORT)
-        stalls.append(Stall(at_s, shown.stall_s, why, came_bps))
+        stalls.append(Stall(shown.start_s - shown.stall_s, shown.stall_s, why, came_bps))
     return stalls
 
 
@@ -90,7 +92,7 @@ def answer(log: SessionLog, viewer: Viewer | None = None) -> dict[str, str]:
 def _good(log: SessionLog) -> str:
     r, start = log.metrics, f"The first picture came after {log.metrics.startup_s:.1f} s."
     if r.psnr_mean is None:
-        return f"How good pictures were is not known: the package was not measured. {start}"
+        return f"The package was not measured: how good its pictures are is not known. {start}"
     seen = [p for p in (log.shown[i].psnr for i, _ in log.screen_ticks) if p is not None]
     worst = np.mean(np.sort(seen)[: max(1, len(seen) // 10)])
     bound = session_bound(log) if log.offers.manifest.measured else None
@@ -148,10 +150,14 @@ def _advice(log: SessionLog, stalls: Sequence[Stall]) -> list[str]:
         buffer, came = f"--player.buffer {2 * log.settings.buffer_s:g}", min(s.came_bps for s in stalls) / 1e6
         policy = buffer if log.policy == DEFAULT_POLICY else f"--policy {DEFAULT_POLICY}"
         startup_s = log.settings.startup_s + waits[SHORT] + 0.05  # rounded up
+        end_s = max(f.arrival_s for f in log.fetches)
+        carried = log.link.bytes_between(0.0, end_s) if log.link else log.metrics.wire_bytes
+        enough = 8e-6 * carried / end_s > lowest_mbps(log)
+        bridge = f", or buffer more before ({buffer})" if enough else ""
         helps = {
             FAULTS: LOOK,
-            BELOW: f"No policy helps there: encode a lower level (airgs-encode --levels) that {came:.2f} Mbit/s carry, "
-            f"or buffer more before ({buffer}).",
+            BELOW: f"No policy helps there: encode a lower level (airgs-encode --levels) that {came:.2f} Mbit/s carry"
+            f"{bridge}.",
             OVER: f"Be more cautious: {policy}.",
             ASKED: f"Ask for less: {policy}.",
             SHORT: f"Buffer longer before playing: --player.startup {startup_s:.1f}.",

@@ -62,16 +62,16 @@ def _pictures(log: SessionLog, viewer: Viewer | None, screen: NDArray[np.uint8] 
     """What was seen, the link, the quality; and tiles, or a walk that left the region."""
     rates = "The link and what was asked of it; red: the viewer waits."
     shown = "PSNR on the screen over time; red: the viewer waits."
-    pictures = [Picture("link.svg", rates, partial(_rates, log)), Picture("psnr.svg", shown, partial(_psnr, log))]
+    pictures = [Picture(rates, partial(_rates, log)), Picture(shown, partial(_psnr, log))]
     if screen is not None:
         words = "The worst segment that was shown: at the package's best rung, and as it was seen."
-        pictures.insert(0, Picture("screen.png", words, panels=2, shape=screen.shape))
+        pictures.insert(0, Picture(words, name="screen.png", panels=2, shape=screen.shape))
     if log.tiles is not None:
         words = "When each tile could be shown; orange: it came late, red: lacking in sight."
-        pictures.append(Picture("tiles.svg", words, partial(plot_tiles, log)))
+        pictures.append(Picture(words, partial(plot_tiles, log)))
     elif viewer is not None and viewer.outside:
         words = "The viewing region from above, in world units; red: where the walk left it."
-        pictures.append(Picture("region.svg", words, partial(draw_walk, viewer)))
+        pictures.append(Picture(words, partial(draw_walk, viewer)))
     return pictures
 
 

@@ -169,7 +169,7 @@ def write_study(study: Study, folder: Path) -> Path:
         write_json(folder / "study.json", study_record(study))
         summaries = summarise(study)
         pictures = [
-            Picture(f"{f.name}.svg", f"{f.heading}: {f.meaning}.", partial(_chart, study, summaries, f))
+            Picture(f"{f.heading}: {f.meaning}.", partial(_chart, study, summaries, f))
             for f in sorted((f for f in FIGURES if f.name in SHOWN), key=lambda f: SHOWN.index(f.name))
             if not all(math.isnan(s.figures[f.name].mean) for s in summaries)
         ]
