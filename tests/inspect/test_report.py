@@ -83,7 +83,7 @@ def test_what_each_second_bought_begins_with_what_took_longest():
     more = dataclasses.replace(DONE, saved=top / 3, cached=True, search_s=12.0, goal=Goal(PSNR, 40.0), repairs=("L1",))
     more = dataclasses.replace(more, trials=((1.0, 42.0), (1.3, 40.05), (1.2, 41.0)))
     told = bought(more.stages())
-    assert "Search took 12.0 s: 3 trials, from 42 to 41 PSNR. Encoding took 6.0 s: L1." in told
+    assert "Search took 12.0 s: 3 trials for 40 PSNR, from 42 to 41. Encoding took 6.0 s: L1." in told
     assert "save about 25 % of the bytes at equal error, which an earlier run found" in told
     assert "--quality 1.3 " in advice(more)
 
