@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_er
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import channel_weights
-from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, with_step
 from airgs_codec.encoder.plan import (
     GroupLayout,
     assign_depths,
@@ -105,29 +104,14 @@ class Subject:
         return replace(sample, moving=moving)
 
 
-def get_step(steps: StepSettings, name: str) -> float:
-    """A step by its name in STEPS, or "rows"."""
-    side, _, attribute = name.partition(".")
-    return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
-
-
-def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
-    """Change one step of some."""
-    side, _, attribute = name.partition(".")
-    changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
-    return replace(steps, **{side: changed})
-
-
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
     """Steps of one price that together make the error that `subject.settings.steps` make, the price, and the bytes a
     frame that they save, by the slopes. Raises SceneError as `balance`.
     """
-    steps, slopes = subject.settings.steps, measure_slopes(sample, subject)
+    slopes = measure_slopes(sample, subject)
     factors, price = balance(slopes)
     saved = sum(slopes[name][0] * float(np.log(factor)) for name, factor in factors.items())
-    for name, factor in factors.items():
-        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
-    return steps, price, saved
+    return scale_steps(subject.settings.steps, factors), price, saved
 
 
 def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
@@ -158,22 +142,25 @@ def guess_price(sample: CalibrationSample, subject: Subject) -> float:
 
 
 def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
-    """Slopes of every step, from trial encodes a factor TRIAL finer and coarser."""
-    steps = subject.settings.steps
-    names = [n for n in STEPS if subject.frames[0].sh_rest.shape[1] or not n.endswith("sh_rest")]
+    """Slopes of every step, and of what leaving out rows may err where some are."""
+    slopes = measure_step_slopes(sample, subject.settings.steps, subject.settings.threads)
+    return slopes if subject.layout.removal_error == 0 else {**slopes, "rows": _row_slope(sample, subject)}
+
+
+def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads: int) -> dict[str, Slope]:
+    """Slopes of every step of quantisers, from trial encodes a factor TRIAL finer and coarser."""
+    names = [n for n in STEPS if sample.key.sh_rest.shape[1] or not n.endswith("sh_rest")]
 
     def trial(name: str, factor: float) -> Cost:
         return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEPS[name],))
 
-    with ThreadPoolExecutor(subject.settings.threads) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         finer = list(pool.map(trial, names, itertools.repeat(1 / TRIAL)))
         coarser = list(pool.map(trial, names, itertools.repeat(TRIAL)))
     slopes: dict[str, Slope] = {}
     for name, was, now in zip(names, finer, coarser, strict=True):
         grows = now.state_error - was.state_error + now.key_error - was.key_error
         slopes[name] = (was.bytes - now.bytes) / np.log(TRIAL**2), grows / (TRIAL**2 - TRIAL**-2)
-    if subject.layout.removal_error > 0:
-        slopes["rows"] = _row_slope(sample, subject)
     return slopes
 
 

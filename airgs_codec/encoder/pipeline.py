@@ -34,7 +34,6 @@ from airgs_codec.encoder.measure import AskedPictures, RoundErrors, measure_roun
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
-from airgs_codec.encoder.sample import compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, survey_group
@@ -219,7 +218,6 @@ class Step:
         return known[self.makes]
 
 
-LENGTHS = Step("lengths of groups", compare_lengths, ("sequence", "views", "settings"), "lengths")
 SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
 CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
 BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "settings"), "bands")
@@ -228,7 +226,7 @@ REUSE = Step("reused rows", reuse_rows, ("key", "base", "settings", "fps"), "reu
 STATES = Step("states", code_group, ("sequence", "coded", "base", "settings", "first_segment"), "files")
 QUALITY = Step("quality", measure_files, ("sequence", "renderer", "tables", "asked", "files", "base_files"), "errors")
 POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
-STEPS = {step.makes: step for step in (LENGTHS, SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
+STEPS = {step.makes: step for step in (SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
 
 
 @dataclass(frozen=True, eq=False)

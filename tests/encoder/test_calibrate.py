@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, get_step, solve_steps, with_step
+from airgs_codec.coding.quantize import StepSettings, get_step, with_step
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group

@@ -17,8 +17,8 @@ from airgs_codec.analysis.sensitivity import measure_sensitivity
 from airgs_codec.coding.channels import colour_transform, fit_colour_transform, from_klt, key_channels, to_klt
 from airgs_codec.coding.grid import fit_grid
 from airgs_codec.coding.motion import FLOOR, classify_motion, motion_classes, motion_units
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, get_step, measure_slopes, solve_steps
+from airgs_codec.coding.quantize import StepSettings, get_step
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
 from airgs_codec.encoder.representation import ROUNDING
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
