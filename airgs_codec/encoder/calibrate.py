@@ -37,6 +37,7 @@ from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
 from airgs_codec.render.compare import compare, draw_ahead, draw_frames
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -75,7 +76,7 @@ class Subject:
     @staticmethod
     def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
         """Lay out the group at `settings`."""
-        loaded = sequence.load(range(survey.span.start, survey.span.stop))
+        loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
         layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
         return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
 

@@ -66,7 +66,6 @@ def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds:
     """Tables of some groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
     PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
-    PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
     `rounds.count` pictures a segment, which `ask` measures; again and again in so many others, until the standard error
     of the top rung is at most UNSURE. Errors are heavy-tailed: a large Gaussian close to a view outweighs many others.
 

@@ -46,6 +46,7 @@ from airgs_codec.places.place import Memory
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.camera import with_pixels
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import SH_REST
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -93,7 +94,7 @@ def code_key(sequence: GaussianSequence, survey: Survey, settings: EncodeSetting
 
     Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
     """
-    loaded = sequence.load(range(survey.span.start, survey.span.stop))
+    loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
     layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
     keys = code_keys(layout, settings)
     return _decoded(layout, keys, encode_keys(layout, keys, Clock.of(sequence.fps), settings), settings, None)
@@ -137,7 +138,7 @@ def code_group(
     Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
     """
     layout = key.layout
-    frames = sequence.load(range(layout.span.start, layout.span.stop)).frames
+    frames = turn_least(sequence.load(range(layout.span.start, layout.span.stop))).frames
     with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
         states = code_states(layout, [part.space for part in key.decoded], frames, settings, Path(scratch))
         pictures = encode_states(layout, states, Clock.of(sequence.fps), settings)

@@ -31,7 +31,7 @@ from airgs_codec.jobs.engines import InProcess
 from airgs_codec.jobs.job import digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.scene.camera import resized
-from airgs_codec.scene.frames import HeldFrames
+from airgs_codec.scene.frames import HeldFrames, turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -181,7 +181,7 @@ class _Trial:
         windows = [_window(run, length) for length in lengths]
         coded = [n for window in windows for part in _segments(window, sequence, settings) for n in part]
         numbers = sorted({*seen, *coded})
-        frames = sequence.load(numbers).frames
+        frames = turn_least(sequence.load(numbers)).frames
         share = min(1.0, (PICTURE_PIXELS / (views.deciding[0].width * views.deciding[0].height)) ** 0.5)
         cameras = [resized(camera, share) for camera in views.deciding]
         pictures = [(bisect_left(numbers, n), camera) for n, camera in zip(seen, cameras, strict=False)]

@@ -24,6 +24,7 @@ from airgs_codec.package.package import root_of
 from airgs_codec.package.parse import pack_json
 from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
 from airgs_codec.render.compare import compare, draw_ahead, draw_still
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 
 PSNR, SIZE = "PSNR", "kB/frame"
@@ -124,10 +125,10 @@ def find_limit(encoded: Encoded, original: PreparedSequence) -> tuple[str, float
     numbers = evenly_spaced(package.manifest.frames, FRAMES)
     for view in zip(numbers, original.views.measuring, strict=False):
         number, _ = view
-        whole = original.sequence.load([number]).frames[0]
-        group = next(span.index for span in original.spans if number < span.stop)
+        span = next(span for span in original.spans if number < span.stop)
+        whole = turn_least(original.sequence.load(range(span.start, span.stop))).frames[number - span.start]
         reference = draw_ahead(draw_still(whole, renderer), [view])
-        for name, shown in _made_exact(whole, decode(package, number), encoded.group(group).rows):
+        for name, shown in _made_exact(whole, decode(package, number), encoded.group(span.index).rows):
             found = compare(reference, draw_still(shown, renderer), [view], Picture.mse)
             errors.setdefault(name, []).extend(found)
     means = {name: float(np.mean(found)) for name, found in errors.items()}

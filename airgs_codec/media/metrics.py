@@ -141,7 +141,12 @@ def mse(a: Floats, b: Floats) -> float:
 
 def psnr(mean_squared_error: float) -> float:
     """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
-    return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
+    return PSNR_CAP if mean_squared_error <= squared_error(PSNR_CAP) else -10 * math.log10(mean_squared_error)
+
+
+def squared_error(decibels: float) -> float:
+    """The mean squared error of a PSNR."""
+    return 10 ** (-decibels / 10)
 
 
 def _blur(picture: Floats) -> Floats:

@@ -143,7 +143,8 @@ def turn_least(repaired: Repaired) -> Repaired:
     cube = least_turned(middle)
     if _spread(middle) - _spread(rename_axes(middle, cube)) < NARROWER:
         return repaired
-    return replace(repaired, frames=LazyFrames(lambda place: rename_axes(frames[place], cube), range(len(frames))))
+    turned = LazyFrames(lambda place: rename_axes(frames[place], cube), range(len(frames)))
+    return replace(repaired, frames=list(turned) if isinstance(frames, list) else turned)
 
 
 def _spread(g: Gaussians) -> float:

@@ -5,6 +5,7 @@ import math
 from dataclasses import replace
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from airgs_codec.cli import encode as command
@@ -18,6 +19,7 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import open_package
+from airgs_codec.scene.gaussians import from_rotation_vector, multiply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
@@ -111,15 +113,31 @@ def scene(tmp_path_factory):
         yield prepared_as_one_group(sequence, views, work), work
 
 
-@pytest.mark.parametrize("part", COARSE)
-def test_the_part_that_is_coarse_is_named(scene, part):
+def limit_at(steps, prepared, work):
+    """The part that holds back a package of one level at these steps, and the PSNR without its error."""
     settings = EncodeSettings(
         calibrate="none",
         levels=(LevelSettings(0.0),),
         tiers=(1.0,),
         key_factors=(1.0,),
-        steps=COARSE[part],
+        steps=steps,
         preset="ultrafast",
     )
-    prepared, work = scene
-    assert find_limit(encode_sequence(prepared, settings, work), prepared)[0] == part
+    return find_limit(encode_sequence(prepared, settings, work), prepared)
+
+
+@pytest.mark.parametrize("part", COARSE)
+def test_the_part_that_is_coarse_is_named(scene, part):
+    assert limit_at(COARSE[part], *scene)[0] == part
+
+
+def test_axes_of_rows_that_spin_have_the_names_that_the_group_gave_them(tmp_path):
+    first = moving_frames(200, 1)[0]
+    spins = (from_rotation_vector(np.tile([0.0, 0.0, 0.6 * t], (200, 1))) for t in range(3))
+    frames = [replace(first, quaternions=multiply(spin, first.quaternions).astype(np.float32)) for spin in spins]
+    sequence = open_sequence(write_sequence(tmp_path / "spinning", frames))
+    views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
+    coarse = replace(FINE, key=replace(FINE.key, log_scales=2.0), state=replace(FINE.state, log_scales=2.0))
+    with temporary_work() as work:
+        part, reached = limit_at(coarse, prepared_as_one_group(sequence, views, work), work)
+    assert part == "sizes" and reached > 36  # 32 with names of their own
