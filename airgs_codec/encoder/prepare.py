@@ -24,7 +24,7 @@ from airgs_codec.coding.quantize import scale_steps
 from airgs_codec.encoder.calibrate import balance, measure_step_slopes
 from airgs_codec.encoder.pipeline import PreparedSequence, Read, Step, chosen, seen
 from airgs_codec.encoder.plan import rank_updates, split_segments
-from airgs_codec.encoder.sample import CalibrationSample, block_rows
+from airgs_codec.encoder.sample import CalibrationSample, at_equal_error, block_rows
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ShownPictures, ViewPlan, plan_views
 from airgs_codec.jobs.engines import InProcess
@@ -42,8 +42,6 @@ WORSE = 2  # lengths in turn that cost more than a longer one, after which short
 SEGMENTS = 2  # of a group, evenly spaced, whose states are coded
 WITHHELD = (0.0, 0.4)  # shares of the updates, tried
 BLOCKS, FEWER_BLOCKS = 40, 12  # of rows that are coded, and of those that tell steps
-LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
-RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
 CHUNK = 16  # frames that are looked at by one call
 HELD_SHARE = 8  # one byte in so many of the memory may hold frames: the arrays of a group take several times its own
 
@@ -128,7 +126,7 @@ class LengthCost:
     @property
     def score(self) -> float:
         """Bytes a frame at equal error, but for a factor that all lengths share."""
-        return self.bytes * max(self.error, LEAST_ERROR) ** RATE_OF_ERROR
+        return at_equal_error(self.bytes, self.error)
 
 
 def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSettings) -> list[LengthCost]:

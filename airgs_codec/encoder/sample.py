@@ -24,6 +24,7 @@ from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.encoder.plan import assign_depths
 from airgs_codec.media.h264 import (
+    BETWEEN,
     ClosedGop,
     CodecSettings,
     encode_gop,
@@ -37,6 +38,14 @@ from airgs_codec.scene.gaussians import Gaussians
 
 BLOCK_ROWS = 256  # a block of an atlas
 PRESET = "fast"  # of x264, for trial encodes
+
+LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
+RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
+
+
+def at_equal_error(size: float, error: float) -> float:
+    """Bytes at equal error, but for a factor that all share, of so many at a mean squared error of pictures."""
+    return size * max(error, LEAST_ERROR) ** RATE_OF_ERROR
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,11 +156,12 @@ class CalibrationSample:
         return size, float(self.error(np.where(sent, coded, states[1:]), steps).sum())
 
     def code_states(
-        self, states: NDArray[np.float64], factor: float, part: slice = slice(None)
+        self, states: NDArray[np.float64], factor: float, part: slice = slice(None), between: int = BETWEEN[0]
     ) -> tuple[float, NDArray[np.float64]]:
         """Bytes a frame of moving rows, and (T, 10 + C, n) errors in steps of what is shown, in the channels `part`.
 
-        `states` are those of `self.states`. A row that is not moving has the error of its canonical frame.
+        `states` are those of `self.states`; `between` B-pictures stand in a row. A row that is not moving has the error
+        of its canonical frame.
         """
         errors = np.zeros_like(states[1:])
         channels = np.arange(states.shape[1])[part]
@@ -160,7 +170,7 @@ class CalibrationSample:
         if not len(moving):
             return 0.0, errors
         values = states[1:, channels[:, None], moving]
-        sizes, decoded = encode_and_decode(values, np.full(len(channels), factor), state_codec(PRESET))
+        sizes, decoded = encode_and_decode(values, np.full(len(channels), factor), state_codec(PRESET, between))
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0
         return self.row_ratio * (sizes[0] + (self.segment_frames - 1) * others) / self.segment_frames, errors
