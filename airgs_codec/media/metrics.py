@@ -126,12 +126,8 @@ class Quality:
 def pool(differences: Sequence[Difference], scale: float = 1.0) -> Quality:
     """The quality of all of some pictures together, at least one; squared errors are multiplied by `scale`."""
     count, squared = len(differences), [d.mse for d in differences]
-    return Quality(
-        psnr=psnr(scale * sum(squared) / count),
-        worst=psnr(scale * max(squared)),
-        ssim=sum(d.ssim for d in differences) / count,
-        delta_e=sum(d.delta_e for d in differences) / count,
-    )
+    ssim, delta_e = (sum(getattr(d, name) for d in differences) / count for name in ("ssim", "delta_e"))
+    return Quality(psnr(scale * sum(squared) / count), psnr(scale * max(squared)), ssim, delta_e)
 
 
 def mse(a: Floats, b: Floats) -> float:
