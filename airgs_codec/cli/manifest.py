@@ -15,7 +15,7 @@ from pathlib import Path
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, package
-from airgs_codec.cli.options import App, make_app, nested, run_program, takes
+from airgs_codec.cli.options import App, expect_one, make_app, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.package.package import open_package
 
@@ -28,6 +28,7 @@ class Inspect:
 
     package: str = package()
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
+    numerics: bool = setting(False, "tell instead which extreme properties the scene has, and what bounds them")
     json: bool = as_json("the same as JSON")
 
 
@@ -37,10 +38,17 @@ def inspect(options: Inspect) -> int:
     from airgs_codec.inspect.summary import summarise
     from airgs_codec.inspect.text import bytes_by_attribute, format_attributes, format_summary
 
+    expect_one(plot=options.plot, numerics=options.numerics or None)
     if options.plot:
         require_matplotlib("--plot")
         expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
+    if options.numerics:
+        from airgs_codec.inspect.numerics import format_numerics, measure_numerics
+
+        touched = measure_numerics(package)
+        say(json.dumps([dataclasses.asdict(one) for one in touched]) if options.json else format_numerics(touched))
+        return 0
     summary = summarise(package.manifest, package.manifest_bytes)
     if options.plot:
         from airgs_codec.inspect.plot import plot_ladder
