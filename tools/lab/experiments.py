@@ -39,6 +39,7 @@ EXPERIMENTS = (
     _bench("keyframe", "How much sooner is a keyframe fitted from the frame before than from scratch?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
     _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
+    _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
     _bench("play", "How fast are the selector, the bounds and the simulator?", "2 min"),
     _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
