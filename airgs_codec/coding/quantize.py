@@ -32,6 +32,7 @@ class StepSettings:
         )
     )
     grid: float = 0.0007  # side of the cells of canonical means, in motion units
+    colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter alike
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
 
     def scaled(self, quality: float) -> StepSettings:

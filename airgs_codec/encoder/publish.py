@@ -14,7 +14,7 @@ from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
-from airgs_codec.encoder.search import Goal, search_quality
+from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
 from airgs_codec.encoder.track import Tracked, tracked
@@ -233,6 +233,8 @@ def _encode_rows(
         whole = EncodeProgress(work.progress, original, settings)
         work = replace(work, progress=whole)
         work.run([original.job(SURVEY, group) for group in original.windows[0]])
+        if goal and goal.metric == DELTA_E:
+            settings = weigh_colours(settings, original)
         survey_s = watch.lap()
         found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
         rounds, given = Rounds(settings.measure_pictures), settings.levels != DEFAULT_LEVELS

@@ -100,7 +100,7 @@ class CalibrationSample:
         self, steps: StepSettings, factor: float, attributes: Sequence[str] = STATE.attributes
     ) -> tuple[float, Canonical]:
         """Bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
-        transform = self._transform(steps.key)
+        transform = self._transform(steps)
         channels, size = self._code_key_channels(steps.key, transform, factor, attributes)
         grid = fit_grid(self.key.means, self.classes, steps.grid)
         codes = grid_codes(self.key.means, self.classes, grid)
@@ -131,13 +131,11 @@ class CalibrationSample:
 
     def error(self, errors: NDArray[np.float64], steps: StepSettings) -> NDArray[np.float64]:
         """(n,) what errors (T, 10 + C, n), in steps, add to the mean squared error of pictures of the whole group."""
-        weights = channel_weights(
-            self.classes, self.sensitivity.by_attribute(), steps.state, self._transform(steps.key)
-        )
+        weights = channel_weights(self.classes, self.sensitivity.by_attribute(), steps.state, self._transform(steps))
         return self.row_ratio * withheld_error(errors, weights)
 
-    def _transform(self, steps: KeySteps) -> NDArray[np.float64]:
-        return unpack_matrix(colour_transform(self.key, steps), 3 * (1 + self.key.sh_rest.shape[1]))
+    def _transform(self, steps: StepSettings) -> NDArray[np.float64]:
+        return unpack_matrix(colour_transform(self.key, steps.key, steps.colours), 3 * (1 + self.key.sh_rest.shape[1]))
 
     def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""

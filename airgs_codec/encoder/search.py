@@ -17,6 +17,7 @@ from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
+from airgs_codec.media.colour import delta_e_metric
 from airgs_codec.media.metrics import PSNR_CAP, Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
@@ -64,6 +65,7 @@ PARTS = {
     "opacities": ("opacity_logits",),
     "colours": ("sh_dc", "sh_rest"),
 }
+LEAST_SEEN = 1e-3  # of the squared ΔE of an error along the direction that is seen best: along any other
 LEFT_OUT = "Gaussians left out"
 TRIAL_PICTURES = 12  # measured in each segment for a quality, where the package itself is not measured
 
@@ -216,6 +218,31 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
         raise OutOfReachError(goal, error.got, error.factor, why) from None
     measured = rounds if attempt.rounds.count else attempt.rounds
     return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured, trials=tuple(found))
+
+
+def weigh_colours(settings: EncodeSettings, original: PreparedSequence) -> EncodeSettings:
+    """Settings that code colours along the directions that CIEDE2000 tells apart, each as finely as it is seen.
+
+    Pictures that decide say how ΔE grows with errors. Steps grow so that bytes stay about the same, and no entry of the
+    colour transform leaves -1..1.
+    """
+    numbers, renderer = evenly_spaced(len(original.sequence), FRAMES), original.views.renderer
+    colours = [
+        draw_still(original.sequence.load([number]).frames[0], renderer)(number, camera).sampled.reshape(-1, 3)
+        for number, camera in zip(numbers, original.views.deciding, strict=False)
+    ]
+    values, axes = np.linalg.eigh(delta_e_metric(np.concatenate(colours)))
+    sizes = np.sqrt(np.maximum(values, LEAST_SEEN * values[-1]))
+    sizes /= sizes.prod() ** (1 / 3)
+    wide = max(1.0, 1 / float(sizes.min()))
+    key, state = settings.steps.key, settings.steps.state
+    steps = replace(
+        settings.steps,
+        key=replace(key, sh_dc=wide * key.sh_dc, sh_rest=wide * key.sh_rest),
+        state=replace(state, sh_dc=wide * state.sh_dc, sh_rest=wide * state.sh_rest),
+        colours=tuple((wide * (axes * sizes) @ axes.T).ravel().tolist()),
+    )
+    return replace(settings, steps=steps)
 
 
 def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:

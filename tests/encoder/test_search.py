@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli import encode as command
+from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import encode_sequence
-from airgs_codec.encoder.search import DELTA_E, LEFT_OUT, PSNR, SIZE, Goal, find_limit, find_quality
+from airgs_codec.encoder.search import DELTA_E, LEFT_OUT, PSNR, SIZE, Goal, find_limit, find_quality, weigh_colours
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import ConfigError
@@ -21,9 +22,10 @@ from airgs_codec.jobs.work import temporary_work
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import open_package
-from airgs_codec.scene.gaussians import from_rotation_vector, multiply
 from airgs_codec.package.region import draw_views
+from airgs_codec.package.tables import pack_matrix, unpack_matrix
 from airgs_codec.render import cpu
+from airgs_codec.scene.gaussians import from_rotation_vector, multiply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
@@ -156,6 +158,22 @@ def scene(tmp_path_factory):
     views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
     with temporary_work() as work:
         yield prepared_as_one_group(sequence, views, work), work
+
+
+def test_colours_are_weighed_by_what_is_seen(scene):
+    """Errors of every channel of the colour transform, a step each, make the same ΔE; green is seen best."""
+    prepared, _ = scene
+    steps = weigh_colours(EncodeSettings(), prepared).steps
+    weights = np.array(steps.colours).reshape(3, 3)
+    np.testing.assert_allclose(weights, weights.T)
+    assert np.diag(weights).argmax() == 1 and np.linalg.eigvalsh(weights).min() >= 1 - 1e-9
+    grown = steps.key.sh_dc / EncodeSettings().steps.key.sh_dc
+    assert np.linalg.det(weights) == pytest.approx(grown**3) and steps.state.sh_rest == pytest.approx(0.08 * grown)
+    colours = np.random.default_rng(0).normal(size=(50, 12)) * np.arange(1, 13)
+    stored = unpack_matrix(pack_matrix(fit_colour_transform(colours, steps.colours)), 12)
+    seen = stored @ np.kron(np.eye(4), weights)  # what a step in each channel changes, as it is seen
+    np.testing.assert_allclose(seen @ seen.T, np.eye(12), atol=1e-3)
+    np.testing.assert_allclose(from_klt(to_klt(colours, stored), stored), colours, atol=1e-9)
 
 
 def limit_at(steps, prepared, work, metric=PSNR):
