@@ -84,9 +84,8 @@ class EncodeReport:
             steps += ", which an earlier run found" if self.cached else ""
         if self.goal:
             first, last = self.trials[0][1], self.trials[-1][1]
-            trials = (
-                f"{len(self.trials)} trials for {self.goal.value:g} {self.goal.kind}, from {first:.4g} to {last:.4g}"
-            )
+            wanted = f"{self.goal.value:g} {self.goal.metric.name}"
+            trials = f"{len(self.trials)} trials for {wanted}, from {first:.4g} to {last:.4g}"
         if m.measured:
             measured = f"a claim good to {doubt_db(self.unsure):.1f} dB, by {m.views.measured} pictures of each segment"
         return [

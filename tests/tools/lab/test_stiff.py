@@ -118,7 +118,9 @@ def test_a_page_draws_maps_of_its_cells(tmp_path, monkeypatch):
 
 def test_every_conclusion_of_the_documents_follows_from_their_figures():
     entry = published.read_figures()["stiff"]
-    cells = [Cell(**row | {"value": math.nan if row["value"] is None else row["value"]}) for row in rows(entry, "stiff")]
+    cells = [
+        Cell(**row | {"value": math.nan if row["value"] is None else row["value"]}) for row in rows(entry, "stiff")
+    ]
     made = stiff.page(cells)
     assert not made.failed and [s.answer for s in made.sections if s.answer] == entry["answers"]
     assert [list(row.values()) for row in made.sections[0].tables[0].rows] == entry["tables"]["stiff-lines"]["rows"]

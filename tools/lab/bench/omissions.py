@@ -96,7 +96,7 @@ def _top_rung(sequence: GaussianSequence, settings: EncodeSettings, bands: bool,
         top = replace(found.settings, levels=found.settings.levels[:1], key_factors=found.settings.key_factors[:1])
         measuring = Measuring(original, ROUNDS)
         encoded = encode_sequence(original if bands else found.prepared, top, work, measuring)
-        m = measure_quality(encoded, measuring)
+        m = measure_quality(encoded, measuring).whole(encoded.manifest)
     quality = pooled_quality(m, 0, 0)
     assert quality is not None
     return m.bytes_of(m.rung_files(0, 0)) / m.frames, quality.psnr
