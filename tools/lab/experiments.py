@@ -85,11 +85,7 @@ MEASUREMENTS = (
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
     Measurement("crowd", "crowd", "crowd fox/ raca2018_4g_car/"),
     Measurement("soak-live", "crowd", "soak-live"),
-    Measurement(
-        "tiles",
-        "tiles",
-        "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv --viewers lively calm even 'held out'",
-    ),
+    Measurement("tiles", "tiles", "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv"),
     Measurement(
         "viewpoints",
         "views",
