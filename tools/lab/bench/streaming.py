@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CLIFF, NO_CLIFF = "paper", "paper-no-cliff"
+BETTER = {"psnr": (1, 0.05), "low": (1, 0.05), "stalled": (-1, 0.0005)}  # figure -> sign, and what is no difference
 POLICIES = (DEFAULT_POLICY, "throughput", "bola", CLIFF, NO_CLIFF)
 COLUMNS = {
     "scene": ("scene", ""), "policy": ("policy", ""), "psnr": ("PSNR, dB", ".2f"), "low": ("5th percentile", ".2f"),
@@ -118,38 +119,44 @@ def how_of(options: Options, rows: Sequence[Row]) -> str:
 
 def default_words(rows: Sequence[Row]) -> str:
     """What viewers of the first policy get."""
-    first = rows[0]["policy"]
-    parts = [
-        f"{row['scene']} has {row['psnr']:.1f} dB on the screen, {row['regret']:.2f} dB below the best that any player "
-        f"could show, and waits {100 * row['stalled']:.1f} % of the time"
-        for row in rows
-        if row["policy"] == first
+    first, *others = (row for row in rows if row["policy"] == rows[0]["policy"])
+    words = (
+        f"With {first['policy']}, {first['scene']} has {first['psnr']:.1f} dB on the screen, {first['regret']:.1f} dB "
+        f"below the best that any player could show, and waits {100 * first['stalled']:.1f} % of the time"
+    )
+    more = [
+        f"{row['scene']} has {row['psnr']:.1f} dB, {row['regret']:.1f} dB below, and waits {100 * row['stalled']:.1f} %"
+        for row in others
     ]
-    return f"With {first}, {'; '.join(parts)}."
+    return f"{'; '.join([words, *more])}."
 
 
 def best_words(rows: Sequence[Row]) -> str:
-    """Which policies show more and wait less than the first one."""
+    """Which policies are better than the first one in some of BETTER, and worse in none."""
     first = {row["scene"]: row for row in rows if row["policy"] == rows[0]["policy"]}
-    better = [
-        f"{row['policy']} ({row['scene']})"
+    gains = [
+        (row, [sign * (row[name] - first[row["scene"]][name]) / same for name, (sign, same) in BETTER.items()])
         for row in rows
-        if row["psnr"] > first[row["scene"]]["psnr"] and row["stalled"] < first[row["scene"]]["stalled"]
     ]
-    return f"Better at both: {listed(better)}." if better else "No other policy is better at both."
+    better = [f"{row['policy']} ({row['scene']})" for row, gain in gains if max(gain) > 1 and min(gain) >= -1]
+    figures = "PSNR, its 5th percentile and waiting"
+    if not better:
+        return f"No other policy is better in some of {figures} and worse in none."
+    return f"Better in some of {figures}, and worse in none, is {listed(better)}."
 
 
 def cliff_words(rows: Sequence[Row]) -> str:
     """What the cliff test costs and brings; '' where it was not played."""
     by = {(row["scene"], row["policy"]): row for row in rows}
-    waits, psnr = [], []
+    parts = []
     for scene in (scene for scene, policy in by if policy == CLIFF and (scene, NO_CLIFF) in by):
         with_it, without = by[scene, CLIFF], by[scene, NO_CLIFF]
-        longer, more = with_it["stalled"] - without["stalled"], with_it["psnr"] - without["psnr"]
-        share = f"{100 * abs(longer) / without['stalled']:.0f} % " if without["stalled"] else ""
-        waits.append(f"{share}{'longer' if longer > 0 else 'shorter'} on {scene}")
-        psnr.append(f"{abs(more):.2f} dB {'more' if more > 0 else 'less'}")
-    return f"The cliff test of the paper makes waits {listed(waits)}, for {listed(psnr)}." if waits else ""
+        share = 100 * (with_it["stalled"] - without["stalled"]) / without["stalled"] if without["stalled"] else 0.0
+        more = with_it["psnr"] - without["psnr"]
+        waits = f"{abs(share):.0f} % {'longer' if share > 0 else 'shorter'}" if abs(share) >= 0.5 else "as long"
+        psnr = f"{abs(more):.2f} dB {'more' if more > 0 else 'less'}" if abs(more) >= 0.005 else "the same PSNR"
+        parts.append(f"{waits} for {psnr} ({scene})")
+    return f"With the cliff test of the paper, viewers wait {listed(parts)}." if parts else ""
 
 
 def draw(rows: Sequence[Row], figure: Figure) -> None:
@@ -167,4 +174,4 @@ def draw(rows: Sequence[Row], figure: Figure) -> None:
             colour = COLOURS[policies.index(row["policy"])]
             axes.errorbar(100 * row["stalled"], row["psnr"], fmt="o", color=colour, label=row["policy"], **spans)
         axes.set(title=scene, xlabel="waiting, % of the time", ylabel="PSNR on the screen, dB", xlim=(0, None))
-    figure.axes[-1].legend(loc="lower right")
+    figure.axes[0].legend(loc="lower right")
