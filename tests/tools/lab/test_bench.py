@@ -61,14 +61,14 @@ def test_found_viewpoints_are_compared_with_true_ones(tmp_path):
 
 
 def test_answers_about_viewpoints_are_those_of_the_rows():
-    sure = {"scene": "a", "sure": True, "away": 0.2, "degrees": 11.0}
-    other = {"scene": "b", "sure": True, "away": 0.31, "degrees": 19.6}
-    words = viewpoints.page([sure, other, {"scene": "c", "sure": False}]).sections[0].answer
+    one = {"scene": "a", "sure": True, "away": 0.2, "degrees": 19.6, "worst_away": 0.5, "worst_degrees": 20.0}
+    other = {"scene": "b", "sure": True, "away": 0.31, "degrees": 11.0, "worst_away": 0.4, "worst_degrees": 61.0}
+    words = viewpoints.page([one, other, {"scene": "c", "sure": False}]).sections[0].answer
     assert words == (
-        "Half of the true cameras of a and b have a found one within 0.20 to 0.31 of the distance to what they see, "
-        "and 11 to 20 degrees. Of c it says that it is not sure."
+        "From a true camera to the nearest found one it is 0.20 to 0.31 of the distance to what it sees, and 11 to 20 "
+        "degrees (medians of a and b; at worst 0.50 and 61). Of c it says that it is not sure."
     )
-    assert viewpoints.page([sure]).sections[0].answer.endswith("It is sure of every scene.")
+    assert viewpoints.page([one]).sections[0].answer.endswith("It is sure of every scene.")
     assert viewpoints.page([{"scene": "c", "sure": True}]).sections[0].answer == "It is sure of every scene."
 
 

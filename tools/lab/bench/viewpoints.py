@@ -7,6 +7,7 @@ each scene goes to the folder.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,8 +28,8 @@ ROWS = 4000  # that tell how far away is what a camera sees
 HALF = 35.0  # degrees that are as far as half the distance to what is seen
 COLUMNS = {
     "scene": ("scene", ""), "story": ("answer", ""), "sure": ("sure", ""),
-    "away": ("median, of the distance", ".2f"), "degrees": ("degrees", ".0f"),
-    "worst_away": ("worst, of the distance", ".2f"), "worst_degrees": ("degrees", ".0f"),
+    "away": ("apart, median", ".2f"), "degrees": ("degrees", ".0f"),
+    "worst_away": ("apart, worst", ".2f"), "worst_degrees": ("degrees", ".0f"),
 }  # fmt: skip
 
 
@@ -50,11 +51,12 @@ def page(rows: Sequence[Row]) -> Page:
     unsure = [row["scene"] for row in rows if not row["sure"]]
     words = []
     if known:
-        spans = {key: sorted(row[key] for row in rows if key in row) for key in ("away", "degrees")}
-        (near, far), (least, most) = ((span[0], span[-1]) for span in spans.values())
+        seen = {key: sorted(row[key] for row in rows if key in row) for key in COLUMNS}
+        (near, far), (least, most) = ((seen[key][0], seen[key][-1]) for key in ("away", "degrees"))
         words.append(
-            f"Half of the true cameras of {listed(known)} have a found one within {near:.2f} to {far:.2f} of the "
-            f"distance to what they see, and {least:.0f} to {most:.0f} degrees."
+            f"From a true camera to the nearest found one it is {near:.2f} to {far:.2f} of the distance to what it "
+            f"sees, and {least:.0f} to {most:.0f} degrees (medians of {listed(known)}; at worst {seen['worst_away'][-1]:.2f} "
+            f"and {seen['worst_degrees'][-1]:.0f})."
         )
     words.append(f"Of {listed(unsure)} it says that it is not sure." if unsure else "It is sure of every scene.")
     return Page([Section(" ".join(words), tables=[Table("viewpoints", rows, COLUMNS)])])
@@ -66,7 +68,7 @@ def measure(scene: str, folder: Path) -> Row:
     sequence = open_sequence(place)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), FRAMES)])
     middle = sequence.load([len(sequence) // 2]).frames[0]
-    row = {"scene": name_of(scene), "sure": found.confident, "story": found.story.partition(":")[0]}
+    row = {"scene": name_of(scene), "sure": found.confident, "story": re.split(r":| \(", found.story)[0]}
     if cameras:
         row |= compare(read_cameras(Path(cameras)), found.cameras, Sample.of(middle, ROWS))
     sheet = [f"{score:.2f}" for score in found.scores]
