@@ -58,7 +58,7 @@ def test_a_policy_is_better_that_is_worse_in_nothing(psnr, low, stalled, better)
     [
         ((42.5, 0.024), "With the cliff test of the paper, viewers wait 20 % longer for 0.50 dB more (fox)."),
         ((41.9, 0.015), "With the cliff test of the paper, viewers wait 25 % shorter for 0.10 dB less (fox)."),
-        ((42.001, 0.02), "With the cliff test of the paper, viewers wait as long for the same PSNR (fox)."),
+        ((42.001, 0.02), "With the cliff test of the paper, viewers wait as long as without (fox)."),
     ],
 )
 def test_the_cliff_test_costs_or_spares(with_it, words):

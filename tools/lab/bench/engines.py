@@ -189,10 +189,11 @@ def write_page(folder: Path, scene: Scene, size: int) -> None:
 
 def drawn(url: str, engine: str, variant: str, size: int) -> list[Picture]:
     """The pictures that an engine draws of the scene at `url`."""
-    query = urlencode({"scene": ".", "engine": engine, "settings": variant})
+    query = urlencode({"scene": ".", "engine": engine, "variant": variant})
     environment = os.environ | {"CHROMIUM": os.environ.get("CHROMIUM") or shutil.which("chromium") or ""}
-    command = ["node", str(WEB / "test/open.mjs"), f"{url}/page.html?{query}"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+    asked = json.dumps({"url": f"{url}/page.html?{query}", "script": None})
+    command = ["node", str(WEB / "test/open.mjs")]
+    done = subprocess.run(command, input=f"{asked}\n", capture_output=True, text=True, check=True, env=environment)
     seen = json.loads(done.stdout)
     if seen["report"] is None:
         raise RuntimeError(f"{engine}, {variant}: no pictures: {seen['failed']}")

@@ -155,7 +155,8 @@ def cliff_words(rows: Sequence[Row]) -> str:
         more = with_it["psnr"] - without["psnr"]
         waits = f"{abs(share):.0f} % {'longer' if share > 0 else 'shorter'}" if abs(share) >= 0.5 else "as long"
         psnr = f"{abs(more):.2f} dB {'more' if more > 0 else 'less'}" if abs(more) >= 0.005 else "the same PSNR"
-        parts.append(f"{waits} for {psnr} ({scene})")
+        same = (waits, psnr) == ("as long", "the same PSNR")
+        parts.append(f"as long as without ({scene})" if same else f"{waits} for {psnr} ({scene})")
     return f"With the cliff test of the paper, viewers wait {listed(parts)}." if parts else ""
 
 

@@ -55,8 +55,8 @@ def page(rows: Sequence[Row]) -> Page:
         (near, far), (least, most) = ((seen[key][0], seen[key][-1]) for key in ("away", "degrees"))
         words.append(
             f"From a true camera to the nearest found one it is {near:.2f} to {far:.2f} of the distance to what it "
-            f"sees, and {least:.0f} to {most:.0f} degrees (medians of {listed(known)}; at worst {seen['worst_away'][-1]:.2f} "
-            f"and {seen['worst_degrees'][-1]:.0f})."
+            f"sees, and {least:.0f} to {most:.0f} degrees (medians of {listed(known)}; at worst "
+            f"{seen['worst_away'][-1]:.2f} and {seen['worst_degrees'][-1]:.0f})."
         )
     words.append(f"Of {listed(unsure)} it says that it is not sure." if unsure else "It is sure of every scene.")
     return Page([Section(" ".join(words), tables=[Table("viewpoints", rows, COLUMNS)])])
