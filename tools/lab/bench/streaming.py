@@ -97,7 +97,10 @@ def page(options: Options, rows: Sequence[Row]) -> Page:
     scenes = dict.fromkeys(row["scene"] for row in rows)
     words = [default_words(rows), best_words(rows), cliff_words(rows)]
     picture = Picture(
-        "streaming", "PSNR over waiting, means with 95 % intervals", partial(draw, rows), (4 * len(scenes), 3.2)
+        "streaming",
+        "PSNR over waiting, means and their intervals over traces",
+        partial(draw, rows),
+        (4 * len(scenes), 3.2),
     )
     section = Section(" ".join(filter(None, words)), pictures=[picture], tables=[Table("streaming", rows, COLUMNS)])
     return Page([section], how_of(options, rows))

@@ -61,7 +61,8 @@ class Options:
     scene: Path = required("a sequence")
     frames: int = setting(12, "of it, one group")
     copies: int = setting(8, "in the ring; 1: no ring")
-    tiles: int = setting(8, "how many")
+    tiles: int = setting(8, "of the ring")
+    few_tiles: int = setting(4, "of the scene as it is")
     segment: float = setting(0.5, "seconds of a segment")
     seconds: float = setting(12.0, "of play")
     viewers: tuple[str, ...] = setting((*VIEWERS, HELD_OUT), "how they turn")
@@ -102,7 +103,8 @@ def scenes(options: Options, folder: Path) -> dict[str, GaussianSequence]:
 def packages(sequence: GaussianSequence, name: str, options: Options, lab: Lab) -> tuple[Package, Package]:
     """A scene as one package and in tiles, with the same settings and viewing region. All rows are written."""
     start = f"{name.replace(' ', '-')}-{options.segment:g}-{code_digest(encode)[:8]}"
-    paths = {tiles: lab.folder / f"{start}-{tiles}.airgs" for tiles in (1, options.tiles)}
+    count = options.few_tiles if name == NARROW else options.tiles
+    paths = {tiles: lab.folder / f"{start}-{tiles}.airgs" for tiles in (1, count)}
     missing = [tiles for tiles, path in paths.items() if not path.is_dir()]
     if missing:
         settings = EncodeSettings(
@@ -166,9 +168,10 @@ def page(options: Options, rows: Sequence[Row]) -> Page:
     turns = {row["viewer"]: f"{row['viewer']} {row['turning']:.0f}" for row in rows}
     rules, times = SessionSettings(view_buffer_s=options.view_buffer), listed([f"{n:g}" for n in options.times])
     how = (
-        f"{options.tiles} tiles, {options.seconds:g} s of play, links of {times} times the rate of the rung. Viewers "
-        f"turn at so many degrees a second (95th percentile): {listed(list(turns.values()))}. Tiles in sight are "
-        f"fetched with {rules.view_buffer_s:g} s of buffer, all tiles with {rules.buffer_s:g} s."
+        f"{options.tiles} tiles of the ring, {options.few_tiles} of the scene as it is, {options.seconds:g} s of play, "
+        f"links of {times} times the rate of the rung. Viewers turn at so many degrees a second (95th percentile): "
+        f"{listed(list(turns.values()))}. Tiles in sight are fetched with {rules.view_buffer_s:g} s of buffer, all "
+        f"tiles with {rules.buffer_s:g} s."
     )
     return Page([section], how, data=[Table("tiles", rows)])
 
@@ -209,10 +212,15 @@ def span_words(shares: Sequence[float]) -> str:
         return "is not comparable"
     least, most = 100 * min(shares), 100 * max(shares)
     if least >= 1:
-        return f"saves {least:.0f} to {most:.0f} % of the bytes"
+        return f"saves {between(least, most)} % of the bytes"
     if most <= -1:
-        return f"takes {-most:.0f} to {-least:.0f} % more"
-    return f"saves nothing for sure, {least:.0f} to {most:.0f} % of the bytes"
+        return f"takes {between(-most, -least)} % more"
+    return f"saves nothing for sure, {between(least, most)} % of the bytes"
+
+
+def between(least: float, most: float) -> str:
+    """Both numbers without digits, or one where they are the same."""
+    return " to ".join(dict.fromkeys((f"{least:.0f}", f"{most:.0f}")))
 
 
 def wait_words(links: Sequence[Row], seconds: float) -> str:
@@ -234,5 +242,5 @@ def price_words(rows: Sequence[Row]) -> str:
             if row["scene"] == scene and row["how"] == TILED and row.get("saved") is not None
         ]
         if more:
-            parts.append(f"{min(more):.0f} to {max(more):.0f} % ({scene})")
+            parts.append(f"{between(min(more), max(more))} % ({scene})")
     return f"All tiles take more bytes than one package: {listed(parts)}." if parts else ""
