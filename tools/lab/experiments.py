@@ -47,7 +47,7 @@ EXPERIMENTS = (
     Experiment("soak-live", "What does a day of publishing cost, and joining late?", "tools.lab.soak.live", "1 h"),
     _bench("splits", "How good is a training where nobody trained it?", "hours"),
     _bench("start", "How long does a user wait before anything happens?", "10 s"),
-    _bench("streaming", "What do viewers get over LTE?", "10 minutes"),
+    _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _room("tiles", "What do spatial tiles cost and save?", "30 min"),
     _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),

@@ -31,8 +31,14 @@ def test_every_step_is_measured_in_a_process_of_its_own(tmp_path):
 @pytest.mark.parametrize(
     ("power", "words"),
     [
-        (1.0, "Of CPU time, encoding takes 2.0 times for twice the Gaussians and 2.0 times for twice the frames."),
-        (0.5, "Of CPU time, encoding takes 1.4 times for twice the Gaussians and 1.4 times for twice the frames."),
+        (
+            1.0,
+            "Of CPU time, encoding takes 2.0 times as long for twice the Gaussians and 2.0 times for twice the frames.",
+        ),
+        (
+            0.5,
+            "Of CPU time, encoding takes 1.4 times as long for twice the Gaussians and 1.4 times for twice the frames.",
+        ),
     ],
 )
 def test_growth_is_told_over_gaussians_and_over_frames(power, words):

@@ -161,5 +161,5 @@ def growth_words(found: Sequence[Measured], few: int) -> str:
                 power = fit_power([getattr(one, name) for one in same], [one.cpu_seconds for one in same])[1]
                 times.append(f"{2**power:.1f} times for twice the {'Gaussians' if name == 'rows' else name}")
         if times:
-            parts.append(f"{what} takes {listed(times)}")
+            parts.append(f"{what} takes {listed(times).replace(' for', ' as long for', 1)}")
     return f"Of CPU time, {'; '.join(parts)}." if parts else ""
