@@ -6,10 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from airgs_codec._report import new_figure, plain_log_ticks, save_figure, table
+from airgs_codec._report import Page, Picture, html_table, listed, new_figure, plain_log_ticks, save_figure, table
 from airgs_codec.cli.manifest import main as manifest_main
 from airgs_codec.cli.play import main as play_main
 from airgs_codec.errors import ConfigError
+from airgs_codec.jobs.job import Record
+from airgs_codec.jobs.report import jobs_answer
 from tests.support.paths import VALID
 
 MOVING = str(VALID / "moving")
@@ -81,3 +83,53 @@ def test_labels_of_a_log_axis_do_not_touch(low, high, tmp_path: Path):
     inside = [b for b in boxes if axis.bbox.x0 <= (b.x0 + b.x1) / 2 <= axis.bbox.x1]
     assert 3 <= len(inside) <= 6
     assert all(a.x1 < b.x0 for a, b in itertools.pairwise(boxes))
+
+
+def test_a_page_answers_first_then_shows_then_folds_its_tables():
+    pictures = [Picture("a chart", lambda axis: axis.plot([0, 1])), Picture("film <1>", name="film.mp4")]
+    told = {"good": "3 < 4 dB.", "wrong": "", "change": "Nothing."}
+    text = Page("Of <it>", told, pictures, {"All": html_table([("a", "<b>")]), "None": html_table([])}).to_html()
+    order = [
+        "Of &lt;it&gt;</h1>",
+        "<dt>How good it is</dt><dd>3 &lt; 4 dB.",
+        "What to change",
+        "<svg",
+        "<video",
+        "<details>",
+    ]
+    places = [text.index(part) for part in order]
+    assert places == sorted(places) and 'name="viewport"' in text
+    assert (
+        "went wrong" not in text and "film &lt;1&gt;" in text and "&lt;b&gt;" in text and text.count("<details>") == 1
+    )
+
+
+def test_a_page_has_at_most_four_pictures():
+    four = [Picture("one", name="one.png")] * 4
+    assert Page("", {}, four, {}).to_html().count("<figure") == 4
+    with pytest.raises(AssertionError, match="everything"):
+        Page("", {}, [*four, *four], {}).to_html()
+
+
+def test_panels_beside_each_other_are_shown_one_by_one():
+    text = Picture("three", name="a.png", panels=3, shape=(100, 600, 3)).to_html()
+    assert text.count('src="a.png"') == 3 and text.count("aspect-ratio:200/100") == 3
+    assert [text.count(f"object-position:{share}% 0") for share in (0, 50, 100)] == [1, 1, 1]
+
+
+def test_long_lists_of_names_are_cut():
+    assert listed(["a"]) == "a" and listed(["a", "b"]) == "a and b" and listed(["a", "b", "c"]) == "a, b and c"
+    assert listed(list("abcdefg")) == "a, b, c, d, e and 2 more"
+
+
+def test_jobs_say_whether_workers_were_idle():
+    def ran(worker, begun, seconds, kind="keys"):
+        return Record(kind, "", worker, begun, seconds, 10)
+
+    busy, idle = (
+        jobs_answer([ran("a", 0.0, 9.0), ran("b", 0.0, 9.0)]),
+        jobs_answer([ran("a", 0.0, 9.0), ran("b", 9.0, 1.0)]),
+    )
+    assert "busy 100 % of the time" in busy["good"].replace("100%", "100 %") and not busy["change"]
+    assert "50%" in idle["good"] and "keys took most" in idle["good"]
+    assert "Fewer workers" in jobs_answer([ran("a", 0.0, 9.0), ran("b", 0.0, 0.1), ran("c", 0.0, 0.1)])["change"]

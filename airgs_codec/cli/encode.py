@@ -35,7 +35,7 @@ from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import hold_frames
 from airgs_codec.encoder.publish import EncodeReport, encode_part
 from airgs_codec.encoder.publish import encode as publish
-from airgs_codec.encoder.search import PSNR, SIZE, Goal
+from airgs_codec.encoder.search import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
 from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
@@ -59,7 +59,7 @@ PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
     "quick": as_preview,
     "paper": as_in_paper,
 }
-EVERYDAY = ("quality", "levels", "tiles", "group_frames", "margin")  # of the settings of the encoder
+EVERYDAY = ("quality", "tiles", "group_frames", "margin")  # of the settings of the encoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +87,7 @@ class Encode:
     target_psnr: float | None = setting(
         None, "search for the quality at which the top rung has so many dB", metavar="DB"
     )
+    target_de: float | None = setting(None, "the same for a mean colour difference CIEDE2000", metavar="ΔE")
     target_kb: float | None = setting(None, "the same for so many kilobytes a frame on the top rung", metavar="KB")
     target_mbps: float | None = setting(None, "the same for so many megabits a second of playback", metavar="MBPS")
     views: Path | None = views("cameras to measure with", "those beside the frames, else on an orbit")
@@ -179,7 +180,7 @@ def _report(
 ) -> None:
     """Write the page of a package; of a part, which publishes none, that of its jobs."""
     if package:
-        write_report(folder, given, package, done.records, progress)
+        write_report(folder, given, package, done, progress)
     else:
         folder.mkdir(parents=True, exist_ok=True)
         write_jobs(folder / JOBS_NAME, done.records)
@@ -191,6 +192,7 @@ def _settings(options: Encode) -> EncodeSettings:
     expect_one(
         quality=told.get("quality"),
         target_psnr=options.target_psnr,
+        target_de=options.target_de,
         target_kb=options.target_kb,
         target_mbps=options.target_mbps,
     )
@@ -224,7 +226,7 @@ def _open(options: Encode) -> GaussianSequence:
 
 def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    whole = ("target_psnr", "target_kb", "target_mbps", "audio", "contact_sheet", "report")
+    whole = ("target_psnr", "target_de", "target_kb", "target_mbps", "audio", "contact_sheet", "report")
     asked = {name: getattr(options, name) for name in whole} | options.clip.baking()
     told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
     if option := next(iter(told), options.work.shared_by()):
@@ -245,6 +247,8 @@ def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
 def _goal(options: Encode, sequence: GaussianSequence) -> Goal | None:
     if options.target_psnr is not None:
         return Goal(PSNR, options.target_psnr)
+    if options.target_de is not None:
+        return Goal(DELTA_E, options.target_de)
     if options.target_kb is not None:
         return Goal(SIZE, options.target_kb)
     if options.target_mbps is not None:
@@ -259,7 +263,7 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
         "frames": m.frames,
         "bytes": m.media_bytes() + report.manifest_bytes,
         "top_rung_bytes": m.bytes_of(m.rung_files(0, 0)) + report.manifest_bytes,
-        "seconds": {name: round(value, 3) for name, value in _times(report).items()},
+        "seconds": {stage.name: round(stage.seconds, 3) for stage in report.stages()},
         "calibration_cached": report.cached,
         "rows": {"matched": rows.matched, "sure": rows.sure, "unmatched": rows.unmatched, "alone": rows.alone},
         "repairs": [line for group in m.groups for line in group.repairs],
@@ -268,8 +272,8 @@ def _as_json(report: EncodeReport, target: str) -> dict[str, object]:
 
 def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
     m = report.manifest
-    times = _times(report)
-    parts = ", ".join(f"{name} {value:.1f}" for name, value in times.items() if value >= 0.05)
+    stages = report.stages()
+    parts = ", ".join(f"{stage.name} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
     stored = "; calibration stored before" if report.cached else ""
     s = summarise(m, report.manifest_bytes)
     size = f"{m.frames} frames, {s.duration_s:.2f} s, {s.package_bytes / 1e6:.2f} MB with all rungs"
@@ -277,18 +281,7 @@ def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
         [
             format_summary(s) if verbose else format_ladder(s),
             "",
-            f"{target}: {size}; {sum(times.values()):.0f} s ({parts}{stored})",
+            f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts}{stored})",
             f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}",
         ]
     )
-
-
-def _times(report: EncodeReport) -> dict[str, float]:
-    return {
-        "order of rows": report.rows_s,
-        "views and lengths of groups": report.survey_s,
-        "calibration": report.calibrate_s,
-        "search": report.search_s,
-        "encoding": report.encode_s,
-        "measuring": report.measure_s,
-    }

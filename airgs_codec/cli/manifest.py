@@ -15,11 +15,9 @@ from pathlib import Path
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, package
-from airgs_codec.cli.options import App, make_app, nested, run_program, takes
+from airgs_codec.cli.options import App, expect_one, make_app, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.package.package import open_package
-
-ABOUT = "Look into a package, check it, compare it with the original, put it on a page."
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +26,7 @@ class Inspect:
 
     package: str = package()
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
+    numerics: bool = setting(False, "tell instead which extreme properties the scene has, and what bounds them")
     json: bool = as_json("the same as JSON")
 
 
@@ -37,10 +36,17 @@ def inspect(options: Inspect) -> int:
     from airgs_codec.inspect.summary import summarise
     from airgs_codec.inspect.text import bytes_by_attribute, format_attributes, format_summary
 
+    expect_one(plot=options.plot, numerics=options.numerics or None)
     if options.plot:
         require_matplotlib("--plot")
         expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
+    if options.numerics:
+        from airgs_codec.inspect.numerics import format_numerics, measure_numerics
+
+        found = measure_numerics(package)
+        say(json.dumps([dataclasses.asdict(one) for one in found]) if options.json else format_numerics(found))
+        return 0
     summary = summarise(package.manifest, package.manifest_bytes)
     if options.plot:
         from airgs_codec.inspect.plot import plot_ladder
@@ -50,10 +56,8 @@ def inspect(options: Inspect) -> int:
         by_attribute = {name: round(size) for name, size in bytes_by_attribute(package).items()}
         say(json.dumps(summary.to_json() | {"top_rung_bytes_by_attribute": by_attribute}))
         return 0
-    say(format_summary(summary))
-    say(format_attributes(package))
-    if options.plot:
-        say(f"picture: {options.plot}")
+    picture = [f"picture: {options.plot}"] if options.plot else []
+    say("\n".join([format_summary(summary), format_attributes(package), *picture]))
     return 0
 
 
@@ -70,24 +74,23 @@ class Validate:
 @takes(Validate)
 def validate(options: Validate) -> int:
     """Check every rule of the format: status 0, or 1 with one line a finding."""
+    from airgs_codec.inspect import validate as check
     from airgs_codec.inspect.errors import format_errors, measure_errors
-    from airgs_codec.inspect.validate import exceeded
-    from airgs_codec.inspect.validate import validate as findings_of
     from airgs_codec.scene.sequence import open_sequence
 
     against = open_sequence(options.against, **options.clip.baking()) if options.against else None
-    findings, measured = findings_of(options.package), []
+    findings, measured = check.validate(options.package), []
     if not findings and against is not None:
         measured = list(measure_errors(open_package(options.package), against))
-        findings = exceeded(measured)
+        findings = check.exceeded(measured)
     if options.json:
         say(json.dumps([dataclasses.asdict(finding) for finding in findings]))
     elif findings:
         say("\n".join(str(f) for f in findings))
     else:
         m = open_package(options.package).manifest
-        files = 2 + sum(1 for _ in m.files())
-        say(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {files} files")
+        count = 2 + sum(1 for _ in m.files())
+        say(f"valid: {m.frames} frames, {len(m.groups)} groups, {len(m.segments)} segments, {count} files")
         if measured:
             say(format_errors(measured))
     return 1 if findings else 0
@@ -108,12 +111,10 @@ def export_page(options: ExportPage) -> int:
     """Write a folder for any static host, with the player and packages."""
     from airgs_codec.serve.export import export_page as export
 
-    output = options.output
     with closing(Bar()) as bar:
-        made = export(options.packages, output, title=options.title, address=options.address, progress=bar)
-    for one in made:
-        say(f"{one.name}: {one.seen.words}")
-    say(f"{output}: to look at it, python3 -m http.server --directory {output}")
+        made = export(options.packages, options.output, title=options.title, address=options.address, progress=bar)
+    say("\n".join(f"{one.name}: {one.seen.words}" for one in made))
+    say(f"{options.output}: to look at it, python3 -m http.server --directory {options.output}")
     return 0
 
 
@@ -121,9 +122,7 @@ def export_page(options: ExportPage) -> int:
 class Merge:
     """Options of merge."""
 
-    work: str = required(
-        "what was --work of the parts: a folder, or s3://, gs://, az:// and a prefix; nobody else may write there"
-    )
+    work: str = required("what was --work of the parts: a folder, or s3://, gs://, az:// and a prefix, theirs alone")
     output: str = required(PACKAGE, short="-o")
 
 
@@ -142,16 +141,17 @@ def merge(options: Merge) -> int:
 
 def make_manifest() -> App:
     """Returns the program with its commands."""
-    app = make_app("airgs-manifest", about=ABOUT)
+    app = make_app(
+        "airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page."
+    )
     for command, name in ((inspect, "inspect"), (validate, "validate"), (export_page, "export-page"), (merge, "merge")):
         app.command(command, name=name)
-    for name, words in (
-        ("compare", "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."),
-        ("rungs", "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."),
+    for place, words in (
+        ("compare:compare", "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."),
+        ("compare:rungs", "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."),
+        ("set_view:set_view", "Change where viewers begin, which way is up, and named views, without encoding again."),
     ):
-        app.command(f"airgs_codec.cli.compare:{name}", name=name, help=words)
-    words = "Change where viewers begin, which way is up, and named views, without encoding again."
-    app.command("airgs_codec.cli.set_view:set_view", name="set-view", help=words)
+        app.command(f"airgs_codec.cli.{place}", name=place.partition(":")[2].replace("_", "-"), help=words)
     return app
 
 

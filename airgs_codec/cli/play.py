@@ -29,7 +29,6 @@ from airgs_codec.cli.common import (
 from airgs_codec.cli.options import nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.image import write_png
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.package.region import before_background
@@ -205,9 +204,7 @@ def _present(package: Package, log: SessionLog, options: Play) -> None:
     original = open_sequence(options.original, **options.clip.baking()) if options.original else None
     viewer = _viewer(log, options) if options.report or options.video else None
     if options.report and viewer:
-        options.report.mkdir(parents=True, exist_ok=True)
-        write_png(options.report / "screen.png", still(package, log, viewer.cameras[0], viewer.renderer))
-        write_report(log, options.report, viewer)
+        write_report(log, options.report, viewer, still(package, log, viewer.cameras[0], viewer.renderer))
     if options.video and viewer:
         with contextlib.closing(Bar(options.json)) as bar:
             film(package, log, viewer, options.video, original, bar)

@@ -305,16 +305,19 @@ def colour_steps(sh_dc: float, sh_rest: float, channels: int) -> NDArray[np.floa
     return np.where(np.arange(channels) < 3, sh_dc, sh_rest)
 
 
-def fit_colour_transform(scaled: NDArray[np.float64]) -> NDArray[np.float64]:
+def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] = ()) -> NDArray[np.float64]:
     """The orthonormal KLT (C, C) of (N, C) colours in units of their steps: row k is the k-th strongest direction.
 
-    The entry of a row that is largest by size is positive, so that equal scenes give equal packages.
+    The entry of a row that is largest by size is positive, so that equal scenes give equal packages. `weights` (3, 3),
+    symmetric, row by row: the KLT is that of r, g, b times them, in which errors of equal length matter alike.
     """
     centred = scaled - scaled.mean(axis=0)
-    _, vectors = np.linalg.eigh(centred.T @ centred)
+    mixed = np.kron(np.eye(scaled.shape[1] // 3), np.reshape(weights or np.eye(3), (3, 3)))
+    _, vectors = np.linalg.eigh(mixed.T @ centred.T @ centred @ mixed if weights else centred.T @ centred)
     rows = vectors.T[::-1]
     strongest = np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1)
-    return rows * np.where(strongest < 0, -1.0, 1.0)
+    rows = rows * np.where(strongest < 0, -1.0, 1.0)
+    return rows @ np.linalg.inv(mixed) if weights else rows
 
 
 def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -330,7 +333,8 @@ def from_klt(channels: NDArray[np.floating], transform: NDArray[np.floating]) ->
     return channels @ transform
 
 
-def colour_transform(key: Gaussians, steps: KeySteps) -> str:
+def colour_transform(key: Gaussians, steps: KeySteps, weights: Sequence[float] = ()) -> str:
     """The KLT of the colours of a canonical frame, as the table of a group stores it (base64 of C x C int16)."""
     colour = colours(key.sh_dc, key.sh_rest).astype(np.float64)
-    return pack_matrix(fit_colour_transform(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])))
+    scaled = colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])
+    return pack_matrix(fit_colour_transform(scaled, weights))

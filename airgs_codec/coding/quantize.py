@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +32,7 @@ class StepSettings:
         )
     )
     grid: float = 0.0007  # side of the cells of canonical means, in motion units
+    colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter alike
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
 
     def scaled(self, quality: float) -> StepSettings:
@@ -37,6 +40,26 @@ class StepSettings:
         key = KeySteps(*(getattr(self.key, name) * quality for name in KEY_ATTRIBUTES))
         state = StateSteps(*(getattr(self.state, name) * quality for name in STATE_ATTRIBUTES))
         return replace(self, key=key, state=state, grid=self.grid * quality)
+
+
+def get_step(steps: StepSettings, name: str) -> float:
+    """A step by its name: such as state.means, grid or rows."""
+    side, _, attribute = name.partition(".")
+    return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
+
+
+def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
+    """Change one step of some."""
+    side, _, attribute = name.partition(".")
+    changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
+    return replace(steps, **{side: changed})
+
+
+def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettings:
+    """These steps times a factor on each of some, to four digits."""
+    for name, factor in factors.items():
+        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
+    return steps
 
 
 def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:

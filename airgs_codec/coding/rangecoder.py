@@ -8,6 +8,9 @@ normalised by bytes) is that of LZMA's range coder (Pavlov; after Martin 1979).
 The loops run as they stand, on lists, at about 4 microseconds a number; or compiled by numba where it is installed, on
 arrays, thirty times as fast. Loading numba takes as long as LOADING numbers do, so that many come before it is loaded.
 Bytes and numbers are the same.
+
+No library replaces it: models of constriction 0.5 do not adapt, so that it takes a call a decision, no faster than the
+loops as they stand, or stored histograms, 4 % more bytes; and browsers need these loops all the same.
 """
 
 from __future__ import annotations

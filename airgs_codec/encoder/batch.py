@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder.calibrate import Calibration
-from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
+from airgs_codec.encoder.measure import Measured, Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import (
     BANDS,
     CALIBRATION,
@@ -93,6 +93,7 @@ class Calibrated:
     expected: ExpectedError | None  # of the top rung; None: nothing was promised
     decisions: tuple[str, ...]  # about SH bands
     cached: bool
+    saved: float = 0.0  # as in `Calibration`
 
 
 def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> Calibrated:
@@ -111,7 +112,7 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     expected = calibration.expected.at(settings.quality) if settings.calibrate == "ladder" else None
     settings, notes = calibration.apply(settings), () if note is None else (note,)
     needed = replace(prepared, sequence=replace(prepared.sequence, max_sh_degree=bands)) if notes else prepared
-    return Calibrated(needed, settings, expected, notes, cached)
+    return Calibrated(needed, settings, expected, notes, cached, calibration.saved)
 
 
 def _longest(prepared: PreparedSequence) -> int:
@@ -240,8 +241,8 @@ def _choose_bases(
     return bases[window.start :]
 
 
-def measure_quality(encoded: Encoded, measuring: Measuring) -> Manifest:
-    """Measure every segment, level and key quality of an encoded package; gives its tables with their quality.
+def measure_quality(encoded: Encoded, measuring: Measuring) -> Measured:
+    """Measure every segment, level and key quality of an encoded package.
 
     `measure.measure_groups` says how.
     """
@@ -253,7 +254,7 @@ def measure_quality(encoded: Encoded, measuring: Measuring) -> Manifest:
         work.run(jobs)
         return [work.result(one) for one in jobs]
 
-    return measure_groups(m, everyone, measuring.original.views, measuring.rounds, ask).whole(m)
+    return measure_groups(m, everyone, measuring.original.views, measuring.rounds, ask)
 
 
 def _quality_jobs(

@@ -11,7 +11,6 @@ import itertools
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_er
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import channel_weights
-from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, with_step
 from airgs_codec.encoder.plan import (
     GroupLayout,
     assign_depths,
@@ -30,14 +29,16 @@ from airgs_codec.encoder.plan import (
     prune_rows,
     rank_updates,
 )
-from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
+from airgs_codec.encoder.sample import CalibrationSample, Cost, at_equal_error, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.errors import SceneError
+from airgs_codec.media.h264 import BETWEEN
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
 from airgs_codec.render.compare import compare, draw_ahead, draw_frames
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -76,7 +77,7 @@ class Subject:
     @staticmethod
     def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
         """Lay out the group at `settings`."""
-        loaded = sequence.load(range(survey.span.start, survey.span.stop))
+        loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
         layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
         return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
 
@@ -105,29 +106,14 @@ class Subject:
         return replace(sample, moving=moving)
 
 
-def get_step(steps: StepSettings, name: str) -> float:
-    """A step by its name in STEPS, or "rows"."""
-    side, _, attribute = name.partition(".")
-    return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
-
-
-def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
-    """Change one step of some."""
-    side, _, attribute = name.partition(".")
-    changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
-    return replace(steps, **{side: changed})
-
-
-def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float]:
-    """Steps of one price that together make the error that `subject.settings.steps` make, and the price.
-
-    Raises SceneError as `balance`.
+def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
+    """Steps of one price that together make the error that `subject.settings.steps` make, the price, and the bytes a
+    frame that they save, by the slopes. Raises SceneError as `balance`.
     """
-    steps = subject.settings.steps
-    factors, price = balance(measure_slopes(sample, subject))
-    for name, factor in factors.items():
-        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
-    return steps, price
+    slopes = measure_slopes(sample, subject)
+    factors, price = balance(slopes)
+    saved = sum(slopes[name][0] * float(np.log(factor)) for name, factor in factors.items())
+    return scale_steps(subject.settings.steps, factors), price, saved
 
 
 def balance(slopes: Mapping[str, Slope]) -> tuple[dict[str, float], float]:
@@ -158,22 +144,25 @@ def guess_price(sample: CalibrationSample, subject: Subject) -> float:
 
 
 def measure_slopes(sample: CalibrationSample, subject: Subject) -> dict[str, Slope]:
-    """Slopes of every step, from trial encodes a factor TRIAL finer and coarser."""
-    steps = subject.settings.steps
-    names = [n for n in STEPS if subject.frames[0].sh_rest.shape[1] or not n.endswith("sh_rest")]
+    """Slopes of every step, and of what leaving out rows may err where some are."""
+    slopes = measure_step_slopes(sample, subject.settings.steps, subject.settings.threads)
+    return slopes if subject.layout.removal_error == 0 else {**slopes, "rows": _row_slope(sample, subject)}
+
+
+def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads: int) -> dict[str, Slope]:
+    """Slopes of every step of quantisers, from trial encodes a factor TRIAL finer and coarser."""
+    names = [n for n in STEPS if sample.key.sh_rest.shape[1] or not n.endswith("sh_rest")]
 
     def trial(name: str, factor: float) -> Cost:
         return sample.cost(with_step(steps, name, get_step(steps, name) * factor), (STEPS[name],))
 
-    with ThreadPoolExecutor(subject.settings.threads) as pool:
+    with ThreadPoolExecutor(threads) as pool:
         finer = list(pool.map(trial, names, itertools.repeat(1 / TRIAL)))
         coarser = list(pool.map(trial, names, itertools.repeat(TRIAL)))
     slopes: dict[str, Slope] = {}
     for name, was, now in zip(names, finer, coarser, strict=True):
         grows = now.state_error - was.state_error + now.key_error - was.key_error
         slopes[name] = (was.bytes - now.bytes) / np.log(TRIAL**2), grows / (TRIAL**2 - TRIAL**-2)
-    if subject.layout.removal_error > 0:
-        slopes["rows"] = _row_slope(sample, subject)
     return slopes
 
 
@@ -247,6 +236,17 @@ class Withholding:
         return sent
 
 
+def choose_between(sample: CalibrationSample, steps: StepSettings) -> int:
+    """How many B-pictures in a row, of BETWEEN, states take the fewest bytes with."""
+    states = sample.states(sample.code_key(steps, 1.0)[1], steps)
+
+    def cost(between: int) -> float:
+        size, errors = sample.code_states(states, 1.0, between=between)
+        return at_equal_error(size, float(sample.error(errors, steps)[sample.moving].sum()))
+
+    return min(BETWEEN, key=cost)
+
+
 def choose_shares(
     sample: CalibrationSample,
     withholding: Withholding,
@@ -312,11 +312,13 @@ class Calibration:
     key_factors: tuple[float, ...]
     shares: Shares
     byte_price: float
+    between: int
     expected: ExpectedError  # of the top rung
+    saved: float  # bytes a frame of the top rung that its steps save at equal error, by the slopes of the trials
 
     def apply(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
-        chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price)
+        chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price, between=self.between)
         if settings.calibrate != "ladder":
             return chosen
         ladder = replace(chosen, levels=self.levels, tiers=self.tiers, key_factors=self.key_factors, shares=self.shares)
@@ -337,11 +339,12 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
         guess = guess_price(sample, subject)
         shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
         top = replace(sample, moving=withholding.sent(sample, shares[0][1])) if shares else sample
-    steps, price = solve_steps(top, subject)
+    steps, price, saved = solve_steps(top, subject)
+    between = choose_between(top, steps)
     shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
     if subject.layout.removal_error > 0:
         expected = replace(expected, rows=subject.pruning.within(steps.rows).error)
     if not shares:
-        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected)
+        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, between, expected, saved)
     levels = choose_levels(top, subject, steps, price)
-    return Calibration(steps, levels, TIERS, key_factors(), shares, price, expected)
+    return Calibration(steps, levels, TIERS, key_factors(), shares, price, between, expected, saved)

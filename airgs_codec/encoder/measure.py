@@ -66,7 +66,6 @@ def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds:
     """Tables of some groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
     PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
-    PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
     `rounds.count` pictures a segment, which `ask` measures; again and again in so many others, until the standard error
     of the top rung is at most UNSURE. Errors are heavy-tailed: a large Gaussian close to a view outweighs many others.
 
@@ -82,14 +81,15 @@ def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds:
         for index, of_segment in zip(indices, found, strict=True):
             for mine, new in zip(itertools.chain(*errors[index]), itertools.chain(*of_segment), strict=True):
                 mine += new
-        if done + 1 >= rounds.least and _standard_error(m, errors) <= UNSURE:
+        unsure = _standard_error(m, errors)
+        if done + 1 >= rounds.least and unsure <= UNSURE:
             break
     turn = views.measured(rounds.count)
     groups = []
     for number in numbers:
         segments = [_with_errors(m, m.segments[s], errors[s], turn) for s in m.segments_of(number)]
         groups.append(replace(m.groups[number], segments=segments))
-    return Measured(groups, (done + 1) * turn)
+    return Measured(groups, (done + 1) * turn, unsure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +98,7 @@ class Measured:
 
     groups: list[Group]
     pictures: int  # of each segment that were measured
+    unsure: float  # relative standard error of the top rung's mean squared error
 
     def whole(self, m: Manifest) -> Manifest:
         """The tables of a package of which these are all groups."""

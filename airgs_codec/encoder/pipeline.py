@@ -34,7 +34,6 @@ from airgs_codec.encoder.measure import AskedPictures, RoundErrors, measure_roun
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
-from airgs_codec.encoder.sample import compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, survey_group
@@ -47,6 +46,7 @@ from airgs_codec.places.place import Memory
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.camera import with_pixels
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import SH_REST
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -94,7 +94,7 @@ def code_key(sequence: GaussianSequence, survey: Survey, settings: EncodeSetting
 
     Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
     """
-    loaded = sequence.load(range(survey.span.start, survey.span.stop))
+    loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
     layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
     keys = code_keys(layout, settings)
     return _decoded(layout, keys, encode_keys(layout, keys, Clock.of(sequence.fps), settings), settings, None)
@@ -138,7 +138,7 @@ def code_group(
     Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
     """
     layout = key.layout
-    frames = sequence.load(range(layout.span.start, layout.span.stop)).frames
+    frames = turn_least(sequence.load(range(layout.span.start, layout.span.stop))).frames
     with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
         states = code_states(layout, [part.space for part in key.decoded], frames, settings, Path(scratch))
         pictures = encode_states(layout, states, Clock.of(sequence.fps), settings)
@@ -219,7 +219,6 @@ class Step:
         return known[self.makes]
 
 
-LENGTHS = Step("lengths of groups", compare_lengths, ("sequence", "views", "settings"), "lengths")
 SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
 CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
 BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "settings"), "bands")
@@ -228,7 +227,7 @@ REUSE = Step("reused rows", reuse_rows, ("key", "base", "settings", "fps"), "reu
 STATES = Step("states", code_group, ("sequence", "coded", "base", "settings", "first_segment"), "files")
 QUALITY = Step("quality", measure_files, ("sequence", "renderer", "tables", "asked", "files", "base_files"), "errors")
 POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
-STEPS = {step.makes: step for step in (LENGTHS, SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
+STEPS = {step.makes: step for step in (SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
 
 
 @dataclass(frozen=True, eq=False)

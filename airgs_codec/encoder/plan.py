@@ -278,7 +278,7 @@ def lay_out(
     codes = grid_codes(canonical.means, classes, grid)
     order = np.lexsort((codes, units))
     rows = written.rows[order]
-    transform = colour_transform(canonical.take(order), steps.key)
+    transform = colour_transform(canonical.take(order), steps.key, steps.colours)
     layout = GroupLayout(
         span=survey.span,
         pictures=survey.checks,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
 from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
-from airgs_codec.encoder.search import Goal, search_quality
+from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
 from airgs_codec.encoder.track import Tracked, tracked
@@ -44,6 +45,15 @@ class Beside:
 
 
 @dataclass(frozen=True, slots=True)
+class Stage:
+    """A part of the work of an encode."""
+
+    name: str
+    seconds: float
+    bought: str  # what came of it, for people
+
+
+@dataclass(frozen=True, slots=True)
 class EncodeReport:
     """A package that was encoded, and how many seconds each part of the work took."""
 
@@ -58,6 +68,39 @@ class EncodeReport:
     measure_s: float
     cached: bool  # the calibration was found before
     records: Sequence[Record] = ()  # of the jobs
+    saved: float = 0.0  # bytes a frame, as in `Calibration`
+    goal: Goal | None = None
+    trials: Sequence[tuple[float, float]] = ()  # as in `Attempt`
+    repairs: Sequence[str] = ()  # why it was encoded again, a line each
+    unsure: float = 0.0  # as in `Measured`
+
+    def stages(self) -> list[Stage]:
+        """The parts of the work in their order, and what came of each."""
+        m, longest = self.manifest, max(group.stop - group.start for group in self.manifest.groups)
+        top = m.bytes_of(m.rung_files(0, 0)) / m.frames
+        steps, trials, measured = "nothing", "no goal was given", "nothing"
+        if self.saved:
+            steps = f"steps that save about {100 * self.saved / (self.saved + top):.0f} % of the bytes at equal error"
+            steps += ", which an earlier run found" if self.cached else ""
+        if self.goal:
+            first, last = self.trials[0][1], self.trials[-1][1]
+            wanted = f"{self.goal.value:g} {self.goal.metric.name}"
+            trials = f"{len(self.trials)} trials for {wanted}, from {first:.4g} to {last:.4g}"
+        if m.measured:
+            measured = f"a claim good to {doubt_db(self.unsure):.1f} dB, by {m.views.measured} pictures of each segment"
+        return [
+            Stage("order of rows", self.rows_s, f"{len(self.rows.matched)} frames were put in order"),
+            Stage("views and lengths of groups", self.survey_s, f"{len(m.groups)} groups of up to {longest} frames"),
+            Stage("calibration", self.calibrate_s, steps),
+            Stage("search", self.search_s, trials),
+            Stage("encoding", self.encode_s, "; ".join(self.repairs) or "the package, at the first attempt"),
+            Stage("measuring", self.measure_s, measured),
+        ]
+
+
+def doubt_db(unsure: float) -> float:
+    """Two relative standard errors of a mean squared error, in dB of PSNR."""
+    return 10 * math.log10(1 + 2 * unsure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,6 +232,8 @@ def _encode_rows(
         whole = EncodeProgress(work.progress, original, settings)
         work = replace(work, progress=whole)
         work.run([original.job(SURVEY, group) for group in original.windows[0]])
+        if goal and goal.metric == DELTA_E:
+            settings = weigh_colours(settings, original)
         survey_s = watch.lap()
         found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
         rounds, given = Rounds(settings.measure_pictures), settings.levels != DEFAULT_LEVELS
@@ -207,7 +252,8 @@ def _encode_rows(
         manifest, files = add_sound(manifest, beside.sound)
         groups, shared = list(manifest.groups), {**finished.shared, **files}
         finished = replace(finished, root=root_of(manifest), groups=groups, shared=shared)
-    return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records()), finished
+    told = (found.saved, goal, attempt.trials, verified.stories, verified.unsure)
+    return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records(), *told), finished
 
 
 def _own_sound(sequence: GaussianSequence) -> SoundTrack | None:

@@ -1,8 +1,7 @@
-"""The quality factor at which the top rung reaches a PSNR or a size, and what holds it back. N rows."""
+"""The quality factor at which the top rung reaches a PSNR, a ΔE or a size, and what holds it back. N rows."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
+from airgs_codec.media.colour import delta_e_metric
 from airgs_codec.media.metrics import PSNR_CAP, Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
@@ -25,13 +25,34 @@ from airgs_codec.package.package import root_of
 from airgs_codec.package.parse import pack_json
 from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
 from airgs_codec.render.compare import compare, draw_ahead, draw_still
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 
-PSNR, SIZE = "PSNR", "kB/frame"
-TOLERANCES = {PSNR: 0.1, SIZE: 0.01}  # of a search, in dB and as a share; finished packages differ by a little
-# How PSNR and the logarithm of the size change with the logarithm of the factor, before two trials say it better:
-# error grows with the square of the steps; sizes were seen to fall by 0.6 to 1.
-SLOPES = {PSNR: -20 / math.log(10), SIZE: -0.75}
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """What a goal is told in. Finished packages miss the tolerance of a search by a little."""
+
+    name: str
+    unit: str
+    tolerance: float  # of a search, in dB or as a share
+    # How it in dB, or the logarithm of it or of its inverse, falls with the logarithm of the factor, before two trials
+    # say it better: error grows with the square of the steps; sizes were seen to fall by 0.6 to 1, ΔE to grow by 0.6.
+    slope: float
+    figure: str = ""  # of `Quality`; "": it is told by the files
+    most: float = math.inf
+    words: str = ""  # on `most`
+    rounding: float = 0.0  # of it in tables
+
+    @property
+    def falls(self) -> bool:
+        """Whether less of it is better, so that a goal asks for no more."""
+        return self.figure == "delta_e"
+
+
+PSNR = Metric("PSNR", "dB", 0.1, -20 / math.log(10), "psnr", PSNR_CAP, ", that of equal pictures")
+DELTA_E = Metric("ΔE", "ΔE", 0.02, -0.6, "delta_e", 100.0, ", that of black and white", 0.01)
+SIZE = Metric("kB/frame", "kB", 0.01, -0.75)
 TRIALS = 8
 ENOUGH = 2.5  # tolerances by which the best of all trials may miss
 FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
@@ -44,8 +65,9 @@ PARTS = {
     "opacities": ("opacity_logits",),
     "colours": ("sh_dc", "sh_rest"),
 }
+LEAST_SEEN = 1e-3  # of the squared ΔE of an error along the direction that is seen best: along any other
 LEFT_OUT = "Gaussians left out"
-TRIAL_PICTURES = 12  # measured in each segment for a PSNR, where the package itself is not measured
+TRIAL_PICTURES = 12  # measured in each segment for a quality, where the package itself is not measured
 
 
 class OutOfReachError(ConfigError):
@@ -53,39 +75,53 @@ class OutOfReachError(ConfigError):
 
     def __init__(self, goal: Goal, got: float, factor: float, why: str = "") -> None:
         near = f"{got:.4g} at quality factor {factor:.3g}"
-        super().__init__(f"target: {goal.value:g} {goal.kind} is out of reach, the nearest was {near}{why}")
+        super().__init__(f"target: {goal.value:g} {goal.metric.name} is out of reach, the nearest was {near}{why}")
         self.got = got
         self.factor = factor
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A PSNR or a size that the top rung is to reach."""
+    """What the top rung is to reach."""
 
-    kind: str  # PSNR or SIZE
-    value: float  # dB, or kB a frame
+    metric: Metric
+    value: float  # dB, ΔE, or kB a frame
 
     def __post_init__(self) -> None:
+        m = self.metric
         if not 0 < self.value < math.inf:
-            raise ConfigError(f"target: expected a positive {self.kind}, got {self.value:g}")
-        if self.kind == PSNR and self.value > PSNR_CAP:
-            raise ConfigError(f"target: expected at most {PSNR_CAP:g} dB, that of equal pictures, got {self.value:g}")
+            raise ConfigError(f"target: expected a positive {m.name}, got {self.value:g}")
+        if self.value > m.most:
+            raise ConfigError(f"target: expected at most {m.most:g} {m.unit}{m.words}, got {self.value:g}")
+
+    @property
+    def tolerance(self) -> float:
+        """Of a search; what tables round is no miss."""
+        return max(self.metric.tolerance, self.metric.rounding / self.value)
 
     def misses(self, got: float) -> float:
-        """By how many tolerances `got` misses the goal; positive: it is above."""
-        wide = TOLERANCES[self.kind]
-        return (got - self.value) / wide if self.kind == PSNR else math.log(got / self.value) / wide
+        """By how many tolerances `got` misses the goal; positive: larger steps would meet it."""
+        if self.metric == PSNR:
+            return (got - self.value) / self.tolerance
+        share = math.log(max(got, self.metric.rounding / 2) / self.value) / self.tolerance
+        return -share if self.metric.falls else share
+
+    def got(self, misses: float) -> float:
+        """What misses the goal by so many tolerances."""
+        if self.metric == PSNR:
+            return self.value + misses * self.tolerance
+        return self.value * math.exp((-misses if self.metric.falls else misses) * self.tolerance)
 
 
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
     """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
-    It is met to TOLERANCES, or as near as TRIALS trials came where some lie on both sides of it, else to ENOUGH of
-    them. The search steps by SLOPES until two trials lie on both sides of the goal, then by regula falsi between the
-    nearest two: trials are noisy by more than a tolerance where few Gaussians decide, so no slope between two of them
-    can be trusted. Raises OutOfReachError.
+    It is met to its tolerance, or as near as TRIALS trials came where some lie on both sides of it, else to ENOUGH of
+    them. The search steps by the metric's slope until two trials lie on both sides of the goal, then by regula falsi
+    between the nearest two: trials are noisy by more than a tolerance where few Gaussians decide, so no slope between
+    two of them can be trusted. Raises OutOfReachError.
     """
-    slope = SLOPES[goal.kind] / TOLERANCES[goal.kind]
+    slope = goal.metric.slope / goal.tolerance
     seen: dict[float, float] = {}
     factor = start
     for _ in range(TRIALS):
@@ -98,9 +134,7 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
     best = min(seen, key=lambda f: abs(seen[f]))
     if abs(seen[best]) <= ENOUGH or min(seen.values()) < 0 < max(seen.values()):
         return best
-    wide = TOLERANCES[goal.kind]
-    got = goal.value + seen[best] * wide if goal.kind == PSNR else goal.value * math.exp(seen[best] * wide)
-    raise OutOfReachError(goal, got, best)
+    raise OutOfReachError(goal, goal.got(seen[best]), best)
 
 
 def _next_factor(seen: dict[float, float], slope: float) -> float:
@@ -115,25 +149,26 @@ def _next_factor(seen: dict[float, float], slope: float) -> float:
     return factor * min(max(math.exp(-seen[factor] / slope), 0.25), 4.0)
 
 
-def find_limit(encoded: Encoded, original: PreparedSequence) -> tuple[str, float]:
-    """The part of the top rung without whose error pictures gain most, and the PSNR in dB that they would have then.
+def find_limit(encoded: Encoded, original: PreparedSequence, metric: Metric = PSNR) -> tuple[str, float]:
+    """The part of the top rung without whose error pictures gain most, and the PSNR or ΔE that they would have then.
 
     The part is a name of PARTS or LEFT_OUT.
     """
+    differs = Picture.mse if metric == PSNR else Picture.delta_e
     errors: dict[str, list[float]] = {}
     package, renderer = encoded.package(), original.views.renderer
     numbers = evenly_spaced(package.manifest.frames, FRAMES)
     for view in zip(numbers, original.views.measuring, strict=False):
         number, _ = view
-        whole = original.sequence.load([number]).frames[0]
-        group = next(span.index for span in original.spans if number < span.stop)
+        span = next(span for span in original.spans if number < span.stop)
+        whole = turn_least(original.sequence.load(range(span.start, span.stop))).frames[number - span.start]
         reference = draw_ahead(draw_still(whole, renderer), [view])
-        for name, shown in _made_exact(whole, decode(package, number), encoded.group(group).rows):
-            found = compare(reference, draw_still(shown, renderer), [view], Picture.mse)
+        for name, shown in _made_exact(whole, decode(package, number), encoded.group(span.index).rows):
+            found = compare(reference, draw_still(shown, renderer), [view], differs)
             errors.setdefault(name, []).extend(found)
     means = {name: float(np.mean(found)) for name, found in errors.items()}
     best = min(means, key=lambda name: means[name])
-    return best, psnr(means[best])
+    return best, psnr(means[best]) if metric == PSNR else means[best]
 
 
 def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> Iterator[tuple[str, Gaussians]]:
@@ -149,36 +184,65 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     """Find the quality factor that brings the top rung to its goal: an attempt at it, from which nothing is expected.
 
     It is measured with the pictures that the search took. Raises ConfigError for a goal out of reach. The error then
-    names what holds pictures back from a higher PSNR.
+    names what holds pictures back from a better one.
     """
     prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
-    numbers = itertools.count(1)
+    found: list[tuple[float, float]] = []
 
     def trial(factor: float) -> float:
+        found.append((factor, measure(factor)))
+        return found[-1][1]
+
+    def measure(factor: float) -> float:
         nonlocal rounds
-        work.progress(f"trial {next(numbers)}: quality factor {factor:.3g}", 0, 1)
+        work.progress(f"trial {len(found) + 1}: quality factor {factor:.3g}", 0, 1)
         measuring = Measuring(original, rounds)
-        encoded = encode_sequence(prepared, top.at(factor), work, measuring if goal.kind == PSNR else None)
-        if goal.kind != PSNR:
+        encoded = encode_sequence(prepared, top.at(factor), work, measuring if goal.metric.figure else None)
+        if not goal.metric.figure:
             return kilobytes_a_frame(encoded.manifest, settings)
-        tables = measure_quality(encoded, measuring)
+        tables = measure_quality(encoded, measuring).whole(encoded.manifest)
         rounds = rounds.again(tables.views.measured // original.views.measured(rounds.count))  # the same ones for all
         measured = pooled_quality(tables, 0, 0)
         assert measured is not None
-        return measured.psnr
+        return float(getattr(measured, goal.metric.figure))
 
     try:
         factor = find_quality(goal, trial, settings.quality)
     except OutOfReachError as error:
-        if goal.kind != PSNR or error.got > goal.value:
+        if not goal.metric.figure or goal.misses(error.got) > 0:
             raise
-        part, reached = find_limit(encode_sequence(prepared, top.at(error.factor), work), original)
-        why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} dB"
+        part, reached = find_limit(encode_sequence(prepared, top.at(error.factor), work), original, goal.metric)
+        why = f"; what holds it back most: {part}, without whose error it would be {reached:.4g} {goal.metric.unit}"
         raise OutOfReachError(goal, error.got, error.factor, why) from None
     measured = rounds if attempt.rounds.count else attempt.rounds
-    return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured)
+    return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured, trials=tuple(found))
+
+
+def weigh_colours(settings: EncodeSettings, original: PreparedSequence) -> EncodeSettings:
+    """Settings that code colours along the directions that CIEDE2000 tells apart, each as finely as it is seen.
+
+    Pictures that decide say how ΔE grows with errors. Steps grow so that bytes stay about the same, and no entry of the
+    colour transform leaves -1..1.
+    """
+    numbers, renderer = evenly_spaced(len(original.sequence), FRAMES), original.views.renderer
+    colours = [
+        draw_still(original.sequence.load([number]).frames[0], renderer)(number, camera).sampled.reshape(-1, 3)
+        for number, camera in zip(numbers, original.views.deciding, strict=False)
+    ]
+    values, axes = np.linalg.eigh(delta_e_metric(np.concatenate(colours)))
+    sizes = np.sqrt(np.maximum(values, LEAST_SEEN * values[-1]))
+    sizes /= sizes.prod() ** (1 / 3)
+    wide = max(1.0, 1 / float(sizes.min()))
+    key, state = settings.steps.key, settings.steps.state
+    steps = replace(
+        settings.steps,
+        key=replace(key, sh_dc=wide * key.sh_dc, sh_rest=wide * key.sh_rest),
+        state=replace(state, sh_dc=wide * state.sh_dc, sh_rest=wide * state.sh_rest),
+        colours=tuple((wide * (axes * sizes) @ axes.T).ravel().tolist()),
+    )
+    return replace(settings, steps=steps)
 
 
 def kilobytes_a_frame(top: Manifest, settings: EncodeSettings) -> float:

@@ -14,7 +14,7 @@ from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
+from airgs_codec.media.h264 import BETWEEN, DEFAULT_PRESET, KEY_QP, MOST_BETWEEN, PRESETS, STATE_QP
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.references import fault_of
 from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, MAX_TILES, Region, World
@@ -194,6 +194,7 @@ class EncodeSettings:
         10, "pictures of each segment, at least, of frames and views of their own, that measure every rung; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset", name="x264-preset", choices=PRESETS)
+    between: int = setting(BETWEEN[0], "B-pictures in a row between states; calibration finds it", option=False)
     threads: int = computed_setting(
         available_cores,
         "representations of a group encoded at the same time; the bytes are the same",
@@ -255,6 +256,7 @@ class EncodeSettings:
             ),
             (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
+            (1 <= self.between <= MOST_BETWEEN, f"expected 1 to {MOST_BETWEEN} B-pictures, got {self.between}"),
             (self.threads >= 1, f"expected at least one thread, got {self.threads}"),
         ]
         for good, message in checks:

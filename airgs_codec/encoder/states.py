@@ -256,7 +256,7 @@ def encode_states(
     layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings
 ) -> list[list[Representation]]:
     """The pictures of every level, level x tile, a closed GOP for each segment that is fetched."""
-    codec = state_codec(settings.preset)
+    codec = state_codec(settings.preset, settings.between)
 
     def encode(level: CodedLevel) -> Representation:
         if level.samples is None:

@@ -19,7 +19,7 @@ from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.work import Work
-from airgs_codec.media.metrics import Picture, psnr
+from airgs_codec.media.metrics import Picture, psnr, squared_error
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.tables import STATIC
@@ -46,6 +46,7 @@ class Attempt:
     expected: ExpectedError | None  # of the top rung; None: any is taken
     rounds: Rounds  # of pictures that measure it; a count of 0: none do
     given: bool = False  # levels were asked for by hand: they stay as they are
+    trials: tuple[tuple[float, float], ...] = ()  # quality factors that a search tried, and what they came to
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ class Verified:
     stories: tuple[str, ...]  # one line a repair
     encode_s: float
     measure_s: float
+    unsure: float = 0.0  # as in `Measured`
 
 
 def encode_verified(attempt: Attempt) -> Verified:
@@ -82,13 +84,14 @@ def encode_verified(attempt: Attempt) -> Verified:
         encode_s += watch.lap()
         if not attempt.rounds.count:
             return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
-        manifest = measure_quality(encoded, measuring)
+        measured = measure_quality(encoded, measuring)
+        manifest = measured.whole(encoded.manifest)
         repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:
             ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
             told = (*stories[:-1], *(s + ends for s in stories[-1:]))
-            return Verified(manifest, encoded, attempt.settings, told, encode_s, measure_s)
+            return Verified(manifest, encoded, attempt.settings, told, encode_s, measure_s, measured.unsure)
         stories.append(repair.story)
         attempt = replace(attempt, settings=repair.settings)
     raise AssertionError("unreachable")
@@ -105,7 +108,7 @@ def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repai
     if lower:
         return _drop(attempt.settings, {j: better[j] for j in lower}, quality)
     beaten = 0 in better and quality[better[0]] > quality[0]
-    expected = attempt.expected or ExpectedError(steps=_squared_error(quality[better[0]] if beaten else quality[0]))
+    expected = attempt.expected or ExpectedError(steps=squared_error(quality[better[0]] if beaten else quality[0]))
     if quality[0] >= psnr(expected.total) - SHORTFALL_DB and not beaten:
         return None
     repair = _take_back(attempt, encoded, quality[0], expected)
@@ -131,11 +134,6 @@ def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, in
     return found
 
 
-def _squared_error(decibels: float) -> float:
-    """The mean squared error of a PSNR."""
-    return 10 ** (-decibels / 10)
-
-
 def _rung_psnr(m: Manifest, level: int) -> float:
     pooled = pooled_quality(m, level, m.levels[level].quality)
     assert pooled is not None
@@ -155,7 +153,7 @@ def _take_back(attempt: Attempt, encoded: Encoded, measured: float, expected: Ex
 
     A part is to blame that makes more error than was expected of it, by BLAME of what all parts make beyond that.
     """
-    settings, total = attempt.settings, _squared_error(measured)
+    settings, total = attempt.settings, squared_error(measured)
     story = f"top rung {measured:.2f} dB where {psnr(expected.total):.2f} dB were expected"
     beyond = BLAME * max(0.0, total - expected.total)
     rows, held = _part_errors(attempt, encoded)

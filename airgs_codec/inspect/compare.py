@@ -23,7 +23,7 @@ from airgs_codec._report import table
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.sides import Side, before_both, expect_same_rate, is_package, shared_views, side_of, splits_of
 from airgs_codec.media.image import contact_sheet, to_bytes, write_png
-from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
+from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr, squared_error
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress, silent, told
@@ -139,7 +139,7 @@ class Comparison:
     @property
     def by_frame(self) -> list[float]:
         """PSNR of each frame in dB, of the mean squared error over its pictures."""
-        errors = np.array([10 ** (-seen.psnr / 10) for seen in self.pictures]).reshape(len(self.frames), -1)
+        errors = np.array([squared_error(seen.psnr) for seen in self.pictures]).reshape(len(self.frames), -1)
         return [psnr(float(error)) for error in errors.mean(axis=1)]
 
 

@@ -21,6 +21,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import STATIC, Group, unpack_matrix
+from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -48,7 +49,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
         raise ConfigError(f"{expected} or more, got {len(sequence)} of {sequence.sh_degree}")
     sequence = restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
     for index, group in enumerate(m.groups):
-        frames = [g.with_degree(m.sh_degree) for g in sequence.load(range(group.start, group.stop)).frames]
+        frames = [g.with_degree(m.sh_degree) for g in turn_least(sequence.load(range(group.start, group.stop))).frames]
         base = decode_canonical(package, index, 0)
         rows, sure = _match(package, index, group, base, _held(frames))
         originals = [g.take(rows) for g in frames]

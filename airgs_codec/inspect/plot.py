@@ -5,14 +5,15 @@ F frames of the sequence.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import new_figure, save_figure
-from airgs_codec.inspect.summary import summarise
+from airgs_codec._report import BLUE, GREY, new_figure, save_figure
+from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.region import levelled
 from airgs_codec.play.report.map import draw_region
@@ -22,31 +23,26 @@ def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     """Write the picture in the format that the ending of `path` names. Raises ConfigError."""
     figure = new_figure(15, 4.2)
     rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
-    _plot_rungs(rungs, m, manifest_bytes)
+    plot_rungs(summarise(m, manifest_bytes).rungs, rungs)
+    rungs.set_title("Rungs (grey: others show more)")
     _plot_bytes(time, m)
     draw_region(place, levelled(m.region, m.world))
     save_figure(figure, path, dpi=110)
 
 
-def _plot_rungs(axes: Any, m: Manifest, manifest_bytes: int) -> None:
-    """A curve for each key quality, and a small mark for the worst picture of each rung."""
-    rungs = [rung for rung in summarise(m, manifest_bytes).rungs if rung.psnr is not None]
-    for q, quality in enumerate(m.qualities):
-        points = [(r.bytes_per_frame / 1e3, r.psnr or 0.0, r.state) for r in rungs if r.key == quality.id]
-        x, y = [point[0] for point in points], [point[1] for point in points]
-        (line,) = axes.plot(x, y, "o-", label=f"key {quality.id} (steps x{quality.factor:g})")
-        worst = [r.worst for r in rungs if r.key == quality.id]
-        axes.plot(x, worst, "v:", ms=4, lw=0.8, color=line.get_color(), label=f"{quality.id}, the worst picture")
-        for a, b, state in points:  # on either side, since curves cross
-            offset, align = ((6.0, -9.0), "left") if q % 2 == 0 else ((-6.0, 4.0), "right")
-            axes.annotate(
-                state, (a, b), offset, textcoords="offset points", fontsize=8, color=line.get_color(), ha=align
-            )
-    axes.margins(0.08)
-    axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR of the pooled error, dB", title="Rungs")
-    if rungs:
-        axes.legend()
-    else:
+def plot_rungs(rungs: Sequence[RungSummary], axes: Any) -> None:
+    """Every rung that was measured by its bytes and PSNR: those on the ladder are joined and named, others grey."""
+    named = ((r.bytes_per_frame / 1e3, r.psnr, f"{r.key}+{r.state}", r.best) for r in rungs)
+    measured = sorted((x, y, name, best) for x, y, name, best in named if y is not None)
+    for best, form, colour in ((True, "o-", BLUE), (False, "o", GREY)):
+        some = [(x, y) for x, y, _, on in measured if on == best]
+        axes.plot([x for x, _ in some], [y for _, y in some], form, color=colour, ms=4)
+    for x, y, name, best in measured:
+        if best:
+            axes.annotate(name, (x, y), (-5, 4), textcoords="offset points", fontsize=8, color=BLUE, ha="right")
+    axes.margins(0.18, 0.1)
+    axes.set(xlabel="kB a frame, everything fetched", ylabel="PSNR, dB")
+    if not measured:
         axes.text(0.5, 0.5, "quality was not measured", ha="center", transform=axes.transAxes)
     axes.grid(alpha=0.3)
 

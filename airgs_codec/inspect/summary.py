@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.sound import LAYOUTS
 from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
-from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.manifest import Manifest, on_ladder, pooled_quality
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.package.tables import Atlas, LeftOut, Views, World
 
@@ -231,25 +231,9 @@ def segment_rates(m: Manifest, level: int) -> NDArray[np.float64]:
 
 
 def ladder(rungs: list[RungSummary]) -> tuple[RungSummary, ...]:
-    """The rungs with `best` set for those on the ladder: the lower convex hull of mean squared error over bytes.
-
-    A rung above it, such as the finest keys with the coarsest states, is beaten by some mixture of two on it.
-    """
-    hull: list[tuple[float, float]] = []  # bytes a frame and PSNR, both ascending
-    measured = [(rung.bytes_per_frame, rung.psnr) for rung in rungs if rung.psnr is not None]
-    for point in sorted(measured, key=lambda p: (p[0], -p[1])):
-        if hull and point[1] <= hull[-1][1]:
-            continue
-        while len(hull) > 1 and _slope(hull[-2], hull[-1]) >= _slope(hull[-2], point):
-            hull.pop()
-        hull.append(point)
-    return tuple(dataclasses.replace(rung, best=(rung.bytes_per_frame, rung.psnr) in hull) for rung in rungs)
-
-
-def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Change of the mean squared error for each byte from one point (bytes, PSNR) to a larger one."""
-    errors = [10.0 ** (-psnr / 10) for _, psnr in (a, b)]
-    return (errors[1] - errors[0]) / (b[0] - a[0])
+    """The rungs with `best` set for those that `on_ladder` finds."""
+    best = on_ladder([(rung.bytes_per_frame, rung.psnr) for rung in rungs])
+    return tuple(dataclasses.replace(rung, best=one) for rung, one in zip(rungs, best, strict=True))
 
 
 def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:

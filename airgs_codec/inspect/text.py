@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import table
+from airgs_codec import _report
 from airgs_codec.coding.atlas import extract
 from airgs_codec.decoder.decode import expect_size
 from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary, span
@@ -20,6 +20,7 @@ from airgs_codec.package.package import Package
 from airgs_codec.package.region import world_words
 from airgs_codec.package.tables import Atlas
 
+NOTHING = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
 MOST_GROUPS = 12  # in the table of groups
 ERROR_HEADS = {
     "means": "means, units",
@@ -45,9 +46,7 @@ def format_summary(s: Summary) -> str:
         "levels, without keys; PSNR, that of the worst picture, SSIM and ΔE (mean CIEDE2000) with every key in Q0:",
         *_levels(s),
         "",
-        "largest error of what a level carries (max_error), in the units of its channels:",
         *_errors(s),
-        "",
         "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):",
         *_rungs(s.rungs),
         "",
@@ -70,6 +69,12 @@ def format_ladder(s: Summary) -> str:
         *(f"decided: {line}" for line in s.decisions),
     ]
     return "\n".join(lines)
+
+
+def table(head: list[str], rows: list[list[str]]) -> list[str]:
+    """A table without the columns after the first in which no row has anything."""
+    used = [i for i in range(len(head)) if not i or any(row[i] not in NOTHING for row in rows)]
+    return _report.table([head[i] for i in used], [[row[i] for i in used] for row in rows])
 
 
 def _head(s: Summary) -> list[str]:
@@ -105,7 +110,8 @@ def _tiles(s: Summary) -> list[str]:
 
 
 def _keys(s: Summary) -> list[str]:
-    rows = [[k.tier, k.quality, span(*k.gaussians), f"x{k.factor:g}", _kilobytes(k.bytes_per_frame)] for k in s.keys]
+    keys = [k for k in s.keys if k.gaussians[1]]  # others have no files
+    rows = [[k.tier, k.quality, span(*k.gaussians), f"x{k.factor:g}", _kilobytes(k.bytes_per_frame)] for k in keys]
     return table(["key tier", "quality", "Gaussians", "steps", "kB/frame"], rows)
 
 
@@ -127,8 +133,12 @@ def _levels(s: Summary) -> list[str]:
 
 
 def _errors(s: Summary) -> list[str]:
+    """The table under its heading; nothing where no level carries anything."""
+    if not any(error for v in s.levels for error in v.max_error.values()):
+        return []
     rows = [[v.id, *(f"{v.max_error[name]:.3g}" for name in STATE.attributes)] for v in s.levels]
-    return table(["level", *(ERROR_HEADS[name] for name in STATE.attributes)], rows)
+    words = "largest error of what a level carries (max_error), in the units of its channels:"
+    return [words, *table(["level", *(ERROR_HEADS[name] for name in STATE.attributes)], rows), ""]
 
 
 def _rungs(rungs: Sequence[RungSummary], marked: bool = True) -> list[str]:

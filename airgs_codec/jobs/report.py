@@ -2,60 +2,64 @@
 
 from __future__ import annotations
 
-import html
-import io
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from airgs_codec._report import new_figure, page
+from airgs_codec._report import Page, Picture, html_table
 from airgs_codec.jobs.job import Record
-from airgs_codec.places.whole import write_bytes
 
 NAME = "jobs.html"  # of the page where it lies beside others
-WIDTH, ROW_HEIGHT = 11.0, 0.35  # inches
-STYLE = "td,th{padding:.1rem 1.2rem .1rem 0;text-align:right}td:first-child,th:first-child{text-align:left}"
+LINK = f'<p><a href="{NAME}">Who did which job, and when</a></p>'
+IDLE = 0.5  # share of the time of all workers under which fewer would do
 
 
 def write_report(path: Path, records: Sequence[Record]) -> None:
     """Write the page; there is at least one record. Raises ConfigError without matplotlib, OSError."""
-    kinds = list(dict.fromkeys(record.kind for record in records))
-    workers = sorted({record.worker for record in records})
+    chart = Picture("A row for each worker, a colour for each kind of job.", partial(_chart, records))
+    rows = []
+    for kind in _kinds(records):
+        some = [record for record in records if record.kind == kind]
+        seconds, size = [record.seconds for record in some], sum(record.bytes for record in some) / 1e6
+        rows.append((kind, str(len(some)), f"{sum(seconds):.1f}", f"{max(seconds):.1f}", f"{size:.1f}"))
+    head = ("kind", "jobs", "seconds", "longest", "MB of results")
+    Page("Jobs", jobs_answer(records), [chart], {"Kinds of jobs": html_table(rows, head)}).write(path)
+
+
+def jobs_answer(records: Sequence[Record]) -> dict[str, str]:
+    """How busy workers were, and what took longest, in whole sentences."""
+    workers = len({record.worker for record in records})
     begun = min(record.begun for record in records)
     wall_s = max(record.begun + record.seconds for record in records) - begun
     busy_s = sum(record.seconds for record in records)
-    share = busy_s / (wall_s * len(workers)) if wall_s else 1.0
-    words = (
-        f"<p>{len(records)} jobs by {len(workers)} workers in {wall_s:.1f} s, {busy_s:.1f} s of work: workers were "
-        f"busy {share:.0%} of the time. Results of runs before this one count with the times when they were made.</p>"
-    )
-    head = "<tr><th>kind</th><th>jobs</th><th>seconds</th><th>longest</th><th>MB of results</th></tr>"
-    rows = []
-    for kind in kinds:
-        some = [record for record in records if record.kind == kind]
-        seconds = [record.seconds for record in some]
-        size = sum(record.bytes for record in some) / 1e6
-        cells = [html.escape(kind), len(some), f"{sum(seconds):.1f}", f"{max(seconds):.1f}", f"{size:.1f}"]
-        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-    body = f"{words}{_chart(records, kinds, workers, begun)}<table>{head}{''.join(rows)}</table>"
-    write_bytes(path, page("Jobs", body, style=STYLE).encode())
+    share = busy_s / (wall_s * workers) if wall_s else 1.0
+    spent = {kind: sum(r.seconds for r in records if r.kind == kind) for kind in _kinds(records)}
+    longest = max(spent, key=lambda kind: spent[kind])
+    return {
+        "good": f"{len(records)} jobs by {workers} workers in {wall_s:.1f} s, {busy_s:.1f} s of work: workers were "
+        f"busy {share:.0%} of the time. {longest} took most of it, {spent[longest]:.1f} s. Results of runs before this "
+        "one count with the times when they were made.",
+        "change": "Fewer workers would take hardly longer." if workers > 1 and share < IDLE else "",
+    }
 
 
-def _chart(records: Sequence[Record], kinds: Sequence[str], workers: Sequence[str], begun: float) -> str:
-    """A bar for each job, a row for each worker, as SVG."""
+def _kinds(records: Sequence[Record]) -> list[str]:
+    return list(dict.fromkeys(record.kind for record in records))
+
+
+def _chart(records: Sequence[Record], axis: Any) -> None:
+    """A bar for each job, a row for each worker."""
     from matplotlib import colormaps
 
-    figure = new_figure(WIDTH, 1.2 + ROW_HEIGHT * len(workers))
-    axes = figure.add_subplot()
-    for number, kind in enumerate(kinds):
+    workers, begun = sorted({record.worker for record in records}), min(record.begun for record in records)
+    for number, kind in enumerate(_kinds(records)):
+        colour = colormaps["tab10"](number % 10)
         for place, worker in enumerate(workers):
             some = [r for r in records if r.kind == kind and r.worker == worker]
             bars = [(r.begun - begun, r.seconds) for r in some]
-            colour = colormaps["tab10"](number % 10)
-            axes.broken_barh(bars, (place - 0.4, 0.8), color=colour, edgecolor="white", linewidth=0.5)
-        axes.plot([], [], color=colormaps["tab10"](number % 10), linewidth=6, label=kind)
-    axes.set_yticks(range(len(workers)), list(workers))
-    axes.set_xlabel("seconds")
-    axes.legend(ncols=len(kinds), loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
-    drawn = io.StringIO()
-    figure.savefig(drawn, format="svg")
-    return drawn.getvalue()[drawn.getvalue().index("<svg") :]
+            axis.broken_barh(bars, (place - 0.4, 0.8), color=colour, edgecolor="white", linewidth=0.5)
+        axis.plot([], [], color=colour, linewidth=6, label=kind)
+    axis.set_yticks(range(len(workers)), workers, fontsize=8)
+    axis.set_xlabel("seconds")
+    axis.legend(ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False, fontsize=8, handlelength=1)

@@ -35,7 +35,8 @@ _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
 _MOST_REFERENCES = 4  # more take time and save no bytes
-_MOST_BETWEEN = 3  # B-pictures in a row: motion is even, whatever a lookahead at half the resolution sees in planes
+BETWEEN = (3, 7)  # B-pictures in a row: more where motion is slow or even. A lookahead in planes cannot tell
+MOST_BETWEEN = 16  # that x264 takes
 _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
@@ -84,7 +85,7 @@ class CodecSettings:
     qp: int
     pb_ratio: float
     preset: str = DEFAULT_PRESET
-    stills: bool = False  # every GOP is one picture: nothing is referred to, nothing reordered
+    between: int = BETWEEN[0]  # B-pictures in a row; 0: every GOP is one picture: nothing is referred to or reordered
 
     def options(self, size: tuple[int, int], rate: Fraction) -> dict[str, str]:
         """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: `ClosedGop`s decide the IDRs.
@@ -101,12 +102,12 @@ class CodecSettings:
             f"no-deblock=1:ipratio=1:pbratio={self.pb_ratio}:fullrange=on:threads=1:b-adapt=0:me=dia:merange=4"
         )
         options = {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
-        options |= {"refs": str(self._references), "bf": "0" if self.stills else str(_MOST_BETWEEN)}
+        options |= {"refs": str(self._references), "bf": str(self.between)}
         return options if self._suits_level(size, rate) else options | {"level": _LEVEL}
 
     @property
     def _references(self) -> int:
-        return 1 if self.stills else _MOST_REFERENCES
+        return _MOST_REFERENCES if self.between else 1
 
     def _suits_level(self, size: tuple[int, int], rate: Fraction) -> bool:
         """Whether x264 derives no higher level than 5.1, whatever the preset."""
@@ -117,12 +118,12 @@ class CodecSettings:
 
 def key_codec(preset: str) -> CodecSettings:
     """The settings of key pictures at an x264 preset."""
-    return CodecSettings(KEY_QP, 1.0, preset, stills=True)
+    return CodecSettings(KEY_QP, 1.0, preset, between=0)
 
 
-def state_codec(preset: str) -> CodecSettings:
-    """The settings of state pictures at an x264 preset."""
-    return CodecSettings(STATE_QP, STATE_PB_RATIO, preset)
+def state_codec(preset: str, between: int = BETWEEN[0]) -> CodecSettings:
+    """The settings of state pictures at an x264 preset, with so many B-pictures in a row."""
+    return CodecSettings(STATE_QP, STATE_PB_RATIO, preset, between)
 
 
 def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> CodedGop:

@@ -1,15 +1,11 @@
 """How much pictures differ: mean squared error, PSNR, SSIM and CIEDE2000, of one picture and of many together.
 
-Pictures are (H, W, 3) float32 sRGB. The only importer of colour-science, and only when asked: it takes two seconds.
-OpenCV is loaded to compare pictures, not for figures alone.
+Pictures are (H, W, 3) float32 sRGB. OpenCV is loaded to compare pictures, not for figures alone.
 """
 
 from __future__ import annotations
 
 import math
-import sys
-import threading
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,13 +13,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.media import colour
+
 Floats = NDArray[np.float32]
 
 PSNR_CAP = 100.0  # dB; equal pictures have no finite PSNR, and JSON no infinity
 MOST_COLOURS = 2048  # pixels whose colours are compared; all of 320x320 take twenty times the time of PSNR and SSIM
 _WINDOW = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))  # Wang et al. 2004: 11x11, Gaussian
 _WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
-_LOADING = threading.Lock()  # filters of warnings and print options are those of all threads
 _C1, _C2 = 0.01**2, 0.03**2  # same paper, K1 and K2 for a range of 1
 
 
@@ -71,10 +68,7 @@ class Picture:
         Over every s-th pixel of every s-th row from the first on, s = ceil(sqrt(H W / MOST_COLOURS)): evenly spread,
         and at most about MOST_COLOURS.
         """
-        _load_colour()
-        from colour.difference import delta_E_CIE2000
-
-        return float(np.mean(delta_E_CIE2000(other._lab, self._lab)))
+        return float(np.mean(colour.delta_e(other._lab, self._lab)))
 
     @cached_property
     def _mean(self) -> Floats:
@@ -91,12 +85,14 @@ class Picture:
     @cached_property
     def _lab(self) -> NDArray[np.float64]:
         """(h, w, 3) CIE Lab of the pixels whose colours are compared."""
-        _load_colour()
-        from colour import XYZ_to_Lab, sRGB_to_XYZ
+        return colour.to_lab(self.sampled)
 
+    @property
+    def sampled(self) -> NDArray[np.float64]:
+        """(h, w, 3) the pixels whose colours are compared."""
         height, width, _ = self.rgb.shape
         stride = math.ceil(math.sqrt(height * width / MOST_COLOURS))
-        return np.asarray(XYZ_to_Lab(sRGB_to_XYZ(self.rgb[::stride, ::stride].astype(np.float64))), np.float64)
+        return self.rgb[::stride, ::stride].astype(np.float64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,12 +122,8 @@ class Quality:
 def pool(differences: Sequence[Difference], scale: float = 1.0) -> Quality:
     """The quality of all of some pictures together, at least one; squared errors are multiplied by `scale`."""
     count, squared = len(differences), [d.mse for d in differences]
-    return Quality(
-        psnr=psnr(scale * sum(squared) / count),
-        worst=psnr(scale * max(squared)),
-        ssim=sum(d.ssim for d in differences) / count,
-        delta_e=sum(d.delta_e for d in differences) / count,
-    )
+    ssim, delta_e = (sum(getattr(d, name) for d in differences) / count for name in ("ssim", "delta_e"))
+    return Quality(psnr(scale * sum(squared) / count), psnr(scale * max(squared)), ssim, delta_e)
 
 
 def mse(a: Floats, b: Floats) -> float:
@@ -141,7 +133,12 @@ def mse(a: Floats, b: Floats) -> float:
 
 def psnr(mean_squared_error: float) -> float:
     """PSNR in dB of samples in 0..1, at most PSNR_CAP. For many pictures take the mean of their errors first."""
-    return PSNR_CAP if mean_squared_error <= 10 ** (-PSNR_CAP / 10) else -10 * math.log10(mean_squared_error)
+    return PSNR_CAP if mean_squared_error <= squared_error(PSNR_CAP) else -10 * math.log10(mean_squared_error)
+
+
+def squared_error(decibels: float) -> float:
+    """The mean squared error of a PSNR."""
+    return 10 ** (-decibels / 10)
 
 
 def _blur(picture: Floats) -> Floats:
@@ -149,11 +146,3 @@ def _blur(picture: Floats) -> Floats:
     from airgs_codec.media.image import blur
 
     return blur(picture, _WINDOW)
-
-
-def _load_colour() -> None:
-    """Import colour-science without its warnings about matplotlib, which only its plots need, and its print options."""
-    with _LOADING:
-        if "colour.difference" not in sys.modules:
-            with warnings.catch_warnings(action="ignore"), np.printoptions():
-                import colour.difference  # noqa: F401

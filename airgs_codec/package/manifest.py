@@ -254,3 +254,26 @@ def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
         similarity += weight * measured.ssim[quality]
         difference += weight * measured.delta_e[quality]
     return Quality(psnr(squared), worst, similarity, difference)
+
+
+def on_ladder(rungs: Sequence[tuple[float, float | None]]) -> list[bool]:
+    """Whether each of some rungs (bytes, PSNR in dB) is on the lower convex hull of mean squared error over bytes.
+
+    A rung above it, such as the finest keys with the coarsest states, is beaten by some mixture of two on it; so is,
+    for what is known of it, one that was not measured.
+    """
+    hull: list[tuple[float, float]] = []  # both ascending
+    measured = [(size, psnr) for size, psnr in rungs if psnr is not None]
+    for point in sorted(measured, key=lambda p: (p[0], -p[1])):
+        if hull and point[1] <= hull[-1][1]:
+            continue
+        while len(hull) > 1 and _slope(hull[-2], hull[-1]) >= _slope(hull[-2], point):
+            hull.pop()
+        hull.append(point)
+    return [rung in hull for rung in rungs]
+
+
+def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """Change of the mean squared error for each byte from one point (bytes, PSNR) to a larger one."""
+    errors = [10.0 ** (-psnr / 10) for _, psnr in (a, b)]
+    return (errors[1] - errors[0]) / (b[0] - a[0])

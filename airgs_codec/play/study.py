@@ -63,6 +63,7 @@ class Study:
     settings: StudySettings
     package: str
     rows: tuple[Row, ...]
+    rungs: tuple[str, ...] = ()  # of the package, by their names
 
     def of(self, policy: str, figure: str, feasible: bool | None = None) -> NDArray[np.float64]:
         """(n,) a figure of every session of a policy, NaN where it has none, on links that are `feasible` or not."""
@@ -108,7 +109,7 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
         for done, some in enumerate(pool.map(_one_trace, tasks), 1):
             rows += some
             progress("sessions", done, len(tasks))
-    return Study(settings, Path(package).name, tuple(rows))
+    return Study(settings, Path(package).name, tuple(rows), tuple(Offers.of(open_package(package)).names))
 
 
 def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:

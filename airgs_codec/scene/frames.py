@@ -17,6 +17,8 @@ OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite lo
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 NARROWER = 1.0  # bits a row that other names of axes must save
 LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
+DROPPED = "Gaussians that are not finite in some frame were dropped"  # how notes of repairs end, after their number
+ZERO = "Gaussians with zero quaternions were given identity"
 
 
 class LazyFrames(Sequence[Gaussians]):
@@ -125,9 +127,9 @@ def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
         raise SceneError(f"{where}: expected finite Gaussians, all {len(finite)} have NaN or Inf in some frame")
     notes = []
     if count := int((~finite).sum()):
-        notes.append(f"{where}: {count} Gaussians that are not finite in some frame were dropped")
+        notes.append(f"{where}: {count} {DROPPED}")
     if count := int((zero & finite).sum()):
-        notes.append(f"{where}: {count} Gaussians with zero quaternions were given identity")
+        notes.append(f"{where}: {count} {ZERO}")
     return Repaired(LazyFrames(lambda place: _repaired(frames[place], finite), range(len(frames))), notes)
 
 
@@ -143,7 +145,8 @@ def turn_least(repaired: Repaired) -> Repaired:
     cube = least_turned(middle)
     if _spread(middle) - _spread(rename_axes(middle, cube)) < NARROWER:
         return repaired
-    return replace(repaired, frames=LazyFrames(lambda place: rename_axes(frames[place], cube), range(len(frames))))
+    turned = LazyFrames(lambda place: rename_axes(frames[place], cube), range(len(frames)))
+    return replace(repaired, frames=list(turned) if isinstance(frames, list) else turned)
 
 
 def _spread(g: Gaussians) -> float:

@@ -49,7 +49,7 @@ from airgs_codec.scene.formats.table import (
     read_frame,
     read_frame_header,
 )
-from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair, turn_least
+from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair
 from airgs_codec.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
@@ -187,7 +187,7 @@ class GaussianSequence:
             return self.clip.read(path, frame) if self.clip else read_frame(path)
 
     def load(self, wanted: Iterable[int]) -> Repaired:
-        """Read frames of one group, repair them (a row dropped in one is dropped in all) and turn rows least.
+        """Read frames of one group and repair them: a row dropped in one is dropped in all.
 
         Frames that take more than HELD_BYTES together are read once to find what must be repaired, and again whenever
         they are asked for. Raises SceneError when a file is broken or no finite row is left.
@@ -198,7 +198,7 @@ class GaussianSequence:
         held = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= HELD_BYTES
         stored = LazyFrames(self.read, numbers)
         with self.files.hold(dict.fromkeys(self.paths[n] for n in numbers if not self.held or n not in self.held)):
-            done = turn_least(repair(list(stored) if held else stored, where))
+            done = repair(list(stored) if held else stored, where)
         return replace(done, frames=list(done.frames)) if held else done
 
 

@@ -1,69 +1,81 @@
-"""Curves and pictures of a training run, and a page that shows them.
+"""What a training run came to: an answer in words, curves and pictures of it, and a page that shows them.
 
-PSNR is the mean over views of each view's PSNR in dB, and over frames in the page's table. H x W pixels.
+PSNR is the mean over views of each view's PSNR in dB, and over frames in what is said of all of them. H x W pixels.
 """
 
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import new_figure, page, save_figure
-from airgs_codec.errors import ConfigError
+from airgs_codec._report import BLUE, GREY, ORANGE, RED, Page, Picture, report_folder
 from airgs_codec.jobs.job import Record as Job
+from airgs_codec.jobs.report import LINK
 from airgs_codec.jobs.report import NAME as JOBS_NAME
 from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.image import label, to_bytes, write_png
+from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import about
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.pictures import Pictures, View
 from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 from airgs_codec.trainer.frames import frame_before
-from airgs_codec.trainer.record import FrameRecord, Model
+from airgs_codec.trainer.record import FrameRecord, Model, Record
 
-_BLUE, _ORANGE, _GREEN, _RED = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b"
 RELOADED_S = 15  # seconds until a browser loads the page of a run that goes on again
 ERROR_GAIN = 5  # of the error maps
+FAR_DB = 3.0  # under the mean, or under the training views, from which something is wrong
+MATCHED_DB = 1.0  # by which an exposure that is matched shows more, from which cameras differ
+DRIFT_DB = 1.0  # that the last third of the frames shows less than the first
 
 
 def write_report(
     model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU, jobs: Sequence[Job] = ()
 ) -> Path:
-    """Write training.png, frame-*.png and index.html into a directory, and give the path of the page.
+    """Write index.html with its charts and the pictures of two frames into a directory, and give its path.
 
     `jobs`: that the run was trained by, of which jobs.html tells; none: it was not trained by jobs. Raises ConfigError
     when they cannot be written, or without matplotlib.
     """
-    records = model.record.frames
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-        plot_curves(records, model.record.total, directory / "training.png")
-        shown = {frame: f"frame-{frame:06d}.png" for frame in frames_to_show(records)}
-        for frame, name in shown.items():
-            write_png(directory / name, compare(model, pictures, frame, renderer))
-        path = directory / "index.html"
+    record = model.record
+    first, worst = frames_to_show(record.frames)
+    seen = sorted(_seen(model, pictures, worst, renderer), key=lambda found: found[0])
+    answer = training_answer(record, {view.camera.name: db for db, view in seen})
+    psnr_words = f"Each frame; red: keyframes. PSNR is the {PSNR_DEFINITION}."
+    shown = [
+        Picture(psnr_words, partial(_psnr, record)),
+        Picture("Seconds of each frame; red: keyframes.", partial(_seconds, record)),
+    ]
+    with report_folder(directory):
+        for frame, view, words in ((worst, seen[0][1], "The worst frame"), (first, None, "Another one")):
+            panels, name = compare(model, pictures, frame, renderer, view), f"frame-{frame:06d}.png"
+            write_png(directory / name, panels)
+            words += f": filmed, trained, and {ERROR_GAIN} times the error."
+            shown.append(Picture(words, name=name, panels=3, shape=panels.shape))
         if jobs:
             write_jobs(directory / JOBS_NAME, jobs)
-        path.write_text(_page(model, shown, JOBS_NAME if jobs else None), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{directory}: cannot write the report: {error}") from error
-    return path
+        settings = f"<p><code>{html.escape(str(record.settings))}</code></p>"
+        more = {"Who did what": LINK if jobs else "", "Settings": settings}
+        title, again = f"Training of {model.folder.name}", None if record.complete else RELOADED_S
+        return Page(title, answer, shown, more, again).write(directory / "index.html")
 
 
-def compare(model: Model, pictures: Pictures, frame: int, renderer: Renderer = CPU) -> NDArray[np.uint8]:
-    """Picture, rendering and error map side by side, (H, 3 W, 3), of the first held-out view of a frame.
+def compare(
+    model: Model, pictures: Pictures, frame: int, renderer: Renderer = CPU, view: View | None = None
+) -> NDArray[np.uint8]:
+    """Picture, rendering and error map side by side, (H, 3 W, 3), of a view of a frame.
 
-    Where no view is held out, of the first training view.
+    `view`: None for the first one that is held out, or where none is, the first training view.
     """
-    view = (pictures.held_out(frame) or pictures.train(frame))[0]
-    g = frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
-    rendered = renderer.render(g, view.camera).rgb
-    error = np.abs(np.clip(rendered, 0, 1) - view.target.rgb).mean(axis=2) * ERROR_GAIN
+    view = view or _views(pictures, frame)[0]
+    rendered = _rendered(model, frame, view, renderer)
+    error = np.abs(rendered - view.target.rgb).mean(axis=2) * ERROR_GAIN
     panels = [
         label(to_bytes(view.target.rgb), f"frame {frame} {view.camera.name} ({view.camera.split})"),
         label(to_bytes(rendered), "trained"),
@@ -72,93 +84,142 @@ def compare(model: Model, pictures: Pictures, frame: int, renderer: Renderer = C
     return np.concatenate(panels, axis=1)
 
 
-def plot_curves(records: Sequence[FrameRecord], total: int, path: Path) -> None:
-    """Draw PSNR, count, static updates and seconds over frames, of which there will be `total`, into a picture file.
+def _views(pictures: Pictures, frame: int) -> Sequence[View]:
+    """The held-out views of a frame; where there are none, the training views."""
+    return pictures.held_out(frame) or pictures.train(frame)
 
-    Raises ConfigError.
+
+def _rendered(model: Model, frame: int, view: View, renderer: Renderer) -> NDArray[np.float32]:
+    """(H, W, 3) of [0, 1], what a view shows of a frame when it was taken."""
+    g = frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
+    return np.clip(renderer.render(g, view.camera).rgb, 0, 1)
+
+
+def _seen(model: Model, pictures: Pictures, frame: int, renderer: Renderer) -> Iterator[tuple[float, View]]:
+    """PSNR in dB of each of the `_views` of a frame."""
+    for view in _views(pictures, frame):
+        yield psnr(float(np.mean((_rendered(model, frame, view, renderer) - view.target.rgb) ** 2))), view
+
+
+def frames_to_show(records: Sequence[FrameRecord]) -> tuple[int, int]:
+    """The first frame, or where that is the worst one the last, and the worst: of lowest PSNR in what is held out, or
+    in training views.
     """
-    figure = new_figure(10, 11)
-    axes = figure.subplots(4, 1, sharex=True)
-    for draw, axis in zip((_psnr, _count, _static, _seconds), axes, strict=True):
-        draw(axis, records)
-        axis.grid(alpha=0.25)
-        for record in records:
-            if record.kind == "key":
-                axis.axvline(record.frame, color=_RED, alpha=0.4, linewidth=1)
-    axes[-1].set(xlabel="frame (red: keyframes)", xlim=(-0.5, max(1, total) - 0.5))
-    axes[-1].xaxis.get_major_locator().set_params(integer=True)
-    save_figure(figure, path)
+    worst = min(records, key=_shown_db).frame
+    return next((r.frame for r in (records[0], records[-1]) if r.frame != worst), worst), worst
 
 
-def _psnr(axis: Any, records: Sequence[FrameRecord]) -> None:
+def _shown_db(r: FrameRecord) -> float:
+    return r.psnr if r.held_out_psnr is None else r.held_out_psnr
+
+
+def training_answer(record: Record, cameras: Mapping[str, float]) -> dict[str, str]:
+    """What a run comes to in whole sentences; `cameras`: PSNR in dB of the worst frame in each, the worst first."""
+    tried = sum(r.kind == "frame" and r.rejected_psnr is not None for r in record.frames)
+    return {
+        "good": _good(record),
+        "wrong": " ".join(_wrong(record, cameras)),
+        "useless": f"{tried} keyframes were fitted and not taken: a larger --max-drop tries fewer." if tried else "",
+        "change": " ".join(_advice(record)) or "Nothing: airgs-encode takes the model as it is.",
+    }
+
+
+def _good(record: Record) -> str:
+    frames, held_out = record.frames, [r.held_out_psnr for r in record.frames if r.held_out_psnr is not None]
+    trained = f"{np.mean([r.psnr for r in frames]):.1f} dB"
+    told = []
+    if not record.complete:
+        took, left = [r.seconds for r in frames[1:]], record.total - len(frames)
+        time = f"; the others take {about(left * float(np.mean(took)))}" if took else ""
+        told.append(f"{len(frames)} of {record.total} frames are trained{time}. This page fills.")
+    if held_out:
+        told.append(f"Cameras that were held out see {np.mean(held_out):.1f} dB, those trained on {trained}.")
+    else:
+        told.append(f"The cameras trained on see {trained}; none is held out, so what others see is not known.")
+    limit, first = record.settings.get("budget"), frames[0].gaussians
+    of = f" of a budget of {limit:,}" if limit else ""
+    told.append(f"The model has {first:,} Gaussians{of} and took {about(sum(r.seconds for r in frames))}.")
+    if limit_s := record.settings.get("seconds_per_frame"):
+        late = sum(r.seconds > limit_s for r in frames[1:])
+        told.append(f"{late} of {len(frames) - 1} frames took longer than the {limit_s:g} s of --seconds-per-frame.")
+    return " ".join(told)
+
+
+def _shortfalls(frames: Sequence[FrameRecord]) -> tuple[float, float, float]:
+    """How many dB held-out views are under those trained on, that their exposure alone costs, and that the last third
+    of the frames is under the first; 0 where there are none.
+    """
+    shown, third = [_shown_db(r) for r in frames], len(frames) // 3
+    gap = float(np.mean([r.psnr for r in frames]) - np.mean(shown))
+    exposure = float(np.mean([(r.held_out_matched or 0.0) - (r.held_out_psnr or 0.0) for r in frames]))
+    return gap, exposure, float(np.mean(shown[:third]) - np.mean(shown[-third:])) if third else 0.0
+
+
+def _wrong(record: Record, cameras: Mapping[str, float]) -> list[str]:
+    """The worst frame and camera, how far they are from the others, and what the run warns of."""
+    worst, mean = min(record.frames, key=_shown_db), float(np.mean([_shown_db(r) for r in record.frames]))
+    far = ", far below the mean" if _shown_db(worst) < mean - FAR_DB else ""
+    camera, db = next(iter(cameras.items()))
+    gap, exposure, drift = _shortfalls(record.frames)
+    told = [
+        f"Frame {worst.frame} is the worst with {_shown_db(worst):.1f} dB{far}, camera {camera} in it with {db:.1f}."
+    ]
+    if gap > FAR_DB:
+        told.append(f"Held-out cameras see {gap:.1f} dB less than those trained on: what no camera sees is guessed.")
+    if exposure > MATCHED_DB:
+        told.append(f"{exposure:.1f} dB of the error are the exposure of cameras alone.")
+    if drift > DRIFT_DB:
+        told.append(f"The last third of the frames shows {drift:.1f} dB less than the first.")
+    return [*told, *(f"Warning: {warning}." for warning in record.warnings())]
+
+
+def _advice(record: Record) -> list[str]:
+    """What would show more."""
+    told, (gap, exposure, drift) = [], _shortfalls(record.frames)
+    first, *others = record.frames
+    if others and others[0].kind == "frame" and others[0].psnr > first.psnr:  # fitted on, though the scene moved
+        more = (
+            f"The second frame shows {others[0].psnr - first.psnr:.2f} dB more than the first, whose fit was not done"
+        )
+        told.append(f"{more}: more --iterations pay, or --effort high.")
+    if gap > FAR_DB:
+        told.append("More cameras, or fewer Gaussians (--budget), lessen what is guessed between cameras.")
+    if exposure > MATCHED_DB:
+        told.append("Try --match-exposure on.")
+    if drift > DRIFT_DB:
+        told.append(f"Begin new groups earlier: --max-drop {record.settings['max_drop_db'] / 2:g}.")
+    return told
+
+
+def _over_frames(record: Record, axis: Any, name: str) -> None:
+    """Frames along a chart, with the keyframes in red."""
+    for r in record.frames:
+        if r.kind == "key":
+            axis.axvline(r.frame, color=RED, alpha=0.4, linewidth=1)
+    axis.set(xlabel="frame", ylabel=name, xlim=(-0.5, max(1, record.total) - 0.5))
+    axis.xaxis.get_major_locator().set_params(integer=True)
+
+
+def _psnr(record: Record, axis: Any) -> None:
+    records = record.frames
     frames = [r.frame for r in records]
-    axis.plot(frames, [r.psnr for r in records], "o-", ms=3, color=_BLUE, label="training views")
+    axis.plot(frames, [r.psnr for r in records], "o-", ms=3, color=BLUE, label="trained on")
     if records[0].held_out_psnr is not None:
-        axis.plot(frames, [r.held_out_psnr for r in records], "o-", ms=3, color=_ORANGE, label="held-out views")
+        axis.plot(frames, [r.held_out_psnr for r in records], "o-", ms=3, color=ORANGE, label="held out")
     rejected = [r for r in records if r.rejected_psnr is not None]
-    label = "training views, the fit that was not taken" if rejected else None
-    axis.plot([r.frame for r in rejected], [r.rejected_psnr for r in rejected], "x", color=_RED, label=label)
-    axis.set(ylabel="PSNR, dB (mean over views)")
-    axis.legend()
+    if rejected:
+        drawn = [r.rejected_psnr for r in rejected]
+        axis.plot([r.frame for r in rejected], drawn, "x", color=RED, label="fit not taken")
+    _over_frames(record, axis, "PSNR, dB")
+    axis.legend(fontsize=8, frameon=False)
 
 
-def _count(axis: Any, records: Sequence[FrameRecord]) -> None:
-    axis.step([r.frame for r in records], [r.gaussians for r in records], where="mid", color=_GREEN)
-    axis.set(ylabel="Gaussians", ylim=(0, None))
-
-
-def _static(axis: Any, records: Sequence[FrameRecord]) -> None:
-    moving = [r for r in records if r.static]
-    for name in moving[0].static if moving else []:
-        axis.plot([r.frame for r in moving], [100 * r.static[name] for r in moving], label=name.replace("_", " "))
-    axis.set(ylabel="% updates under half a step", ylim=(0, 101))
-    if moving:
-        axis.legend(ncols=3, fontsize="small")
-
-
-def _seconds(axis: Any, records: Sequence[FrameRecord]) -> None:
-    axis.bar([r.frame for r in records], [r.seconds for r in records], color=_BLUE)
-    axis.set(ylabel="seconds")
+def _seconds(record: Record, axis: Any) -> None:
+    axis.bar([r.frame for r in record.frames], [r.seconds for r in record.frames], color=GREY)
+    _over_frames(record, axis, "seconds")
 
 
 def _heat(error: NDArray[np.floating]) -> NDArray[np.uint8]:
     """(H, W, 3) black, red, yellow, white for errors (H, W) from 0 to 1; larger ones are white too."""
     e = np.clip(error, 0, 1)[..., None]
     return to_bytes(np.clip(3 * e - np.array([0.0, 1.0, 2.0]), 0, 1))
-
-
-def frames_to_show(records: Sequence[FrameRecord]) -> list[int]:
-    """First and last frame, the first six keyframes, and the frame of lowest PSNR in held-out (or training) views."""
-    worst = min(records, key=lambda r: r.psnr if r.held_out_psnr is None else r.held_out_psnr)
-    keys = [r.frame for r in records if r.kind == "key"][:6]
-    return sorted({records[0].frame, *keys, worst.frame, records[-1].frame})
-
-
-def _page(model: Model, shown: dict[int, str], jobs: str | None) -> str:
-    records = model.record.frames
-    held_out = [r.held_out_psnr for r in records if r.held_out_psnr is not None]
-    matched = [r.held_out_matched for r in records if r.held_out_matched is not None]
-    facts = {
-        "frames": str(len(records)),
-        "groups": str(len(model.record.keyframes())),
-        "Gaussians": f"{records[0].gaussians:,} to {records[-1].gaussians:,}",
-        "PSNR of training views": f"{np.mean([r.psnr for r in records]):.2f} dB",
-        "PSNR of held-out views": f"{np.mean(held_out):.2f} dB, worst {min(held_out):.2f} dB" if held_out else "none",
-        "with their exposure matched": f"{np.mean(matched):.2f} dB, worst {min(matched):.2f} dB" if matched else "none",
-        "these PSNR are": f"the mean over frames of the {PSNR_DEFINITION}",
-        "time": f"{sum(r.seconds for r in records):.0f} s",
-    }
-    rows = "".join(f"<tr><th>{html.escape(k)}</th><td>{html.escape(v)}</td></tr>" for k, v in facts.items())
-    pictures = "".join(f'<h2>Frame {frame}</h2><img src="{name}" alt="frame {frame}">' for frame, name in shown.items())
-    curves = '<img src="training.png" alt="PSNR, Gaussians, static updates and seconds a frame">'
-    warnings = "".join(f"<p>Warning: {html.escape(warning)}</p>" for warning in model.record.warnings())
-    link = f'<p><a href="{jobs}">Who did which job, and when</a></p>' if jobs else ""
-    settings = f"<h2>Settings</h2><p><code>{html.escape(str(model.record.settings))}</code></p>"
-    body = f"<table>{rows}</table>{link}{warnings}{pictures}<h2>Frame by frame</h2>{curves}{settings}"
-    going_on = not model.record.complete
-    if going_on:
-        took, left = [r.seconds for r in records[1:]], model.record.total - len(records)
-        time = f"; the others take {about(left * float(np.mean(took)))}" if took else ""
-        body = f"<p>{len(records)} of {model.record.total} frames are trained{time}. This page fills.</p>{body}"
-    style, again = "code{overflow-wrap:anywhere}", RELOADED_S if going_on else None
-    return page(f"Training of {model.folder.name}", body, style=style, reload_s=again)

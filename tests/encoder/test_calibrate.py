@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, get_step, solve_steps, with_step
+from airgs_codec.coding.quantize import StepSettings, get_step, with_step
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, choose_between, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
@@ -91,8 +91,11 @@ def test_a_step_far_from_its_price_comes_back(fox):
         start = StepSettings()
         start = with_step(start, "state.means", factor * get_step(start, "state.means"))
         subject = Subject.of(sequence, survey, replace(FAST, steps=start))
-        steps, price = solve_steps(subject.sample(24.0), subject)
+        sample = subject.sample(24.0)
+        steps, price, saved = solve_steps(sample, subject)
         assert price > 0
+        # what slopes foretell, and what two trials find, at errors that are not quite equal
+        assert saved == pytest.approx(sample.cost(start).bytes - sample.cost(steps).bytes, rel=0.4)
         others = [get_step(steps, n) / get_step(start, n) for n in ("state.quaternions", "state.log_scales")]
         wanted[factor] = get_step(steps, "state.means") / get_step(start, "state.means") / float(np.mean(others))
     assert wanted[0.25] > 1.3 * wanted[1.0] > 1.3**2 * wanted[4.0]
@@ -116,6 +119,18 @@ def test_ladders_descend(calibration):
     assert shares == sorted(shares) and [level.pruned for level in settings.at(0.1).levels] <= shares
     alone = calibration.apply(replace(FAST, calibrate="steps"))
     assert (alone.steps, alone.levels, alone.key_factors) == (calibration.steps, FAST.levels, FAST.key_factors)
+
+
+@pytest.mark.parametrize(("speed", "between"), [(0.01, 7), (0.6, 3)])
+def test_the_slower_rows_swing_the_more_pictures_lie_between_references(tmp_path, speed, between):
+    first, phase = random_gaussians(600, seed=3), np.arange(600)[:, None]
+    frames = [
+        replace(first, means=(first.means + 0.05 * np.sin(speed * t + phase)).astype(np.float32)) for t in range(24)
+    ]
+    sequence = open_sequence(write_sequence(tmp_path / "swinging", frames))
+    span = GroupSpan(0, 0, 24)
+    subject = Subject.of(sequence, survey_group(sequence, span, ViewPlan.of(sequence, 8)), FAST)
+    assert choose_between(subject.sample(24.0), FAST.steps) == between
 
 
 def test_a_scene_that_stands_still_has_one_level(tmp_path):

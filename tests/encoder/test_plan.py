@@ -10,8 +10,9 @@ from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import motion_classes, motion_units, share_class
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.encoder.plan import assign_depths, assign_tiers
+from airgs_codec.encoder.prepare import LengthCost
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.sample import LengthCost, encode_and_decode
+from airgs_codec.encoder.sample import encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import state_codec

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.encoder.prepare import SHORTEST, LengthCost, compare_lengths
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.sample import SHORTEST, LengthCost, compare_lengths
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.scene.sequence import open_sequence

@@ -5,19 +5,27 @@ import math
 from dataclasses import replace
 from fractions import Fraction
 
+import numpy as np
 import pytest
 
 from airgs_codec.cli import encode as command
+from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import encode_sequence
-from airgs_codec.encoder.search import LEFT_OUT, PSNR, SIZE, Goal, find_limit, find_quality
+from airgs_codec.encoder.search import DELTA_E, LEFT_OUT, PSNR, SIZE, Goal, find_limit, find_quality, weigh_colours
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs.work import temporary_work
+from airgs_codec.media.metrics import Picture
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import open_package
+from airgs_codec.package.region import draw_views
+from airgs_codec.package.tables import pack_matrix, unpack_matrix
+from airgs_codec.render import cpu
+from airgs_codec.scene.gaussians import from_rotation_vector, multiply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
@@ -35,10 +43,19 @@ def test_a_search_ends_at_its_goal():
     assert len(tried) <= 6
     size = find_quality(Goal(SIZE, 3.0), lambda f: 1.0 + 12.0 * f**-0.9, 1.0)
     assert 1.0 + 12.0 * size**-0.9 == pytest.approx(3.0, rel=0.01)
+    colour = find_quality(Goal(DELTA_E, 0.8), lambda f: round(0.1 + 0.3 * f**0.7, 2), 1.0)
+    assert 0.1 + 0.3 * colour**0.7 == pytest.approx(0.8, rel=0.03)
+    with pytest.raises(ConfigError, match=r"0\.1 ΔE is out of reach, the nearest was 0\.203 at quality factor 0\.01"):
+        find_quality(Goal(DELTA_E, 0.1), lambda f: 0.2 + 0.3 * f, 1.0)
     with pytest.raises(ConfigError, match=r"0\.5 kB/frame is out of reach, the nearest was 1"):
         find_quality(Goal(SIZE, 0.5), lambda f: 1.0 + 12.0 * f**-0.9, 1.0)
-    with pytest.raises(ConfigError, match="positive PSNR, got nan"):
-        Goal(PSNR, math.nan)
+    for metric, value, words in (
+        (PSNR, math.nan, "positive PSNR, got nan"),
+        (DELTA_E, 0.0, "positive ΔE, got 0"),
+        (DELTA_E, 101.0, "at most 100 ΔE, that of black and white, got 101"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            Goal(metric, value)
 
 
 def test_a_goal_between_two_trials_is_in_reach_however_they_jump():
@@ -78,13 +95,45 @@ def test_targets_are_reached(first_frames, tmp_path, capsys):
     assert report["calibration_cached"]
 
 
+def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_path, capsys):
+    code, _ = run(first_frames, tmp_path, capsys, "--target-de", "0.6")
+    package, sequence = open_package(tmp_path / "out"), open_sequence(first_frames)
+    m = package.manifest
+    assert code == 0 and pooled_quality(m, 0, 0).delta_e == pytest.approx(0.6, rel=0.05)
+    errors = []
+    for number, camera in enumerate(draw_views(m.region, 12, seed=9)):
+        frame = number % m.frames
+        shown = (cpu.render(g, camera, m.region.background).rgb for g in (sequence.read(frame), decode(package, frame)))
+        errors.append(Picture.delta_e(*map(Picture.of, shown)))
+    assert sum(errors) / len(errors) == pytest.approx(0.6, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--target-de", "0"), "target: expected a positive ΔE, got 0"),
+        (("--target-de", "nan"), "target: expected a positive ΔE, got nan"),
+        (("--target-de", "grey"), "argument --target-de: expected a number, got 'grey'"),
+        (
+            ("--target-de", "1", "--target-psnr", "40"),
+            "expected one of these options, got --target-psnr and --target-de",
+        ),
+        (("--target-de", "1", "--target-kb", "40"), "expected one of these options, got --target-de and --target-kb"),
+    ],
+)
+def test_a_colour_target_that_cannot_be_is_one_line(first_frames, tmp_path, capsys, options, words):
+    code, error = run(first_frames, tmp_path, capsys, *options)
+    assert code == 2 and error.count("\n") == 1 and words in error
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_sizes_are_told_by_the_frame_or_by_the_second(first_frames):
     sequence = open_sequence(first_frames, fps=Fraction(25))
     goals = [
         command._goal(command.Encode("x", **target), sequence)
-        for target in ({"target_psnr": 41.0}, {"target_kb": 20.0}, {"target_mbps": 4.0}, {})
+        for target in ({"target_psnr": 41.0}, {"target_de": 0.5}, {"target_kb": 20.0}, {"target_mbps": 4.0}, {})
     ]
-    assert goals == [Goal(PSNR, 41.0), Goal(SIZE, 20.0), Goal(SIZE, 20.0), None]  # kB a frame
+    assert goals == [Goal(PSNR, 41.0), Goal(DELTA_E, 0.5), Goal(SIZE, 20.0), Goal(SIZE, 20.0), None]  # kB a frame
 
 
 def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_path, capsys):
@@ -111,15 +160,52 @@ def scene(tmp_path_factory):
         yield prepared_as_one_group(sequence, views, work), work
 
 
-@pytest.mark.parametrize("part", COARSE)
-def test_the_part_that_is_coarse_is_named(scene, part):
+def test_colours_are_weighed_by_what_is_seen(scene):
+    """Errors of every channel of the colour transform, a step each, make the same ΔE; green is seen best."""
+    prepared, _ = scene
+    steps = weigh_colours(EncodeSettings(), prepared).steps
+    weights = np.array(steps.colours).reshape(3, 3)
+    np.testing.assert_allclose(weights, weights.T)
+    assert np.diag(weights).argmax() == 1 and np.linalg.eigvalsh(weights).min() >= 1 - 1e-9
+    grown = steps.key.sh_dc / EncodeSettings().steps.key.sh_dc
+    assert np.linalg.det(weights) == pytest.approx(grown**3) and steps.state.sh_rest == pytest.approx(0.08 * grown)
+    colours = np.random.default_rng(0).normal(size=(50, 12)) * np.arange(1, 13)
+    stored = unpack_matrix(pack_matrix(fit_colour_transform(colours, steps.colours)), 12)
+    seen = stored @ np.kron(np.eye(4), weights)  # what a step in each channel changes, as it is seen
+    np.testing.assert_allclose(seen @ seen.T, np.eye(12), atol=1e-3)
+    np.testing.assert_allclose(from_klt(to_klt(colours, stored), stored), colours, atol=1e-9)
+
+
+def limit_at(steps, prepared, work, metric=PSNR):
+    """The part that holds back a package of one level at these steps, and the metric without its error."""
     settings = EncodeSettings(
         calibrate="none",
         levels=(LevelSettings(0.0),),
         tiers=(1.0,),
         key_factors=(1.0,),
-        steps=COARSE[part],
+        steps=steps,
         preset="ultrafast",
     )
-    prepared, work = scene
-    assert find_limit(encode_sequence(prepared, settings, work), prepared)[0] == part
+    return find_limit(encode_sequence(prepared, settings, work), prepared, metric)
+
+
+@pytest.mark.parametrize("part", COARSE)
+def test_the_part_that_is_coarse_is_named(scene, part):
+    assert limit_at(COARSE[part], *scene)[0] == part
+
+
+def test_the_part_that_holds_colours_back_is_named(scene):
+    part, left = limit_at(COARSE["colours"], *scene, DELTA_E)
+    assert part == "colours" and 0 < left < 1
+
+
+def test_axes_of_rows_that_spin_have_the_names_that_the_group_gave_them(tmp_path):
+    first = moving_frames(200, 1)[0]
+    spins = (from_rotation_vector(np.tile([0.0, 0.0, 0.6 * t], (200, 1))) for t in range(3))
+    frames = [replace(first, quaternions=multiply(spin, first.quaternions).astype(np.float32)) for spin in spins]
+    sequence = open_sequence(write_sequence(tmp_path / "spinning", frames))
+    views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
+    coarse = replace(FINE, key=replace(FINE.key, log_scales=2.0), state=replace(FINE.state, log_scales=2.0))
+    with temporary_work() as work:
+        part, reached = limit_at(coarse, prepared_as_one_group(sequence, views, work), work)
+    assert part == "sizes" and reached > 36  # 32 with names of their own

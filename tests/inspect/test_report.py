@@ -1,17 +1,26 @@
-"""The page of an encode: what came out beside what was given."""
+"""The page of an encode: what came out beside what was given, and what it concludes."""
 
+import dataclasses
+import html
 import re
 
 import pytest
 
+from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.inspect.report import write_report
+from airgs_codec.encoder.publish import EncodeReport, doubt_db
+from airgs_codec.encoder.search import PSNR, Goal
+from airgs_codec.inspect.report import advice, bought, holds_back, write_report
+from airgs_codec.inspect.summary import RungSummary
 from airgs_codec.media.image import read_picture
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import GaussianSequence
+from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 from tests.support.views import moved
+
+DONE = EncodeReport(tiny_manifest(), 0, Restored(None), 0.1, 2.0, 3.0, 0.0, 6.0, 3.0, False, unsure=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -21,14 +30,15 @@ def page(tmp_path_factory):
     frames = [frame.gaussians for frame in decode_frames(package, 0, 4)]
     frames[2] = moved(frames[2], slice(0, 12), (0.4, 0.2, 0.0))
     folder = tmp_path_factory.mktemp("report") / "made"
-    write_report(folder, GaussianSequence.from_arrays(frames, fps=package.manifest.fps), package, [])
+    done = dataclasses.replace(DONE, manifest=package.manifest)
+    write_report(folder, GaussianSequence.from_arrays(frames, fps=package.manifest.fps), package, done)
     return folder
 
 
 def test_the_worst_frame_is_named_and_shown(page):
     text = (page / "index.html").read_text()
-    assert "frame 2 is the worst" in text
-    assert text.index("frame-000002.png") == text.index('<img src="frame-') + len('<img src="')
+    assert "Frame 2 is the worst" in text and "far below the others" in text
+    assert set(re.findall(r'<img src="([^"]+)"', text)) == {"frame-000002.png"}
     assert read_picture(page / "frame-000002.png").shape[1] > 3 * 300  # given, encoded, difference
 
 
@@ -41,5 +51,49 @@ def test_a_film_shows_both_sides(page):
 
 def test_all_that_the_page_names_is_there(page):
     text = (page / "index.html").read_text()
-    assert set(re.findall(r'(?:src|href)="([^"]+)"', text)) <= {path.name for path in page.iterdir()}
+    assert set(re.findall(r'(?:src|href)="([^"#]+)"', text)) <= {path.name for path in page.iterdir()}
     assert "jobs.html" not in text
+    assert text.count("<figure") == 4 and html.escape(bought(DONE.stages())).split(".")[0] in text
+
+
+def rungs(*figures):
+    """Rungs of two key qualities and two levels from (kB a frame, dB) of Q0+L0, Q0+L1, Q1+L0 and Q1+L1."""
+    names = [("Q0", "L0"), ("Q0", "L1"), ("Q1", "L0"), ("Q1", "L1")]
+    return [
+        RungSummary(*name, 1e3 * kb, 1e6, psnr, psnr, 0.9, 0.5, True)
+        for name, (kb, psnr) in zip(names, figures, strict=True)
+    ]
+
+
+def test_keys_or_states_hold_it_back_whichever_costs_more_of_a_kilobyte():
+    states = holds_back(rungs((12.0, 44.0), (11.0, 40.0), (10.0, 42.0), (9.0, 39.0)))
+    assert states.startswith("Its states hold it back") and "costs 4.0 dB, of its keys 1.0 dB" in states
+    keys = holds_back(rungs((12.0, 44.0), (11.0, 43.0), (10.0, 38.0), (9.0, 37.0)))
+    assert keys.startswith("Its keys hold it back") and "costs 3.0 dB, of its states 1.0 dB" in keys
+    assert holds_back(rungs((12.0, None), (11.0, None), (10.0, None), (9.0, None))) == ""
+    assert holds_back(rungs((12.0, 44.0), (11.0, 43.0), (10.0, 38.0), (9.0, 37.0))[:2]) == ""
+
+
+def test_what_each_second_bought_begins_with_what_took_longest():
+    told = bought(DONE.stages())
+    assert told.startswith("14 s in all. Encoding took 6.0 s: the package, at the first attempt.")
+    assert "Order of rows" not in told and "Calibration took 3.0 s: nothing" in told
+    assert f"good to {doubt_db(0.03):.1f} dB" in told
+    top = DONE.manifest.bytes_of(DONE.manifest.rung_files(0, 0)) / DONE.manifest.frames
+    more = dataclasses.replace(DONE, saved=top / 3, cached=True, search_s=12.0, goal=Goal(PSNR, 40.0), repairs=("L1",))
+    more = dataclasses.replace(more, trials=((1.0, 42.0), (1.3, 40.05), (1.2, 41.0)))
+    told = bought(more.stages())
+    assert "Search took 12.0 s: 3 trials for 40 PSNR, from 42 to 41. Encoding took 6.0 s: L1." in told
+    assert "save about 25 % of the bytes at equal error, which an earlier run found" in told
+    assert "--quality 1.3 " in advice(more)
+
+
+def test_a_claim_is_as_good_as_two_standard_errors():
+    assert doubt_db(0.0) == 0 and doubt_db(0.5) == pytest.approx(3.01, abs=0.01)
+
+
+def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():
+    assert advice(DONE) == ""
+    assert "Fewer --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0))
+    assert "more --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0, unsure=0.2))
+    assert "--calibrate none" in advice(dataclasses.replace(DONE, calibrate_s=60.0))

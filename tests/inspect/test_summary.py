@@ -221,3 +221,12 @@ def test_a_picture_of_another_size_is_refused():
     with pytest.raises(FormatError, match="expected 64x4096, got 64x64") as caught:
         bytes_by_attribute(package)
     assert caught.value.reason == "bad_picture"
+
+
+def test_what_a_scene_does_not_need_is_not_printed():
+    """A still frame: no errors of states, no column of kept rows, no tier without rows."""
+    text = format_summary(summarise(open_package(VALID / "white").manifest, MANIFESTS))
+    assert "kept" not in text and "max_error" not in text and "pruned" not in text
+    assert not [line for line in text.split("\n") if line.split()[:2] == ["T1", "Q0"]]
+    whole = format_summary(summarise(open_package(VALID / "kept").manifest, MANIFESTS))
+    assert "kept" in whole and "max_error" in whole and "T0" in whole

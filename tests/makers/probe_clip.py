@@ -42,7 +42,7 @@ def picture() -> NDArray[np.uint8]:
 def encode_probe() -> bytes:
     """The picture coded: NAL units, each behind its length."""
     shown = picture()
-    settings = CodecSettings(QP, 1.0, stills=True)
+    settings = CodecSettings(QP, 1.0, between=0)
     coded = encode_gop(ClosedGop([shown], 0, 1), shown.shape, Fraction(24), settings)
     (sample,) = read_samples(coded.fragment)
     return sample

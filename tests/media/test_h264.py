@@ -9,6 +9,7 @@ import pytest
 
 from airgs_codec.errors import CodecError, FormatError
 from airgs_codec.media.h264 import (
+    BETWEEN,
     KEY_QP,
     STATE_QP,
     ClosedGop,
@@ -69,7 +70,7 @@ def test_broken_bytes_are_refused():
 @pytest.mark.parametrize("codec", [key_codec("veryfast"), state_codec("veryslow")])
 def test_no_flipped_bit_changes_a_picture(codec):
     """FFmpeg conceals most damage, and some H.264 is as good after it: the checksums tell."""
-    gop = ClosedGop(pictures(1 if codec.stills else 6), 0, 1)
+    gop = ClosedGop(pictures(6 if codec.between else 1), 0, 1)
     coded = encode_gop(gop, SIZE, Fraction(24), codec)
     coded = replace(coded, checksums=check_gop(coded, gop, codec).checksums)
     whole, right = read_samples(coded.fragment), list(coded.pictures("x"))
@@ -99,15 +100,17 @@ def test_a_stream_that_decodes_to_something_else_is_not_published():
             check_gop(coded, ClosedGop(other, 7, 1), codec)
 
 
-@pytest.mark.parametrize(("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)])
+@pytest.mark.parametrize(
+    ("codec", "reordered"), [(key_codec("veryslow"), 0), *((state_codec("veryslow", n), 2) for n in BETWEEN)]
+)
 def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
     """Without that in the VUI some decoders hold 16 pictures back."""
-    gop = ClosedGop(pictures(1 if codec.stills else 9), 0, 1000)
+    gop = ClosedGop(pictures(9 if codec.between else 1), 0, 1000)
     coded = encode_gop(gop, SIZE, Fraction(24), codec)
     sps = trace_headers(init_segment(24000, 64, 64) + coded.fragment)
     assert sps["bitstream_restriction_flag"] == 1
     assert sps["max_num_reorder_frames"] == reordered
-    assert reordered <= sps["max_dec_frame_buffering"] == sps["max_num_ref_frames"] <= (1 if codec.stills else 16)
+    assert reordered <= sps["max_dec_frame_buffering"] == sps["max_num_ref_frames"] <= (16 if codec.between else 1)
     assert sps["video_full_range_flag"] == 1
 
 

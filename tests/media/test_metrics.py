@@ -6,7 +6,17 @@ import sys
 import numpy as np
 import pytest
 
-from airgs_codec.media.metrics import MOST_COLOURS, PSNR_CAP, Difference, Picture, Quality, mse, pool, psnr
+from airgs_codec.media.colour import delta_e_metric
+from airgs_codec.media.metrics import (
+    MOST_COLOURS,
+    PSNR_CAP,
+    Difference,
+    Picture,
+    Quality,
+    mse,
+    pool,
+    psnr,
+)
 from tests.support.plain_metrics import plain_mse, plain_ssim
 
 
@@ -98,3 +108,15 @@ def test_numbers_print_as_before():
         "assert (np.get_printoptions(), str(np.float32(1000001))) == before"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_metric_of_colours_says_how_delta_e_grows():
+    """A small change of all samples makes about the CIEDE2000 that the metric says, along any direction."""
+    rng = np.random.default_rng(3)
+    picture = Picture.of(rng.uniform(0.2, 0.8, (40, 40, 3)).astype(np.float32))
+    rgb = picture.sampled.reshape(-1, 3)
+    metric = delta_e_metric(np.concatenate([rgb, np.zeros((99, 3))]))  # black counts for nothing
+    for change in ((0.01, 0, 0), (0, 0.01, 0), (0.004, -0.004, 0.002), (0.003, 0.003, 0.003)):
+        other = Picture.of(picture.rgb + np.float32(change))
+        assert picture.delta_e(other) == pytest.approx(np.sqrt(change @ metric @ change), rel=0.2)
+    np.testing.assert_array_equal(delta_e_metric(np.zeros((8, 3))), np.eye(3))

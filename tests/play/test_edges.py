@@ -11,7 +11,7 @@ from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import LONGEST_S, MOST_BPS, Link, Trace
 from tests.support.manifests import tiny_manifest
-from tools.lab.numerics.outcome import BOUNDED, CONVERGES, REFUSED
+from tools.lab.numerics.outcome import BOUNDED, EXACT, UNFIT
 from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
@@ -25,18 +25,18 @@ def constant(rate_bps: float) -> Trace:
 @pytest.mark.parametrize("mbps", [1e-3, 1e-1, 1e1, 1e3, 1e6, 1e9])
 def test_plans_are_feasible_or_there_are_none(kind: str, mbps: float) -> None:
     """`solved` compares what is spent with the capacities, and what is refused with the smallest rungs."""
-    assert solved(kind, 1e6 * mbps)[0] in (CONVERGES, BOUNDED, REFUSED)
+    assert solved(kind, 1e6 * mbps)[0] in (EXACT, BOUNDED, UNFIT)
 
 
 def test_the_fastest_link_carries_the_best_of_everything() -> None:
     for kind in KINDS[:4]:
         what, capacities = offer(kind, 1e12)
         assert (what.sizes.sum(axis=0)[0] <= capacities[0]).all()
-        assert solved(kind, 1e12)[:2] == (CONVERGES, pytest.approx(0, abs=1e-6))
+        assert solved(kind, 1e12)[:2] == (EXACT, pytest.approx(0, abs=1e-6))
 
 
 def test_a_link_that_just_carries_a_session_is_no_fault() -> None:
-    assert judge_margin(1e-7, 1e5, tries=3)[0] == CONVERGES
+    assert judge_margin(1e-7, 1e5, tries=3)[0] == EXACT
 
 
 @pytest.mark.parametrize("rate", [1e-300, 1e-30, 1e-9, 1e-3])

@@ -110,6 +110,7 @@ def test_a_level_that_sends_nothing_always_fits_14():
 def test_units_13():
     """8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header."""
     assert frame_budget(8e6, 25) == pytest.approx(40_000)
+    assert frame_budget(0.8, 0.1) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("bandwidth", [math.nan, -1.0, 0.0])
@@ -119,12 +120,13 @@ def test_bandwidths_and_frame_rates_that_are_none_12(bandwidth):
         frame_budget(1e6, 0.0)
 
 
-def literal(*qualities: float, budget: float = 1e9, sizes: list[int] | None = None, beta: float = 2.0) -> int | None:
-    return select_literal(dense(*qualities, sizes=sizes), budget, beta)
+def literal(*qualities, **more):
+    """What Algorithm 1 as printed is given."""
+    return qualities, {"budget": 1e9, "sizes": None, "beta": 2.0} | more
 
 
 @pytest.mark.parametrize(
-    ("case", "answer", "expected"),
+    ("case", "given", "expected"),
     [
         # level 0 of the largest budget wherever the search finds something: it looks for the lowest that fits
         ("no cliff, everything fits", literal(40, 39, 38), 0),
@@ -148,6 +150,8 @@ def literal(*qualities: float, budget: float = 1e9, sizes: list[int] | None = No
         ("10: one level", literal(40), 0),
         ("10: one level that does not fit", literal(40, budget=10), None),
         ("11: infinite quality hides the first cliff", literal(math.inf, 30, 10, 5, budget=10), None),
+        ("11: between infinite levels no step is a number", literal(math.inf, math.inf, 30, 20, budget=10), None),
+        ("11: a fall after 0 is no cliff, a rise is", literal(40, 40, 41, 20, budget=10), 2),
         ("11: NaN passes silently", literal(40, math.nan, 20, budget=150), 2),
         ("12: a budget that is no number fits nothing", literal(40, 39, budget=math.nan), None),
         ("14: a level of no bytes is a level like any other", literal(40, 39, sizes=[100, 0], budget=0), 1),
@@ -155,7 +159,9 @@ def literal(*qualities: float, budget: float = 1e9, sizes: list[int] | None = No
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_algorithm_1_as_printed(case, answer, expected):
+def test_algorithm_1_as_printed(case, given, expected):
+    qualities, more = given
+    answer = select_literal(dense(*qualities, sizes=more["sizes"]), more["budget"], more["beta"])
     assert answer == expected
 
 

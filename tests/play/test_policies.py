@@ -12,7 +12,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, Model, choose_robust_mpc, discounted_throughput
 from airgs_codec.play.policies.named import NAMES, make_policy
-from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
+from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp, upcoming_horizon
 from airgs_codec.play.policies.paper import (
     choose_paper,
     choose_paper_literal,
@@ -22,12 +22,14 @@ from airgs_codec.play.policies.paper import (
 from airgs_codec.play.policies.simple import choose_bola, choose_throughput
 from airgs_codec.play.policies.state import (
     RESERVE_S,
+    SAFETY,
     STALL_DB,
     Download,
     PlayerState,
     before_cliff,
     budget_bytes,
     estimate_throughput,
+    full_ladder,
 )
 from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import tiny_manifest, units
@@ -109,6 +111,33 @@ def test_throughput_does_not_look_at_the_buffer():
     assert choose_throughput(state(4e4, 0.0)).index == choose_throughput(state(4e4, 9.0)).index
 
 
+@pytest.mark.parametrize("seconds", [1.0, 2.0])
+def test_throughput_fills_its_share_of_the_segments_own_time(seconds):
+    """Q1+L0 has 3800 B with its keys: it is taken from the rate on at which SAFETY of its seconds carry that."""
+    edge = 8 * 3800 / (SAFETY * seconds)
+    for rate, wanted in ((edge * 1.01, "Q1+L0"), (edge * 0.99, "Q1+L1")):
+        s = state(rate)
+        assert names(choose_throughput(replace(s, offer=replace(s.offer, seconds=seconds)))) == wanted
+
+
+@pytest.mark.parametrize("seconds", [1.0, 2.0])
+def test_paper_literal_has_the_bytes_of_the_segments_time_and_no_more(seconds):
+    s = state(8 * 5300 / seconds)
+    chosen = choose_paper_literal(replace(s, offer=replace(s.offer, seconds=seconds)))
+    assert names(chosen) == "Q0+L1" and chosen.fits and chosen.reason == "Algorithm 1 for 5300 B"
+    assert chosen.size_bytes == 5300
+    rich = state(8 * 5300)
+    coarse = replace(rich, options=tuple(p for p in rich.options if OFFER.rungs[p.index].quality == 1))
+    assert names(choose_paper_literal(coarse)) == "Q1+L0"  # where no rung has the finest keys
+
+
+def test_paper_literal_stops_at_its_cliff_and_its_search_alone_does_not():
+    steep = Offers(tiny_manifest(psnr=((40.0, 36.0), (39.0, 35.0), (30.0, 29.0))), header_bytes=0)
+    poor = state(8e3, offers=steep)
+    assert choose_paper_literal(poor).reason == "Algorithm 1 for 1000 B"
+    assert choose_paper_literal_no_cliff(poor).reason == "Algorithm 1 leaves it undefined"
+
+
 def test_paper_literal_knows_levels_alone():
     assert names(choose_paper_literal(state(8e4))) == "Q0+L0"
     poor = choose_paper_literal(state(8e3))
@@ -123,6 +152,37 @@ def test_bola_rises_with_the_buffer_and_leaves_the_smallest_rung_at_its_reserve(
     assert qualities == sorted(qualities)
     assert names(choices[0]) == names(choices[1]) == "Q1+L2" and names(choices[-1]) == "Q0+L0"
     assert {choose_bola(state(r, 10.0)).index for r in (1e3, 1e9)} == {choose_bola(state(1e5, 10.0)).index}
+
+
+@pytest.mark.parametrize("limit_s", [4.0, 20.0])
+@pytest.mark.parametrize("buffer_s", [0.0, 0.9, 1.1, 2.9, 3.5, 6.0, 9.0, 13.0, 17.0, 18.95, 25.0])
+def test_bola_scores_are_those_of_its_two_conditions(buffer_s, limit_s):
+    """V and g solve: the best rung scores 0 at the limit; at the reserve the smallest scores as the next one does."""
+    options = sorted(full_ladder(state()).options, key=lambda p: -p.size_bytes)
+    sizes = np.array([p.size_bytes for p in options], float)
+    utility = np.array([(p.quality - options[-1].quality) * np.log(10) / 20 for p in options])
+    limit = limit_s - 1.0
+    reserve = min(RESERVE_S, limit / 3)
+    ways = []
+    for u, size in zip(utility[:-1], sizes[:-1], strict=True):
+        # v u0 + w = limit; (w - reserve) / smallest = (v u + w - reserve) / size, of v and w = v g
+        left = [[utility[0], 1.0], [u / size, 1 / size - 1 / sizes[-1]]]
+        v, w = np.linalg.solve(left, [limit, reserve * (1 / size - 1 / sizes[-1])])
+        ways.append((v * utility + w - reserve) / sizes)
+        ways[-1] = (ways[-1].argmax() == len(sizes) - 1 or np.isclose(ways[-1].max(), ways[-1][-1]), v, w)
+    v, w = next((v, w) for holds, v, w in ways if holds)
+    scores = (v * utility + w - buffer_s) / sizes
+    wanted = options[0 if scores.max() <= 0 else int(scores.argmax())]
+    chosen = choose_bola(state(8e4, buffer_s, limit=limit_s))
+    assert (chosen.index, chosen.size_bytes, chosen.fits) == (wanted.index, wanted.size_bytes, True)
+    assert chosen.reason == f"buffer {buffer_s:.2f} s"
+
+
+def test_bola_takes_the_only_rung():
+    s = state()
+    alone = Offers(tiny_manifest(key_bytes=((3000,),), state_bytes=(2000,), psnr=((40.0,),)), header_bytes=0)
+    chosen = choose_bola(replace(s, offer=alone.offer(0), options=alone.offer(0).options(NONE)))
+    assert (chosen.index, chosen.fits, chosen.reason, chosen.size_bytes) == (0, True, "one rung", 3000 + 100 + 2100)
 
 
 def test_mpc_is_careful_without_a_buffer_and_generous_with_one():
@@ -182,6 +242,33 @@ def test_the_oracles_know_the_trace():
     assert names(choose_oracle_lp(state(8e9, 3.0, end=4), outage)) == "Q0+L0"  # 50 kB before the outage are enough
     tight = Link(Trace("t", np.array([0.0, 100.5]), np.array([1.3e5, 0.0]), 1000.0), 0.0)
     assert names(choose_oracle_lp(state(8e9, 3.0, end=4), tight)) != "Q0+L0"  # 8 kB for four segments
+
+
+def test_an_oracle_of_one_frame_counts_from_the_first_byte():
+    """Of a second 0.4 are latency: the link must carry the rung in the other 0.6."""
+    for rate, wanted in ((8 * 3800 / 0.6 * 1.01, "Q1+L0"), (8 * 3800 / 0.6 * 0.99, "Q1+L1")):
+        assert names(choose_oracle_frame(state(1e3, 5.0, rtt=0.4), constant(rate))) == wanted
+
+
+@pytest.mark.parametrize("pipelined", [True, False])
+def test_what_is_to_come_is_released_by_the_buffer_and_due_when_it_is_shown(pipelined):
+    """10 kB a second; 1.5 s of buffer, room for 2; the first byte comes at 100.25 s."""
+    s = replace(state(buffer_s=1.5, rtt=0.25, limit=2.0), pipelined=pipelined)
+    horizon = upcoming_horizon(s, constant(8e4, rtt=0.25))
+    seconds = [(slot.released / 1e4, slot.capacity / 1e4) for slot in horizon.slots]
+    assert seconds == [pytest.approx((100.75 + n, 101.5 + n)) for n in range(5)]  # up to two buffers after the first
+    assert horizon.idle_bytes == pytest.approx(0 if pipelined else 2500)
+
+
+def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
+    s = state(1e3, 3.0, end=4)
+    planned = choose_oracle_lp(s, constant(8e5))
+    assert (names(planned), planned.size_bytes, planned.fits) == ("Q0+L0", 6300, True)
+    assert planned.reason == "planned for 4 segments"
+    left = replace(s, options=tuple(p for p in s.options if p.index != planned.index))
+    assert names(choose_oracle_lp(left, constant(8e5))) == "Q0+L1"  # the best that fits in as many bytes
+    nothing = choose_oracle_lp(state(1e3, 0.0, end=4), constant(8.0))
+    assert names(nothing) == "Q1+L2" and not nothing.fits and "0 B" in nothing.reason
 
 
 @settings(max_examples=150)

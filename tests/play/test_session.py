@@ -1,6 +1,8 @@
 """Sessions that can be followed with a pencil, and what must hold in any of them."""
 
+import html
 import itertools
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -29,6 +31,7 @@ from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import STALL_DB, Policy
+from airgs_codec.play.report.answer import answer
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
@@ -444,8 +447,10 @@ def segmented(m, count=3):
 def test_a_report_is_written(tmp_path):
     log = simulate(Offers(tiny_manifest(), 0, 1000), link([4e4, 0, 2e5], rtt=0.08), settings=SessionSettings(loops=5))
     page = write_report(log, tmp_path / "report")
-    assert {p.name for p in page.parent.iterdir()} == {"index.html", "session.json", "session.png"}
-    assert (page.parent / "session.png").read_bytes().startswith(b"\x89PNG")
+    assert {p.name for p in page.parent.iterdir()} == {"index.html", "session.json"}
+    assert page.read_text().count("<svg") == page.read_text().count("<figure") == 2
+    assert json.loads((page.parent / "session.json").read_text())["answer"] == answer(log)
+    assert all(words in html.unescape(page.read_text()) for words in answer(log).values())
     unmeasured = play(tiny_manifest(psnr=None), link([8e6]))
     assert "not measured" in write_report(unmeasured, tmp_path / "bare").read_text()
 

@@ -82,7 +82,7 @@ def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
         and "oracle-lp" in text
     )
     assert max(len(line) for line in text.splitlines()[2:] if not line.startswith("report")) <= 120
-    names = {"study.json", "study.png", "index.html", "sessions.csv", "summary.csv"}
+    names = {"study.json", "index.html", "sessions.csv", "summary.csv"}
     assert {p.name for p in report.iterdir()} == names
     record = json.loads((report / "study.json").read_text())
     assert [r["sessions"] for r in record["all"]] == [4] * 8
@@ -92,7 +92,7 @@ def test_a_study_compares_on_the_same_links(demo_package, tmp_path, capsys):
     assert len(rows) == 1 + 4 * 8 and "mean_bps" in rows[0] and "scale" in rows[0] and "wire_bytes" in rows[0]
     page = (report / "index.html").read_text()
     assert "paired" in page
-    heads = [table.split("</tr>")[0] for table in page.split("<table>")[1:]]
+    heads = [table.split("</tr>")[0] for table in page.split('<div class="columns"><table>')[1:]]
     assert len(heads) == 4 and all(head.count("<th>") <= 8 for head in heads)
     assert 'href="summary.csv"' in page
 

@@ -204,6 +204,46 @@ CASES = [
 
 
 @dataclass(frozen=True)
+class Line:
+    """What a user may meet, in the cases of these names, and what to do."""
+
+    meet: str
+    names: tuple[str, ...]
+    do: str
+
+
+def _named(*words: str) -> tuple[str, ...]:
+    """Names of the cases that begin with one of these words."""
+    return tuple(case.name for case in CASES if case.name.startswith(words))
+
+
+LINES = (
+    Line(
+        "Needles; sizes of e^-30 or e^30",
+        _named("scale ratios", "log-scales of -30", "log-scales of +30"),
+        "clamp axes e^30 apart",
+    ),
+    Line("Opacity 0, 1, or both in turn", _named("opacity"), "nothing"),
+    Line("Quaternions of length 0 to 1e30, half turns", _named("zero quat", "quaternions of", "half turns"), "nothing"),
+    Line("All at a point, on a line, equal, constant", _named("all ", "constant"), "nothing"),
+    Line("1 to 4,097 Gaussians, 1 to 1,000 frames", _named("one ", "15", "17", "25", "40", "1000 frames"), "nothing"),
+    Line("Coordinates of 1e6 with details of 1e-3", _named("1e6 from"), "move the scene to the origin"),
+    Line(
+        "Jumps of 1e4 steps; rows that share nothing",
+        _named("a jump", "every channel", "the same"),
+        "track them, or pay up to {bytes} bytes a row and frame",
+    ),
+    Line("Colours of 1,000, or subnormal", _named("SH DC of", "SH rest of", "subnormal"), "nothing"),
+    Line("64 levels or tiers, tiers without rows", _named("64 ", "more tiers"), "nothing"),
+    Line(
+        "NaN, infinity, values of 1e30",
+        _named("nan in", "inf in", "no finite", "means of 1e38", "log-scales of 1e30", "SH of 1e30"),
+        "mend what is refused",
+    ),
+)
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What became of a case."""
 

@@ -39,6 +39,7 @@ EXPERIMENTS = (
     _bench("keyframe", "How much sooner is a keyframe fitted from the frame before than from scratch?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
     _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
+    _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
     _bench("play", "How fast are the selector, the bounds and the simulator?", "2 min"),
     _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
@@ -50,6 +51,7 @@ EXPERIMENTS = (
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _room("tiles", "What do spatial tiles cost and save?", "30 min"),
+    _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
     _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
@@ -75,10 +77,45 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
+PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
-        "work-precision",
-        "work_precision",
+        "claims", "size",
+        "claims fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
+        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json "
+        "--targets default 36 40 43 --pictures 128",
+    ),
+    Measurement(
+        "rd-fox", "size",
+        f"rd fox/ fox/transforms.json --fps 24 --frames 24 --targets 48 46 44.5 43 41.5 40 38 {PEERS}",
+    ),
+    Measurement(
+        "rd-spinach", "size", f"rd spinach10/ spinach_views.json --fps 30 --at 40 --targets 42 40 38 36 {PEERS}"
+    ),
+    Measurement(
+        "rd-head", "size", f"rd head10/ head_views.json --fps 30 --at 44.5 --targets 46 44 42 40 38 {PEERS}"
+    ),
+    Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
+    Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
+    Measurement("tracked-fox", "size", "tracked fox_alone/ fox/transforms.json --fps 24 --frames 24 --as-it-is"),
+    Measurement(
+        "paper", "paper",
+        "reproduce --scenes fox=fox_views/,held=cam01+cam05+cam09+cam13 head=head_views/ spinach=spinach_views/ "
+        "--methods airgs v3 3dgstream 4dgs naive3dgs --show fox head --traces raca2018_4g_car/",
+    ),
+    Measurement(
+        "paper-system", "paper",
+        "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
+        "--traces raca2018_4g_car/",
+    ),
+    Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
+    Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
+    Measurement(
+        "splits-kinoptic", "training",
+        "splits kinoptic_views/ --splits 4 --hold 2 --only 1 2 --frames 0:10 '--train=--max-size 480'",
+    ),
+    Measurement(
+        "work-precision", "work_precision",
         "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
     Measurement("stiff", "stiff", "stiff"),
@@ -97,7 +134,7 @@ MEASUREMENTS = (
     Measurement("scale", "time", "scale"),
     Measurement("million", "time", "million --fox fox/"),
     Measurement("jobs", "time", "jobs"),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import new_figure, save_figure
+from airgs_codec._report import BLUE, GREY, ORANGE, RED
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.region import ORBIT, Departure, departure_words, departures, levelled
@@ -26,7 +25,6 @@ from airgs_codec.scene.camera import resized
 
 MOST_PIXELS = 640  # of the longer side of a picture of the screen
 MOST_STOPS = 64  # cameras that the walk comes by
-_BLUE, _ORANGE, _RED, _GREY = "#2a6fbb", "#e08a1e", "#c8453b", "#8a8f98"
 
 
 def path_of(m: Manifest, cameras: Sequence[Camera] = ()) -> Path:
@@ -94,16 +92,6 @@ class Viewer:
         }
 
 
-def plot_region(viewer: Viewer, path: FilePath) -> None:
-    """The region with the walk of a viewer. Raises ConfigError."""
-    figure = new_figure(6, 6)
-    axis = figure.subplots()
-    draw_region(axis, viewer.region)
-    _draw_walk(axis, viewer.region, viewer.cameras, viewer.departures)
-    axis.legend(fontsize=8, loc="upper right")
-    save_figure(figure, path)
-
-
 def draw_region(axis: Any, region: Region) -> None:
     """Balls as circles, a line from each place to its focus."""
     plane = _plane(region)
@@ -112,10 +100,10 @@ def draw_region(axis: Any, region: Region) -> None:
     turns = np.linspace(0, 2 * np.pi, 64)
     ring = np.stack([np.cos(turns), np.sin(turns)], axis=1)
     for position, place in zip(positions, region.places, strict=True):
-        axis.fill(*(position + place.reach * ring).T, color=_BLUE, alpha=0.12, linewidth=0)
-    axis.plot(*np.stack([positions, foci], axis=1).T, color=_GREY, linewidth=0.5, alpha=0.6)
-    axis.plot(*foci.T, "x", ms=4, color=_ORANGE, label="looked at")
-    axis.plot(*positions.T, ".", ms=5, color=_BLUE, label="places, and their reach")
+        axis.fill(*(position + place.reach * ring).T, color=BLUE, alpha=0.12, linewidth=0)
+    axis.plot(*np.stack([positions, foci], axis=1).T, color=GREY, linewidth=0.5, alpha=0.6)
+    axis.plot(*foci.T, "x", ms=4, color=ORANGE, label="looked at")
+    axis.plot(*positions.T, ".", ms=5, color=BLUE, label="places, and their reach")
     axis.set(title="Viewing region from above, world units", aspect="equal")
     axis.grid(alpha=0.3)
     axis.set_axisbelow(True)
@@ -131,9 +119,13 @@ def _plane(region: Region) -> NDArray[np.float64]:
     return np.stack([right, top], axis=1)
 
 
-def _draw_walk(axis: Any, region: Region, cameras: Sequence[Camera], away: Sequence[Departure]) -> None:
-    line = np.array([camera.position for camera in cameras]) @ _plane(region)
+def draw_walk(viewer: Viewer, axis: Any) -> None:
+    """The region with the walk of a viewer."""
+    draw_region(axis, viewer.region)
+    line = np.array([camera.position for camera in viewer.cameras]) @ _plane(viewer.region)
     axis.plot(*line.T, color="black", linewidth=1, label="the walk")
-    outside = line[[not d.inside for d in away]]
+    outside = line[[not d.inside for d in viewer.departures]]
     if len(outside):
-        axis.plot(*outside.T, ".", ms=3, color=_RED, label="outside")
+        axis.plot(*outside.T, ".", ms=3, color=RED, label="outside")
+    axis.set_title("")
+    axis.legend(fontsize=8, loc="upper right")

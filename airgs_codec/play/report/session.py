@@ -1,54 +1,55 @@
-"""Pictures and a page of what happened in a session."""
+"""What a session was like: its figures as text, and a page with an answer and pictures."""
 
 from __future__ import annotations
 
 import dataclasses
-import html
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from airgs_codec._report import new_figure, page, plain_log_ticks, save_figure
-from airgs_codec.errors import ConfigError
-from airgs_codec.package.manifest import pooled_quality
+from airgs_codec._report import BLUE, GREEN, GREY, ORANGE, RED, Page, Picture, html_table, report_folder
+from airgs_codec.media.image import write_png
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
-from airgs_codec.play.downloader import BatchKind
+from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
 from airgs_codec.play.playout import TileFigures
-from airgs_codec.play.report.map import Viewer, plot_region
+from airgs_codec.play.report.answer import answer, rung_record
+from airgs_codec.play.report.map import Viewer, draw_walk
 from airgs_codec.play.session import SessionLog, session_bound
 
 MOST_LINES = 10  # of what went wrong
-_BLUE, _ORANGE, _GREEN, _RED, _GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
+LEAST_DB = 2.0  # of an axis: less is not seen
 
 
-def write_report(log: SessionLog, directory: Path, viewer: Viewer | None = None) -> Path:
-    """Write session.json, session.png and index.html into `directory`, and region.png where the viewer's walk is known;
-    gives the page.
+def write_report(
+    log: SessionLog, directory: Path, viewer: Viewer | None = None, screen: NDArray[np.uint8] | None = None
+) -> Path:
+    """Write index.html with its pictures, and session.json, into `directory`; gives the page.
 
-    Raises ConfigError.
+    `screen`: (H, 2 W, 3) what was seen, beside the best rung. Raises ConfigError.
     """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
+    with report_folder(directory):
         record = {
             "metrics": log.metrics.as_dict(),
+            "answer": answer(log, viewer),
             **place_record(log, viewer),
-            "rungs": _rung_record(log),
+            "rungs": rung_record(log),
             "meanings": meanings(FIGURES),
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
         write_json(directory / "session.json", record)
-        plot_session(log, directory / "session.png")
-        if viewer is not None:
-            plot_region(viewer, directory / "region.png")
-        (directory / "index.html").write_text(_page(log, directory, viewer), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{directory}: cannot write the report: {error}") from error
-    return directory / "index.html"
+        if screen is not None:
+            write_png(directory / "screen.png", screen)
+        page = Page(
+            f"A session of {log.policy}", answer(log, viewer), _pictures(log, viewer, screen), _more(log, viewer)
+        )
+        return page.write(directory / "index.html")
 
 
 def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
@@ -57,32 +58,29 @@ def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
     return {"region": region, "viewer": viewer.table() if viewer else None}
 
 
-def _rung_record(log: SessionLog) -> list[dict[str, Any]]:
-    """Every rung with the quality that the package claims for it, None where it was not measured."""
-    c = log.offers
-    qualities = [pooled_quality(c.manifest, level, quality) for quality, level in c.rungs]
-    return [
-        {"rung": name, "psnr": q.psnr if q else None, "worst": q.worst if q else None}
-        for name, q in zip(c.names, qualities, strict=True)
-    ]
+def _pictures(log: SessionLog, viewer: Viewer | None, screen: NDArray[np.uint8] | None) -> list[Picture]:
+    """What was seen, the link, the quality; and tiles, or a walk that left the region."""
+    rates = "The link and what was asked of it; red: the viewer waits."
+    shown = "PSNR on the screen over time; red: the viewer waits."
+    pictures = [Picture(rates, partial(_rates, log)), Picture(shown, partial(_psnr, log))]
+    if screen is not None:
+        words = "The worst segment that was shown: at the package's best rung, and as it was seen."
+        pictures.insert(0, Picture(words, name="screen.png", panels=2, shape=screen.shape))
+    if log.tiles is not None:
+        words = "When each tile could be shown; orange: it came late, red: lacking in sight."
+        pictures.append(Picture(words, partial(plot_tiles, log)))
+    elif viewer is not None and viewer.outside:
+        words = "The viewing region from above, in world units; red: where the walk left it."
+        pictures.append(Picture(words, partial(draw_walk, viewer)))
+    return pictures
 
 
-def plot_session(log: SessionLog, path: Path) -> None:
-    """Panels over time: throughput, rungs, buffer, PSNR on the screen, arrival of every frame, time it took, and the
-    tiles where they were fetched by view.
-    """
-    panels = [_throughput, _rungs, _buffer, _psnr, _arrivals, _transfers, *([plot_tiles] if log.tiles else [])]
-    figure = new_figure(11, 2.75 * len(panels))
-    axes = figure.subplots(len(panels), 1, sharex=True)
-    for draw, axis in zip(panels, axes, strict=True):
-        draw(axis, log)
-        axis.grid(alpha=0.25)
-        for s in log.shown:
-            if s.stall_s > 1e-9:
-                axis.axvspan(s.start_s - s.stall_s, s.start_s, color=_RED, alpha=0.12, linewidth=0)
-    axes[-1].set_xlabel("seconds since the first request (red: waiting for data)")
-    axes[0].set_xlim(0, _end(log))
-    save_figure(figure, path)
+def _over_time(axis: Any, log: SessionLog, name: str) -> None:
+    """Seconds along a chart, with the waits in red."""
+    for s in log.shown:
+        if s.stall_s > SHORTEST_S:
+            axis.axvspan(s.start_s - s.stall_s, s.start_s, color=RED, alpha=0.2, linewidth=0)
+    axis.set(xlabel="seconds since the first request", ylabel=name, xlim=(0, _end(log)))
 
 
 def _end(log: SessionLog) -> float:
@@ -90,110 +88,38 @@ def _end(log: SessionLog) -> float:
     return last.start_s + last.frames / log.offers.fps
 
 
-def _throughput(axis: Any, log: SessionLog) -> None:
-    title = "Throughput of a real connection"
+def _rates(log: SessionLog, axis: Any) -> None:
     if log.link is not None:
-        trace, grid = log.link.trace, np.linspace(0, _end(log), 1500)
-        rates = [trace.rate_at(t) / 1e6 for t in grid]
-        axis.fill_between(grid, rates, color=_BLUE, alpha=0.25, linewidth=0, label="trace")
-        title = f"Throughput: {trace.name}, mean {trace.mean_bps / 1e6:.1f} Mbit/s"
-    times = [f.request_s for f in log.fetches]
-    axis.step(times, [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=_BLUE, label="estimate")
-    axis.set(ylabel="Mbit/s", title=title, ylim=(0, None))
-    sizes = axis.twinx()
-    for kind, marker, color in (
-        (BatchKind.GROUP, "s", _ORANGE),
-        (BatchKind.STATE, "o", _GREEN),
-        (BatchKind.REPLACEMENT, "^", _RED),
-        (BatchKind.REPAIR, "v", _RED),
-    ):
-        batch = [f for f in log.fetches if f.kind is kind]
-        if not batch:
-            continue
-        sizes.plot(
-            [f.request_s for f in batch],
-            [f.bytes / 1e3 for f in batch],
-            marker,
-            color=color,
-            ms=4,
-            label="key + state" if kind is BatchKind.GROUP else kind,
-        )
-    budgets = [(f.request_s, f.budget_bytes / 1e3) for f in log.fetches if f.budget_bytes > 0]
-    if budgets:
-        sizes.plot(*zip(*budgets, strict=True), "_", color=_GREY, ms=8, label="budget")
-    sizes.set(ylabel="kB a batch", yscale="log")
-    sizes.tick_params(labelsize=8)
-    axis.set_ylim(0, 1.2 * axis.get_ylim()[1])  # room for the legend
-    sizes.set_ylim(top=2 * sizes.get_ylim()[1])
-    plain_log_ticks(sizes.yaxis)
-    lines = [*axis.get_legend_handles_labels()[0], *sizes.get_legend_handles_labels()[0]]
-    axis.legend(lines, [line.get_label() for line in lines], loc="upper right", ncols=5, fontsize=8)
+        grid = np.linspace(0, _end(log), 1500)
+        rates = [log.link.trace.rate_at(t) / 1e6 for t in grid]
+        axis.fill_between(grid, rates, color=BLUE, alpha=0.25, linewidth=0, label="link")
+    axis.step(
+        [f.request_s for f in log.fetches], [f.throughput_bps / 1e6 for f in log.fetches], where="post", color=BLUE
+    )
+    axis.lines[-1].set_label("expected")
+    rungs = rung_record(log)
+    times_s = [s.start_s for s in log.shown if s.rung is not None]
+    shown = [rungs[s.rung]["mbps"] for s in log.shown if s.rung is not None]
+    axis.step(times_s, shown, where="post", color=GREEN, label="shown")
+    axis.axhline(min(rung["mbps"] for rung in rungs), color=GREY, linestyle="--", label="lowest rung")
+    _over_time(axis, log, "Mbit/s")
+    axis.set_ylim(0, 1.3 * axis.get_ylim()[1])  # room for the legend
+    axis.legend(ncols=4, loc="upper center", fontsize=8, handlelength=1, columnspacing=1, frameon=False)
 
 
-def _rungs(axis: Any, log: SessionLog) -> None:
-    names = [*log.offers.names, "lost"]
-    for s in log.shown:
-        y = len(names) - 1 if s.rung is None else s.rung
-        color = _GREEN if s.rung is not None else _RED
-        axis.plot([s.start_s, s.start_s + s.frames / log.offers.fps], [y, y], color=color, linewidth=5)
-    if all(s.rung is not None for s in log.shown):
-        names.pop()
-    axis.set_yticks(range(len(names)), names, fontsize=8)
-    axis.set(title="Rung shown: key quality and level", ylim=(len(names) - 0.5, -0.5))
-
-
-def _buffer(axis: Any, log: SessionLog) -> None:
-    fps = log.offers.fps
-    ready = [0.0, *np.cumsum([s.frames / fps for s in log.shown])]
-    grid = np.linspace(0, _end(log), 1500)
-    starts, arrivals = np.array([s.start_s for s in log.shown]), np.array([s.ready_s for s in log.shown])
-    lengths = np.array([s.frames / fps for s in log.shown])
-    played = np.array([np.clip(t - starts, 0, lengths).sum() for t in grid])
-    at_hand = np.array(ready)[np.searchsorted(arrivals, grid, side="right")]
-    axis.fill_between(grid, at_hand - played, color=_ORANGE, alpha=0.5, linewidth=0)
-    result = log.metrics
-    title = f"Buffer: {result.stalls} stalls, {result.stall_s:.2f} s of waiting after the start"
-    axis.set(ylabel="s of media", title=title, ylim=(0, None))
-
-
-def _psnr(axis: Any, log: SessionLog) -> None:
+def _psnr(log: SessionLog, axis: Any) -> None:
     values = [log.shown[i].psnr for i, _ in log.screen_ticks]
     if all(v is None for v in values):
         axis.text(0.5, 0.5, "quality was not measured", ha="center", transform=axis.transAxes)
     else:
-        fps = log.offers.fps
-        times = log.shown[0].start_s + np.arange(len(values)) / fps
-        axis.step(times, np.array(values, np.float64), where="post", color=_BLUE)
-    axis.set(ylabel="dB", title="PSNR on the screen: each segment has that of its rung, a frozen picture keeps its own")
+        at_s = log.shown[0].start_s + np.arange(len(values)) / log.offers.fps
+        axis.step(at_s, np.array(values, np.float64), where="post", color=BLUE)
+        low, high = axis.get_ylim()
+        axis.set_ylim(min(low, high - LEAST_DB), high)
+    _over_time(axis, log, "dB")
 
 
-def _arrivals(axis: Any, log: SessionLog) -> None:
-    fps = log.offers.fps
-    displays = np.concatenate([s.start_s + np.arange(s.frames) / fps for s in log.shown])
-    arrivals = np.concatenate([np.full(s.frames, s.ready_s) for s in log.shown])
-    frames = np.arange(len(displays))
-    axis.step(displays, frames, where="post", color=_GREY, label="shown")
-    axis.plot(arrivals, frames, ".", ms=3, color=_GREEN, label="arrived and decoded")
-    axis.set(ylabel="frame", title="Every frame: when it arrived, when it was shown")
-    axis.legend(loc="upper left", fontsize=8)
-
-
-def _transfers(axis: Any, log: SessionLog) -> None:
-    """The paper's transmission time: request to arrival of a batch, shared by the frames it shows."""
-    batches = [f for f in log.fetches if f.kind is not BatchKind.TABLES]
-    frames = np.array([log.shown[f.position].frames for f in batches])
-    took = 1e3 * np.array([f.arrival_s - f.request_s for f in batches]) / np.maximum(frames, 1)
-    axis.axhline(1e3 / log.offers.fps, color=_GREY, linestyle="--", label="a frame on the screen")
-    axis.plot([f.arrival_s for f in batches], took, ".", color=_GREEN, label="a frame on its way")
-    every = 1e3 * log.frame_times
-    title = "Time a frame was on its way, its share of round trip and key included"
-    if len(every):
-        title += f": mean {every.mean():.0f} ms, 95 % under {np.percentile(every, 95):.0f} ms"
-    axis.set(ylabel="ms", title=title, ylim=(0, None))
-    axis.legend(loc="upper left", fontsize=8)
-
-
-def plot_tiles(axis: Any, log: SessionLog) -> None:
+def plot_tiles(log: SessionLog, axis: Any) -> None:
     """A row for every tile: when it could be shown, from when it came late, and when it was lacking in sight."""
     assert log.tiles is not None, "only of a session in which tiles were fetched by view"
     fps, count = log.offers.fps, log.offers.manifest.tiles
@@ -202,12 +128,12 @@ def plot_tiles(axis: Any, log: SessionLog) -> None:
         for event in log.tiles.came(position):
             from_s, late = max(entry.start_s, event.ready_s), event.ready_s > entry.start_s
             if from_s < end_s:
-                axis.plot([from_s, end_s], [event.tile] * 2, color=_ORANGE if late else _GREEN, linewidth=4)
+                axis.plot([from_s, end_s], [event.tile] * 2, color=ORANGE if late else GREEN, linewidth=4)
     ticks, tiles = np.nonzero(log.tiles.missing)
-    axis.plot(log.tiles.tick_times[ticks], tiles, "|", color=_RED, ms=6)
+    axis.plot(log.tiles.tick_times[ticks], tiles, "|", color=RED, ms=6)
     axis.set_yticks(range(count), [str(tile + 1) for tile in range(count)], fontsize=8)
-    title = "Tiles that can be shown (orange: they came late; red: lacking in sight)"
-    axis.set(ylabel="tile", title=title, ylim=(count - 0.5, -0.5))
+    _over_time(axis, log, "tile")
+    axis.set_ylim(count - 0.5, -0.5)
 
 
 def tile_words(figures: TileFigures) -> str:
@@ -295,25 +221,20 @@ def _startup_words(m: SessionMetrics) -> str:
     return f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, {tables}"
 
 
-def _page(log: SessionLog, directory: Path, viewer: Viewer | None) -> str:
-    named = [*_readable(log), *_place_rows(log, viewer)]
-    rows = "".join(f"<tr><th>{html.escape(a)}</th><td>{html.escape(b)}</td></tr>" for a, b in named)
-    extra = (
-        '<img src="screen.png" alt="the worst segment shown, beside the best rung">'
-        if (directory / "screen.png").exists()
-        else ""
-    )
-    picture = '<img src="session.png" alt="throughput, rungs, buffer, quality and arrivals over time">'
-    place = '<img src="region.png" alt="the viewing region and the walk of the viewer from above">' if viewer else ""
-    return page("airgs-play", f"<table>{rows}</table>{_rung_table(log)}{extra}{picture}{place}")
-
-
-def _rung_table(log: SessionLog) -> str:
-    """Return what the package says of its rungs: the mean picture of its region, and the worst one."""
-    cells = [
-        (str(rung["rung"]), *("-" if rung[name] is None else f"{rung[name]:.2f} dB" for name in ("psnr", "worst")))
-        for rung in _rung_record(log)
+def _more(log: SessionLog, viewer: Viewer | None) -> dict[str, str]:
+    """All figures, and what the package says of its rungs, as HTML."""
+    rungs = [
+        (
+            r["rung"],
+            *("-" if r[name] is None else f"{r[name]:.2f} dB" for name in ("psnr", "worst")),
+            f"{r['mbps']:.2f}",
+            str(r["shown"]),
+            "yes" if r["on_ladder"] else "no",
+        )
+        for r in rung_record(log)
     ]
-    head = "<tr><th>rung, best first</th><th>PSNR</th><th>worst picture</th></tr>"
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in cells)
-    return f"<h2>What the package claims</h2><table>{head}{body}</table>"
+    head = ("rung, best first", "PSNR", "worst picture", "Mbit/s", "segments shown", "worth its bytes")
+    return {
+        "All figures": html_table([*_readable(log), *_place_rows(log, viewer)]),
+        "What the package claims of its rungs": html_table(rungs, head),
+    }

@@ -1,23 +1,23 @@
-"""A study as text, as CSV and JSON, and as a page: the headline figures, and pictures of their distributions."""
+"""A study as text, as CSV and JSON, and as a page: which policy to take, and the figures of all of them."""
 
 from __future__ import annotations
 
 import csv
-import html
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import new_figure, page, plain_log_ticks, require_matplotlib, save_figure, table
-from airgs_codec.errors import ConfigError
+from airgs_codec._report import BLUE, GREY, ORANGE, Page, Picture, html_table, listed, report_folder, table
 from airgs_codec.places.whole import to_json, write_json
 from airgs_codec.play.metrics import FIGURES, Figure, headlines, meanings
-from airgs_codec.play.study import FEASIBLE_START_S, Interval, PolicySummary, Row, Study, summarise
+from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
+from airgs_codec.play.study import FEASIBLE_START_S, Interval, PolicySummary, Row, Study, interval, summarise
 
 PSNR_COLUMNS = {  # headings of the table of single sessions: which PSNR it is
     "psnr_mean": "psnr_mean_over_ticks_db",
@@ -25,18 +25,15 @@ PSNR_COLUMNS = {  # headings of the table of single sessions: which PSNR it is
     "bound": "bound_mean_over_media_time_db",
     "regret": "regret_mean_over_media_time_db",
 }
-STYLE = (
-    "table{border-collapse:collapse;font-size:14px}td,th{padding:.25rem .8rem;text-align:right}"
-    "th:first-child{text-align:left}tr:nth-child(even){background:#f4f4f6}"
-    "small{color:#777;display:block;white-space:nowrap}"
-    "dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem 1rem;font-size:13px}dd{margin:0}"
-)
+SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
+SHOWN = ("qoe", "stall_ratio", "psnr_mean", "regret")  # figures of which a study has a chart
 
 
 def study_record(study: Study) -> dict[str, Any]:
     """All tables with the meaning of every figure; what is not known is NaN, and null in JSON."""
     return {
         "package": study.package,
+        "answer": study_answer(study),
         "figures": meanings(FIGURES),
         "all": [asdict(summary) for summary in summarise(study)],
         "feasible": [asdict(summary) for summary in summarise(study, True)],
@@ -81,23 +78,102 @@ def conditions(study: Study) -> str:
     )
 
 
-def write_study(study: Study, folder: Path) -> Path:
-    """Write the page with its picture, and every figure as CSV and JSON; gives the page.
+def study_answer(study: Study) -> dict[str, str]:
+    """Which policy these links speak for, in whole sentences by what they tell; oracles are no players."""
+    players = [p for p in study.settings.policies if p not in ORACLES] or list(study.settings.policies)
+    goodness = {p: _goodness(study, p) for p in players}
+    ranked = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
+    best, links = ranked[0], len(goodness[ranked[0]])
+    psnr, waited, regret = (float(np.nanmean(study.of(best, name))) for name in ("psnr_mean", "stall_ratio", "regret"))
+    good = f"{best} does best on {links} links: it shows {psnr:.1f} dB and waits {100 * waited:.1f} % of the time."
+    if len(ranked) > 1:
+        good += f" {_lead(study, best, ranked[1])}"
+        good += f" {ranked[-1]} is the last of {len(ranked)}." if len(ranked) > 2 else ""
+    shown = {name for row in study.rows for name in row["rungs"]}
+    unseen = [name for name in study.rungs if name not in shown]
+    return {
+        "good": good,
+        "wrong": _wrong(study, best, regret),
+        "useless": f"No policy showed {listed(unseen)} on any of these links." if unseen else "",
+        "change": _advice(study, best),
+    }
 
-    index.html, study.png, study.json; summary.csv with all figures of the summaries, sessions.csv with every session.
-    Raises ConfigError.
+
+def _goodness(study: Study, policy: str) -> NDArray[np.float64]:
+    """(n,) QoE of a policy's sessions in dB; where quality was not measured, the share of time that nobody waited."""
+    qoe = study.of(policy, "qoe")
+    return 1 - study.of(policy, "stall_ratio") if np.isnan(qoe).all() else qoe
+
+
+def _difference(study: Study, a: str, b: str) -> Interval:
+    """By how much QoE of one policy is above that of another on the same links, in dB."""
+    traces = [row["trace"] for row in study.rows if row["policy"] == a]
+    return interval(_goodness(study, a) - _goodness(study, b), traces)
+
+
+def _is_sure(study: Study, difference: Interval) -> bool:
+    """Whether a difference is one on other traces, too."""
+    return len({row["trace"] for row in study.rows}) >= SURE_TRACES and difference.low > 0
+
+
+def _lead(study: Study, best: str, other: str) -> str:
+    lead = _difference(study, best, other)
+    sure = "" if _is_sure(study, lead) else ", which may be chance"
+    return (
+        f"Its QoE (quality less changes and 20 dB for a second of waiting) is {lead.mean:.2f} dB above that of "
+        f"{other}, the next ({lead.low:.2f} to {lead.high:.2f} over traces{sure})."
+    )
+
+
+def _wrong(study: Study, best: str, regret: float) -> str:
+    """Where the best policy waits, whether another could do better, and what it does not show."""
+    hard, easy = (100 * study.of(best, "stall_ratio", feasible) for feasible in (False, True))
+    told = []
+    if len(hard):
+        told.append(
+            f"On {len(hard)} of {len(hard) + len(easy)} links no policy helps: there even the smallest rungs, begun "
+            f"after {FEASIBLE_START_S:g} s, stall, and {best} waits {hard.mean():.1f} % of the time."
+        )
+    if easy.size and easy.mean() > 0:
+        told.append(f"Where the smallest rungs would not stall it still waits {easy.mean():.1f} % of the time.")
+    if regret > 0:
+        told.append(f"It shows {regret:.1f} dB less than the most that a player could at the same moments.")
+    return " ".join(told) or "Nothing: nobody waits, and no player could show more."
+
+
+def _advice(study: Study, best: str) -> str:
+    """What to play with, and whether other rungs or more links are needed."""
+    told = []
+    known = DEFAULT_POLICY in study.settings.policies
+    if best == DEFAULT_POLICY:
+        told.append(f"Stay with {DEFAULT_POLICY}, the default.")
+    elif not known or _is_sure(study, _difference(study, best, DEFAULT_POLICY)):
+        told.append(f"Play with --policy {best}.")
+    else:
+        lead = _difference(study, best, DEFAULT_POLICY).mean
+        told.append(f"Give more --traces: {lead:.2f} dB more than {DEFAULT_POLICY}, the default, may be chance here.")
+    if (~np.array([row["feasible"] for row in study.rows], bool)).any():
+        told.append("For links that carry too little, encode a lower level (airgs-encode --levels).")
+    return " ".join(told)
+
+
+def write_study(study: Study, folder: Path) -> Path:
+    """Write the page with its pictures, and every figure as CSV and JSON; gives the page.
+
+    index.html, study.json; summary.csv with all figures of the summaries, sessions.csv with every session. Raises
+    ConfigError.
     """
-    require_matplotlib("the study's page")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with report_folder(folder):
         _write_csv(folder / "summary.csv", _summary_rows(study))
         _write_csv(folder / "sessions.csv", [_labelled(row) for row in study.rows])
         write_json(folder / "study.json", study_record(study))
-        plot_study(study, folder / "study.png")
-        (folder / "index.html").write_text(study_page(study, conditions(study)), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{folder}: cannot write the study: {error}") from error
-    return folder / "index.html"
+        summaries = summarise(study)
+        pictures = [
+            Picture(f"{f.heading}: {f.meaning}.", partial(_chart, study, summaries, f))
+            for f in sorted((f for f in FIGURES if f.name in SHOWN), key=lambda f: SHOWN.index(f.name))
+            if not all(math.isnan(s.figures[f.name].mean) for s in summaries)
+        ]
+        return Page("Policies compared", study_answer(study), pictures, _more(study)).write(folder / "index.html")
 
 
 def _write_csv(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:
@@ -128,106 +204,46 @@ def _summary_rows(study: Study) -> list[Row]:
     return out
 
 
-def study_page(study: Study, conditions: str) -> str:
-    """The page as HTML; study.png and the CSV files lie beside it."""
-    parts = [f"<p>{html.escape(conditions)}</p>"]
+def _more(study: Study) -> dict[str, str]:
+    """All tables as HTML, and what they are of."""
+    shown = headlines(FIGURES)
     smallest = f"Links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on"
+    more = {}
     for title, wanted in (("All links", None), (smallest, True)):
         summaries = summarise(study, wanted)
         if not summaries[0].sessions:
             continue
-        parts += [f"<h2>{title}: {summaries[0].sessions}</h2>"]
-        parts += [_interval_table((s.policy, s.figures) for s in summaries)]
+        more[f"{title}: {summaries[0].sessions}"] = _interval_table((s.policy, s.figures) for s in summaries)
         if len(summaries) > 1:
-            words = f"The same links, differences to {summaries[0].policy} (paired)"
-            parts += [f"<h3>{html.escape(words)}</h3>"]
-            parts += [_interval_table((s.policy, s.differences) for s in summaries[1:])]
-    parts += ["<p>Below each mean its 95 % interval, bootstrapped over traces. ", _link("summary.csv")]
-    parts += [" has these and all other figures, ", _link("sessions.csv"), " every session.</p>"]
-    parts += [_definitions(headlines(FIGURES))]
-    parts += ['<img src="study.png" alt="quality against stalls, and distributions over sessions">']
-    return page("Policies compared", "".join(parts), "1100px", STYLE)
-
-
-def _link(name: str) -> str:
-    return f'<a href="{name}">{name}</a>'
-
-
-def _definitions(figures: Sequence[Figure]) -> str:
-    items = (f"<dt>{html.escape(f.heading)}</dt><dd>{html.escape(f.meaning)}</dd>" for f in figures)
-    return f"<dl>{''.join(items)}</dl>"
+            words = f"{title}: differences to {summaries[0].policy} (paired)"
+            more[words] = _interval_table((s.policy, s.differences) for s in summaries[1:])
+    said = [("what was played", conditions(study)), *((f.heading, f.meaning) for f in shown)]
+    words = "Below each mean its 95 % interval, bootstrapped over traces."
+    files = " and ".join(f'<a href="{name}">{name}</a>' for name in ("summary.csv", "sessions.csv"))
+    return more | {"What the figures are": f"<p>{words} {files} have all others.</p>{html_table(said)}"}
 
 
 def _interval_table(rows: Iterable[tuple[str, Mapping[str, Interval]]]) -> str:
     """The headline figures, each with its interval below it."""
     shown = headlines(FIGURES)
-    head = "".join(f"<th>{figure.heading}</th>" for figure in shown)
-    body = ""
-    for policy, values in rows:
-        cells = "".join(f"<td>{_interval_cell(figure, values[figure.name])}</td>" for figure in shown)
-        body += f"<tr><th>{html.escape(policy)}</th>{cells}</tr>"
-    return f"<table><tr><th></th>{head}</tr>{body}</table>"
+    cells = ((policy, *(_interval_cell(f, values[f.name]) for f in shown)) for policy, values in rows)
+    return html_table(cells, ["", *(figure.heading for figure in shown)])
 
 
 def _interval_cell(figure: Figure, value: Interval) -> str:
     if math.isnan(value.mean):
         return "-"
     mean, low, high = (figure.text(v) for v in value)
-    return f"{mean}<small>{low} to {high}</small>"
+    return f"{mean}\n{low} to {high}"
 
 
-def plot_study(study: Study, path: Path) -> None:
-    """Quality against stalls, and distributions over sessions: quality, stalls, regret, time on the way.
-
-    Raises ConfigError.
-    """
-    figure = new_figure(13, 9)
-    axes = figure.subplots(2, 3)
-    means, (quality, worst), (stalls, regret, transmission) = axes[0, 0], axes[0, 1:], axes[1]
-    for i, summary in enumerate(summarise(study)):
-        policy, color = summary.policy, f"C{i}"
-        _mean_point(means, summary.figures, color, policy)
-        _distribution(quality, study.of(policy, "psnr_mean"), color)
-        _distribution(worst, study.of(policy, "psnr_p5"), color)
-        _distribution(stalls, 100 * study.of(policy, "stall_ratio"), color)
-        _distribution(regret, study.of(policy, "regret"), color)
-        times = [t for r in study.rows if r["policy"] == policy for t in r["frame_ms_percentiles"]]
-        _distribution(transmission, np.array(times), color)
-    means.set(xlabel="time waited, %", ylabel="PSNR dB, mean over ticks", title="Means with 95 % intervals")
-    quality.set(xlabel="PSNR dB, mean over ticks", ylabel="share of sessions", title="Quality of sessions")
-    worst.set(xlabel="PSNR dB, 5th percentile over ticks", ylabel="share of sessions", title="Worst moments")
-    stalls.set(xlabel="time waited, %", ylabel="share of sessions", title="Stalls of sessions")
-    _stall_scale(stalls)
-    regret.set(xlabel="dB under the best possible", ylabel="share of sessions", title="Regret of sessions")
-    transmission.set(xlabel="ms on the way (dashed: a frame on the screen)", ylabel="share of frames")
-    transmission.set_title("Transmission of frames")
-    transmission.set_xscale("log")
-    plain_log_ticks(transmission.xaxis)
-    transmission.axvline(1e3 * study.rows[0]["played_s"] / study.rows[0]["frames"], color="0.5", linestyle="--")
-    for axis in axes.ravel():
-        axis.grid(alpha=0.25)
-    columns = min(6, len(study.settings.policies))
-    figure.legend(*means.get_legend_handles_labels(), loc="outside lower center", ncols=columns)
-    save_figure(figure, path)
-
-
-def _mean_point(axis: Any, figures: Mapping[str, Interval], color: str, name: str) -> None:
-    """A point with its two intervals."""
-    (x, x_low, x_high), (y, y_low, y_high) = (100 * np.array(figures["stall_ratio"]), figures["psnr_mean"])
-    spread = {"xerr": [[x - x_low], [x_high - x]], "yerr": [[y - y_low], [y_high - y]]}
-    axis.errorbar(x, y, **spread, fmt="o", color=color, label=name)
-
-
-def _stall_scale(axis: Any) -> None:
-    """A logarithmic axis of percent that has a zero."""
-    axis.set_xscale("symlog", linthresh=0.1)
-    axis.set_xlim(0, 100)
-    axis.set_xticks([0, 0.1, 1, 10, 100], ["0", "0.1", "1", "10", "100"])
-    axis.minorticks_off()
-
-
-def _distribution(axis: Any, values: NDArray[np.float64], color: str) -> None:
-    """The share of values up to each of them."""
-    known = np.sort(values[np.isfinite(values)])
-    if len(known):
-        axis.step(known, np.arange(1, len(known) + 1) / len(known), where="post", color=color)
+def _chart(study: Study, summaries: Sequence[PolicySummary], figure: Figure, axis: Any) -> None:
+    """A row for each policy: its mean with the interval, and every session as a small mark."""
+    for row, summary in enumerate(summaries):
+        mean, low, high = figure.factor * np.array(summary.figures[figure.name])
+        sessions = figure.factor * study.of(summary.policy, figure.name)
+        axis.plot(sessions, np.full(len(sessions), row), "|", color=GREY, alpha=0.6)
+        axis.plot([low, high], [row, row], color=BLUE, linewidth=2)
+        axis.plot(mean, row, "o", color=ORANGE if summary.policy in ORACLES else BLUE, ms=5)
+    axis.set_yticks(range(len(summaries)), [s.policy for s in summaries], fontsize=8)
+    axis.set(xlabel=figure.heading, ylim=(len(summaries) - 0.5, -0.5))

@@ -7,7 +7,8 @@ import pytest
 
 from airgs_codec.media.metrics import psnr
 from tests.support.paths import FOX, GOLDEN
-from tools.lab.bench import engines, link, play, serve, start, viewpoints
+from tests.support.scenes import moving_frames, write_sequence
+from tools.lab.bench import engines, link, omissions, play, serve, start, viewpoints
 from tools.lab.command import Lab
 from tools.lab.serving import airgs_serve
 
@@ -94,3 +95,17 @@ def test_beginnings_are_timed(tmp_path, monkeypatch):
     page = start.run(start.Options(PACKAGE), Lab.at(tmp_path))
     ((imported, inspected),) = rows_of(page)
     assert imported["seconds"] > 0 and inspected["seconds"] > 0 and page.failed
+
+
+def test_what_is_left_out_is_taken_back_one_by_one(tmp_path, monkeypatch):
+    """Without states that are still or rows that nobody sees a small scene takes more bytes, and shows no less."""
+    frames = moving_frames(300, 3, 1)
+    scene = write_sequence(tmp_path / "scene", frames)
+    taken_back = {name: omissions.TAKEN_BACK[name] for name in ("as it is", "rows nobody sees", "planes", "segments")}
+    monkeypatch.setattr(omissions, "TAKEN_BACK", taken_back)
+    options = omissions.Options((str(scene),), x264_preset="ultrafast")
+    (rows,) = rows_of(omissions.run(options, Lab.at(tmp_path / "out", quiet=True)))
+    assert rows[0]["taken back"] == "as it is" and rows[0]["bytes, %"] == rows[0]["dB"] == 0
+    assert all(row["scene"] == "scene" and row["PSNR, dB"] > 20 for row in rows)
+    assert "nobody" in omissions.answer([rows[0], rows[0] | {"taken back": "rows nobody sees", "bytes, %": 3.0}])
+    assert omissions.answer(rows[:1]) == "Nothing is left out."

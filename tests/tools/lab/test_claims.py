@@ -16,25 +16,14 @@ from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.temporal import write_temporal
-from tools.lab.bench.claims import (
-    Bench,
-    Measured,
-    Options,
-    Row,
-    bought,
-    is_beaten,
-    measure,
-    run,
-    verdict,
-    with_single,
-)
+from tools.lab.bench.claims import Bench, Measured, Options, Row, is_beaten, measure, package_row, run, verdict
 from tools.lab.command import Lab
 
 FOUND = Measured(40.0, 35.0)
 
 
-def row(kilobytes, found, claimed=40.0, ladder=True, single=None):
-    return Row("fox", "40", f"{kilobytes:g}", kilobytes, 0.5, claimed, 33.0, replace(FOUND, mean=found), ladder, single)
+def row(kilobytes, found, claimed=40.0, ladder=True):
+    return Row("fox", "40", f"{kilobytes:g}", kilobytes, 0.5, claimed, 33.0, replace(FOUND, mean=found), ladder)
 
 
 def test_it_measures_what_the_comparison_does(demo_package):
@@ -59,25 +48,21 @@ def test_cameras_take_turns_with_frames(demo_package):
         assert found.worst == min(one[name].worst for one in alone)
 
 
-def test_a_size_buys_what_lies_between_its_neighbours():
-    curve = [(4.0, 36.0), (1.0, 30.0), (2.0, 34.0)]
-    assert bought(curve, 2.0) == 34.0
-    assert bought(curve, 2 * np.sqrt(2)) == pytest.approx(35.0)
-    assert bought(curve, 4.1) is None and bought(curve, 0.9) is None and bought([], 1.0) is None
-
-
-def test_larger_manifests_are_no_loss_of_the_media():
-    curve = [replace(row(4.0, 36.0), manifests=0.0), replace(row(1.0, 30.0), manifests=0.0)]
-    compared = with_single(replace(row(3.0, 32.0), manifests=1.0), curve)
-    assert compared.single_media == pytest.approx(33.0) and compared.single > 33.0
-
-
-def test_the_verdict_names_the_largest_error_and_what_is_beaten():
-    rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6, single=40.5), row(2.0, 35.0, 35.5, ladder=False, single=37.0)]
-    rows.append(row(1.0, 36.0, 36.0))
+def test_the_verdict_names_the_largest_errors_and_what_is_beaten():
+    rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6), row(2.0, 35.0, 35.5, ladder=False), row(1.0, 36.0, 36.0)]
     assert [is_beaten(r, rows) for r in rows] == [True, False, True, False]
-    (line,) = verdict(rows)
-    assert "-1.00 dB at most" in line and "1.00 dB below" in line and line.endswith("rung: 4")
+    assert verdict(rows) == (
+        "Top rungs of 1 packages are found -1.00 to -1.00 dB from their claims; the worst picture found is at most 0.0 "
+        "dB below the worst one claimed; rungs of ladders are off by -1.00 dB at most; a cheaper rung beats fox 40: 4."
+    )
+    good = [replace(row(4.0, 40.2), target="36", claimed_worst=37.5), row(1.0, 36.0, 35.8)]
+    assert verdict(good).startswith("Top rungs of 2 packages are found +0.20 to +0.20 dB from their claims")
+    assert "at most 2.5 dB below" in verdict(good) and verdict(good).endswith(
+        "no rung of a ladder is beaten by a cheaper one."
+    )
+    shown = package_row(rows)
+    assert (shown["low_kilobytes"], shown["low_measured"], shown["off"]) == (1.0, 36.0, -1.0)
+    assert verdict([]) == "No package could be made."
 
 
 def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
@@ -85,21 +70,17 @@ def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
     options = Options(
         (str(scene),),
         targets=("99.9", "default"),
-        single_rungs=(0.2, 8.0),
         pictures=2,
         settings={"margin": 0.1, "preset": "ultrafast", "threads": 1},
     )
-    (section,) = run(options, Lab.at(tmp_path / "out")).sections
+    made = run(options, Lab.at(tmp_path / "out"))
     assert "clip 99.9: target: 99.9 PSNR is out of reach" in capsys.readouterr().err
-    assert "clip default: claims off by" in section.answer
-    rows = section.tables[0].rows
-    (fine, coarse), top = rows[:2], rows[2]
+    assert "Top rungs of 1 packages are found" in made.sections[0].answer
+    top = made.data[0].rows[0]
     manifest = open_package(tmp_path / "out" / "clip-default.airgs").manifest
     assert top["claimed"] == pytest.approx(manifest.segments[0].levels[0].psnr[0], abs=1e-3)
     assert top["claimed_worst"] == manifest.segments[0].levels[0].worst[0]
     assert top["off"] == pytest.approx(top["measured"] - top["claimed"], abs=1e-3)
-    assert (fine["target"], coarse["target"], top["target"]) == ("x0.2", "x8", "default")
-    assert fine["kilobytes"] > coarse["kilobytes"]
 
 
 def test_a_region_without_other_views_needs_cameras(demo_package):

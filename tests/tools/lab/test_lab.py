@@ -5,6 +5,7 @@ import importlib
 import json
 import math
 import multiprocessing
+import shlex
 import time
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -215,7 +216,7 @@ def test_commands_of_the_table_of_figures_are_commands():
 
     for command in {one.command for one in FIGURES} | {f"{PROGRAM} {one.words}" for one in MEASUREMENTS}:
         if not command.startswith("("):
-            assert command_error(command.split(), whole=True) is None, command
+            assert command_error(shlex.split(command), whole=True) is None, command
 
 
 def test_a_lab_works_in_a_folder_that_it_makes(tmp_path):

@@ -35,6 +35,14 @@ def test_every_number_of_results_is_in_the_file_of_figures(path):
     assert (found == []) is (path.stem not in NOT_YET), found
 
 
+def test_every_measurement_has_its_place_in_a_document():
+    assert len({one.name for one in MEASUREMENTS}) == len(MEASUREMENTS)
+    for one in MEASUREMENTS:
+        text = (published.RESULTS / f"{one.document}.md").read_text()
+        assert text.count(f"<!-- tools.lab {one.name}: begin -->\n") == 1, one
+        assert text.count(f"<!-- tools.lab {one.name}: end -->\n") == 1, one
+
+
 def test_every_entry_is_that_of_a_measurement_and_made_by_its_command():
     entries = published.read_figures()
     commands = {one.name: (one.document, f"{PROGRAM} {one.words}") for one in MEASUREMENTS}

@@ -13,10 +13,10 @@ from tests.support.scenes import moving_frames
 from tools.lab.page import Picture, write_picture
 from tools.lab.rd import layouts
 from tools.lab.rd.coders import MPEG_QPS
-from tools.lab.rd.experiment import Options, draw, ends
+from tools.lab.rd.experiment import beside, draw, verdict
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.layouts import PUBLISHED, V3_FORMS, mpeg_anchor_layout, v3_layout
-from tools.lab.rd.points import RdPoint, bd_rate, best_of, kb_at
+from tools.lab.rd.points import RdPoint, bd_rate, kb_at
 from tools.lab.rd.subject import Subject
 from tools.lab.rd.written import written_trials
 
@@ -54,15 +54,36 @@ def test_bytes_at_a_quality_are_between_points_and_never_beyond_them():
     assert kb_at(WIDE, 37) is None is kb_at(WIDE[:1], 38)
 
 
-def test_of_two_forms_the_better_one_at_each_rate_is_taken():
-    one = curve((10, 38), (20, 44))
-    other = [RdPoint("d", "0", 15, 43, None, 0.0, 0.0), RdPoint("d", "1", 30, 43.5, None, 0.0, 0.0)]
-    better = best_of([*one, *other, RdPoint("e", "0", 1, 60, None, 0.0, 0.0)], {"c": "first", "d": "second"}, "both")
-    assert [(p.coder, p.setting, p.kb_per_frame) for p in better] == [
-        ("both", "first, 0", 10),
-        ("both", "second, 0", 15),
-        ("both", "first, 1", 20),
+def points(coder, *pairs):
+    return [RdPoint(coder, str(i), kb, psnr, None, 0.0, 0.0) for i, (kb, psnr) in enumerate(pairs)]
+
+
+OURS = points("airgs", (10, 38), (20, 44), (30, 50))
+
+
+def test_of_the_variants_of_a_format_the_one_with_the_fewest_bytes_at_the_psnr_is_shown():
+    rows = beside([*OURS, *points("V, one", (30, 38), (80, 44)), *points("V, two", (60, 43), (70, 46))], 44)
+    assert [(row["format"], row["variant"], round(row["kb"], 1), row["psnr"]) for row in rows] == [
+        ("airgs", "", 20, 44),
+        ("V", "two", 63.2, 44),
     ]
+    assert rows[1]["times"] == pytest.approx(63.16 / 20, rel=1e-3) and rows[0]["times"] is None
+    assert (
+        verdict(rows, 44)
+        == "At 44 dB airgs takes 20.0 kB a frame. Nearest is V (two) with 63.2: airgs takes 32 % of it."
+    )
+
+
+def test_a_format_that_does_not_reach_the_psnr_is_shown_at_its_nearest_point_and_decides_nothing():
+    rows = beside(
+        [*OURS, *points("low", (5, 30), (7, 40)), *points("high", (200, 60)), *points("V", (9, 38), (15, 44))], 44
+    )
+    assert [row["format"] for row in rows] == ["airgs", "V", "low", "high"]
+    assert (rows[2]["variant"], rows[2]["kb"], rows[2]["psnr"]) == ("1", 7, 40)
+    assert rows[2]["times"] == pytest.approx(7 / kb_at(OURS, 40)) and rows[3]["times"] is None
+    assert verdict(rows, 44).endswith("Nearest is V (as it is) with 15.0: airgs takes 133 % of it.")
+    assert verdict(beside(OURS, 60), 60) == "No package of airgs was measured on both sides of 60 dB."
+    assert "No other format" in verdict(beside(OURS, 44), 44)
 
 
 @pytest.mark.parametrize("preset", [PRESET, PUBLISHED])
@@ -139,10 +160,6 @@ def test_an_outside_program_that_fails_is_one_line(program):
         next(fourdgs_trials(program)).code(subject)
 
 
-def test_the_report_has_a_row_for_every_coder(tmp_path):
-    points = [*WIDE, RdPoint("airgs", "only", 9.0, 40.0, 31.0, 1.0, 1.0)]
-    first, last = ends(points, Options(FOX, FOX, at=43))
-    assert first["coder"] == "c" and (last["small_kb"], last["large_psnr"]) == (9.0, 40.0)
-    assert 14 < first["at_kb"] < 20 and last["at_kb"] is None
-    write_picture(Picture("rd", "", lambda figure: draw(points, "all", figure)), tmp_path / "rd.png")
+def test_curves_are_drawn(tmp_path):
+    write_picture(Picture("rd", "", lambda figure: draw([*WIDE, *OURS], "all", figure)), tmp_path / "rd.png")
     assert (tmp_path / "rd.png").stat().st_size > 5000

@@ -19,6 +19,7 @@ from tools.lab import main
 from tools.lab.baselines.method import Frame
 from tools.lab.command import Lab
 from tools.lab.page import Picture, write_picture
+from tools.lab.paper import reproduce
 from tools.lab.paper.ablations import changes
 from tools.lab.paper.footage import Options, run
 from tools.lab.paper.frames import CHOOSERS, SKIPPED, frame_options, push_frames
@@ -44,6 +45,9 @@ def test_a_scene_is_a_name_a_folder_and_options():
     scene = subject.open()
     assert len(scene) == 3
     assert {camera.near for camera in scene.cameras} == {0.5}
+    other = parse_subject(f"fox={FOX_VIEWS},held={scene.cameras[0].name}+{scene.cameras[1].name}")
+    assert [camera.held_out for camera in other.open().cameras[:3]] == [True, True, False]
+    assert other.words() != subject.words() and other.quick().held == other.held
     quick = parse_subject(f"fox={FOX_VIEWS}").quick()
     assert (quick.frames, quick.size) == ((0, 4), 128)
 
@@ -93,11 +97,11 @@ def test_a_stream_of_which_nothing_fits_has_no_times():
 
 def test_a_row_says_the_worst_frame_and_the_keyframes_after_the_first():
     frames = (frame("key", 900, 30.0, 50.0), frame("frame", 100, 28.0), frame("key", 500, 32.0, 10.0))
-    row = row_of(Trained("s", "m", frames, 12.0))
+    row = row_of(Trained("s", "m", frames, 12.0), 25.0)
     assert tuple(row[name] for name in ("psnr", "worst", "most_deviation", "key_s")) == (30.0, 28.0, 2.0, 10.0)
     assert row["deviation"] == pytest.approx(4 / 3)
-    assert row["kb_frame"] == 0.5
-    assert row_of(Trained("s", "m", frames[:2], 12.0))["key_s"] is None
+    assert row["kb_frame"] == 0.5 and row["mbit_s"] == pytest.approx(0.1)
+    assert row_of(Trained("s", "m", frames[:2], 12.0), 25.0)["key_s"] is None
 
 
 def test_levels_save_shares_of_bytes_as_players_count_them():
@@ -121,7 +125,7 @@ def test_methods_skip_where_no_other_frame_needs_the_frame():
     level = (Level(np.array([1e6]), np.zeros(1), np.full((1, 1), 30.0)),)
     choosers = {method: [one.chooser for one in streams_of(method, level)] for method in METHODS}
     assert choosers["naive3dgs"] == ["unpruned", "paper-no-cliff"] and choosers["v3"] == ["unpruned"]
-    assert choosers["airgs"] == ["unpruned", "paper", "paper-no-cliff", "paper-literal"]
+    assert choosers["airgs"] == choosers["airgs-paper"] == ["unpruned", "paper", "paper-no-cliff", "paper-literal"]
 
 
 def test_every_ablation_changes_something():
@@ -140,7 +144,7 @@ def test_pictures_of_a_sequence_are_a_scene_to_train_on(tmp_path):
     assert scene.points is not None and len(scene.points.positions) == 50
 
 
-def test_pictures_are_drawn_of_what_there_is(tmp_path):
+def test_pictures_are_drawn_of_what_there_is(tmp_path, monkeypatch):
     """Also where a frame never came, and where an ablation failed."""
     frames = (frame("key", 900, 30.0), frame("frame", 100, 28.0))
     trained = [Trained(scene, method, frames, 12.0) for scene in ("a", "b") for method in ("airgs", "naive3dgs")]
@@ -149,9 +153,49 @@ def test_pictures_are_drawn_of_what_there_is(tmp_path):
     assert np.isinf(times[1]["percentiles_ms"][-1])
     ablated = [{"question": "", "name": "as it is", "psnr": 30.0, "kb_frame": 9.0}]
     ablated += [{"question": "q", "name": n, "psnr": v, "kb_frame": v} for n, v in (("x", 29.0), ("y", math.nan))]
-    section = quality(trained)
+    monkeypatch.setattr(
+        reproduce, "side_by_side", lambda *_: {name: np.random.default_rng(1).random((64, 64, 3)) for name in METHODS}
+    )
+    lab = Lab.at(tmp_path / "lab", quiet=True)
+    scenes = [parse_subject(f"{scene}={FOX_VIEWS}") for scene in ("a", "b")]
+    assert len(quality(scenes, trained, lab, reproduce.Options()).pictures) == 2
+    section = quality(scenes, trained, lab, reproduce.Options(show=("a",)))
+    assert len(section.pictures) == 3
     drawn = [*section.pictures, Picture("times", "", partial(draw_times, times))]
     for picture in (*drawn, Picture("ablations", "", partial(draw_ablations, ablated))):
         write_picture(picture, tmp_path / f"{picture.name}.png")
         assert (tmp_path / f"{picture.name}.png").stat().st_size > 5_000
     assert [row["kb_frame"] for row in section.tables[0].rows] == [0.5] * 4
+
+
+def method(name, psnr, kb, scene="fox"):
+    return {"scene": scene, "method": name, "psnr": psnr, "kb_frame": kb}
+
+
+def test_words_on_methods_follow_from_their_rows():
+    rows = [
+        method("airgs", 33.95, 10.0),
+        method("airgs-paper", 39.0, 1.0),
+        method("v3", 28.0, 45.0),
+        method("4dgs", 34.0, 300.0),
+    ]
+    assert reproduce.in_words(rows) == (
+        "On fox airgs has 33.95 dB, 0.05 dB under 4dgs, the best of the others, with 30.0 times fewer bytes; v3, the "
+        "smallest of them, takes 4.5 times as many for 28.00 dB."
+    )
+    assert "0.95 dB above 4dgs" in reproduce.in_words([*rows[:3], method("4dgs", 33.0, 300.0)])
+    assert reproduce.in_words(rows[:2]) == ""
+
+
+def test_words_on_streams_follow_from_their_rows():
+    rows = [
+        {"scene": "fox", "method": name, "chooser": chooser, "psnr_screen": psnr}
+        for name, chooser, psnr in (
+            ("airgs", "paper", 32.0),
+            ("airgs-paper", "unpruned", 31.0),
+            ("v3", "unpruned", 33.0),
+            ("4dgs", "unpruned", math.nan),
+        )
+    ]
+    words = reproduce.streamed_in_words(rows, 30)
+    assert words == "Over 30 traces. fox: airgs by paper shows 32.00 dB, v3, the best of the others, 33.00."

@@ -14,14 +14,15 @@ from tools.lab.numerics.fits import TRAINER, fit
 from tools.lab.numerics.gradients import relative_errors
 from tools.lab.numerics.outcome import (
     BOUNDED,
-    CONVERGES,
     DIVERGES,
+    EXACT,
     NOT_FINITE,
     REFUSED,
     UNFIT,
     Case,
     Cell,
     attempt,
+    does_well,
     error_end,
     fit_end,
     grid,
@@ -35,13 +36,14 @@ from tools.lab.page import text_of, write_picture
 @pytest.mark.parametrize(
     ("before", "after", "end"),
     [
-        (1.0, 0.4, CONVERGES),
+        (1.0, 5e-5, EXACT),
+        (1.0, 2e-4, BOUNDED),
         (1.0, 0.6, BOUNDED),
         (1.0, 1.04, BOUNDED),
         (1.0, 1.2, DIVERGES),
-        (1e-6, 5e-5, BOUNDED),  # no picture shows it
+        (1e-6, 5e-5, EXACT),  # no picture shows it
         (1e-6, 5e-4, DIVERGES),
-        (0.0, 0.0, BOUNDED),
+        (0.0, 0.0, EXACT),
         (1.0, math.nan, NOT_FINITE),
         (1.0, math.inf, NOT_FINITE),
     ],
@@ -58,7 +60,7 @@ def test_what_cannot_be_fitted_is_not_called_bounded():
 
 
 def test_errors_are_close_or_bounded_or_not_finite():
-    assert [error_end(e, 1e-3) for e in (0.0, 1e-3, 0.5, math.nan)] == [CONVERGES, CONVERGES, BOUNDED, NOT_FINITE]
+    assert [error_end(e, 1e-3) for e in (0.0, 1e-3, 0.5, math.nan)] == [EXACT, EXACT, BOUNDED, NOT_FINITE]
 
 
 def test_a_refusal_is_an_end_and_a_fault_of_the_program_is_not():
@@ -68,29 +70,43 @@ def test_a_refusal_is_an_end_and_a_fault_of_the_program_is_not():
     end, value, note = attempt(refused, ("ours", "1", 2.0))
     assert (end, note) == (REFUSED, "expected this, got that") and math.isnan(value)
     with pytest.raises(ZeroDivisionError):
-        attempt(lambda panel, row, x: (CONVERGES, 1 / 0, ""), ("ours", "1", 2.0))
+        attempt(lambda panel, row, x: (EXACT, 1 / 0, ""), ("ours", "1", 2.0))
 
 
 CASE = Case(
     "trainer", "a", "Title", "x", "loss", (TRAINER, "1"), grid([TRAINER], "1", (0.0, 1.0, 2.0, 3.0)),
-    lambda panel, row, x: (BOUNDED if x == 2 else CONVERGES, x, ""), "of a limit",
+    lambda panel, row, x: (BOUNDED if x == 2 else EXACT, x, ""), "a limit of {span}",
 )  # fmt: skip
 
 
 def test_neighbours_of_one_end_are_a_range_of_the_code_as_it_is():
     other = Cell("a", TRAINER, "10", 0.0, DIVERGES, 9.0)
     own = CASE.shipped([*CASE.run(), other])
-    assert (ranges(own, CONVERGES), ranges(own, BOUNDED)) == ("0 to 1, 3", "2")
+    assert (ranges(own, does_well), ranges(own, lambda cell: cell.end == BOUNDED)) == ("0 to 1, 3", "2")
     assert [cell.x for cell in CASE.run(quick=True)] == [0.0, 3.0]
-    assert stiff.advice_of(CASE, own) == "Title (x 0 to 1, 3 is well): of a limit."
-    assert stiff.advice_of(CASE, own[:2]) == ""
 
 
-@pytest.mark.parametrize(("end", "words", "failed"), [(BOUNDED, "none", False), (NOT_FINITE, "1", True)])
+def test_a_line_says_what_happens_and_what_to_do():
+    line = stiff.Line("Things", ("a",), "keep x at {well}")
+    unfit = Cell("a", TRAINER, "1", 4.0, UNFIT, 1.0, "nothing moves")
+    row = stiff.row_of(line, [CASE], [*CASE.run(), unfit])
+    assert row[stiff.HAPPENS] == "exact (3); bounded by a limit of 2 (1); does not fit: nothing moves (1)"
+    assert row["what to do"] == "keep x at 0 to 1, 3"
+    assert stiff.row_of(replace(line, names=("b",)), [CASE], CASE.run()) == {}
+
+
+def test_ten_lines_hold_every_case():
+    named = [name for line in stiff.LINES for name in line.names]
+    assert len(stiff.LINES) == 10 and sorted(named) == sorted(case.name for case in stiff.CASES)
+
+
+@pytest.mark.parametrize(
+    ("end", "words", "failed"), [(BOUNDED, "none diverges", False), (NOT_FINITE, "1 diverge", True)]
+)
 def test_a_fault_is_told(monkeypatch, end, words, failed):
     monkeypatch.setattr(stiff, "CASES", (CASE,))
     made = stiff.page([*CASE.run()[:2], Cell("a", TRAINER, "1", 2.0, end, math.nan, "why")])
-    assert made.failed == failed and f"{words} of them is a fault" in text_of(made).replace("\n", " ")
+    assert made.failed == failed and words in text_of(made).replace("\n", " ")
 
 
 def test_a_page_draws_maps_of_its_cells(tmp_path, monkeypatch):
@@ -102,20 +118,22 @@ def test_a_page_draws_maps_of_its_cells(tmp_path, monkeypatch):
 
 def test_every_conclusion_of_the_documents_follows_from_their_figures():
     entry = published.read_figures()["stiff"]
-    cells = [Cell(**row | {"value": math.nan if row["value"] is None else row["value"]}) for row in rows(entry)]
-    made = stiff.page(cells)
-    assert not made.failed and [made.how, *(s.answer for s in made.sections)] == entry["answers"]
-
-
-def rows(entry):
-    return [
-        dict(zip(entry["tables"]["stiff"]["columns"], row, strict=True)) for row in entry["tables"]["stiff"]["rows"]
+    cells = [
+        Cell(**row | {"value": math.nan if row["value"] is None else row["value"]}) for row in rows(entry, "stiff")
     ]
+    made = stiff.page(cells)
+    assert not made.failed and [s.answer for s in made.sections if s.answer] == entry["answers"]
+    assert [list(row.values()) for row in made.sections[0].tables[0].rows] == entry["tables"]["stiff-lines"]["rows"]
+
+
+def rows(entry, name):
+    table = entry["tables"][name]
+    return [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
 
 
 def test_what_is_finished_is_not_tried_again(tmp_path, monkeypatch):
     tried = []
-    case = replace(CASE, judge=lambda *at: tried.append(at) or (CONVERGES, 0.0, ""))
+    case = replace(CASE, judge=lambda *at: tried.append(at) or (EXACT, 0.0, ""))
     monkeypatch.setattr(stiff, "CASES", (case,))
     for _ in range(2):
         stiff.run(stiff.Options(only=("trainer",)), Lab.at(tmp_path, quiet=True))
@@ -143,7 +161,7 @@ def test_factors_are_the_optimum_or_limited_or_without_limit():
     assert judge_factors(ideal, ideal)[0] == DIVERGES
     assert judge_factors(dict.fromkeys(ideal, 1.0), ideal)[0] == BOUNDED
     even = unlimited(spread_slopes("evenly spread", 0))
-    assert judge_factors(even, even)[:2] == (CONVERGES, pytest.approx(1))
+    assert judge_factors(even, even)[:2] == (EXACT, pytest.approx(1))
     assert judge_factors({"grid": math.inf}, {"grid": 1.0})[0] == NOT_FINITE
     assert pytest.approx(7.14, abs=0.01) == LIMIT
 

@@ -4,23 +4,19 @@ Each scene is encoded with `--target-psnr` for each target. For every rung the P
 beside that of pictures from views drawn anew from its viewing region, one for each picture, which take turns with the
 frames, errors pooled as in a package; and the worst picture that it claims beside the worst one found. Errors are
 heavy-tailed: one view close to a large Gaussian may outweigh a hundred. `--held-views` takes views from a file, its
-held-out ones if it has any. With `--single-rungs`, packages of one level are encoded at these quality factors, and each
-rung is compared with what its bytes buy on the curve of their top rungs. The packages stay in the folder.
+held-out ones if it has any. The packages stay in the folder.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-
-import numpy as np
 
 from airgs_codec import EncodeSettings, encode, open_package, open_sequence
 from airgs_codec._settings import applied
 from airgs_codec.encoder.search import PSNR, Goal
-from airgs_codec.encoder.settings import DEFAULT_LEVELS
 from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.inspect.sides import compared_views, rung_streams
 from airgs_codec.inspect.summary import RungSummary, summarise
@@ -33,6 +29,11 @@ from tools.lab import Given, Lab, Page, Section, Table, given, required, setting
 from tools.lab import Row as PlainRow
 
 DEFAULT = "default"  # in place of a target: the encoder's own quality
+COLUMNS = {
+    "scene": ("scene", ""), "target": ("target, dB", ""), "kilobytes": ("top rung, kB a frame", ".1f"),
+    "claimed": ("claimed, dB", ".1f"), "measured": ("found", ".1f"), "claimed_worst": ("worst picture claimed", ".1f"),
+    "worst": ("found", ".1f"), "low_kilobytes": ("lowest rung, kB a frame", ".1f"), "low_measured": ("its dB", ".1f"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,6 @@ class Options:
 
     scenes: tuple[str, ...] = required("scenes, each with its cameras or without: SCENE[=VIEWS]")
     targets: tuple[str, ...] = setting(("36", "40", "43"), f"dB, or {DEFAULT} for no target")
-    single_rungs: tuple[float, ...] = setting((), "quality factors of packages of one rung")
     pictures: int = setting(64, "pictures that measure a rung, each of its own view")
     seed: int = setting(1000, "of their draw")
     held_views: Path | None = setting(None, "cameras to measure from instead")
@@ -62,10 +62,12 @@ def run(options: Options, lab: Lab) -> Page:
     for spec in options.scenes:
         scene, _, cameras = spec.partition("=")
         sequence = open_sequence(scene, views=cameras or None)
-        for found in bench_scene(bench, sequence, options.targets, options.single_rungs):
-            rows += found
-    table = Table("claims", [row.plain() for row in rows])
-    return Page([Section(". ".join(verdict(rows)) + ".", tables=[table])])
+        rows += bench_scene(bench, sequence, options.targets)
+    tables = [Table("claims-packages", [package_row(some) for some in by_package(rows)], COLUMNS)]
+    data = [Table("claims", [row.plain() for row in rows])]
+    shown = "the held-out views given" if views else "views drawn anew from the package's region"
+    how = f"Each rung is measured in {options.pictures} pictures from {shown}; bytes are all that a viewer fetches."
+    return Page([Section(verdict(rows), tables=tables)], how, data=data)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,8 +91,6 @@ class Row:
     claimed_worst: float | None  # dB, of the worst picture; None likewise
     measured: Measured
     ladder: bool  # whether the package says that no mixture of two other rungs beats it
-    single: float | None = None  # dB, of a package of its own with as many bytes; None: not known
-    single_media: float | None = None  # the same for as many bytes without manifests
 
     @property
     def off(self) -> float:
@@ -174,56 +174,59 @@ def bench_package(
     return rows_of(scene, target, package, found)
 
 
-def bench_scene(
-    bench: Bench, sequence: GaussianSequence, targets: Sequence[str], factors: Sequence[float]
-) -> Iterator[list[Row]]:
+def bench_scene(bench: Bench, sequence: GaussianSequence, targets: Sequence[str]) -> list[Row]:
     """All rungs, package by package; a target that the encoder refuses is told of."""
-    alone = replace(bench.settings, calibrate="steps", levels=DEFAULT_LEVELS[:1], tiers=(1.0,))
-    curve: list[Row] = []
-    for factor in factors:
-        rows = bench_package(bench, sequence, f"x{factor:g}", replace(alone, quality=factor))
-        curve.append(rows[0])
-        yield rows[:1]
+    rows = []
     for target in targets:
         goal = None if target == DEFAULT else Goal(PSNR, float(target))
         try:
-            rows = bench_package(bench, sequence, target, bench.settings, goal)
+            rows += bench_package(bench, sequence, target, bench.settings, goal)
         except AirgsError as error:
             bench.tell(f"{sequence.folder.name} {target}: {error}")
-            continue
-        yield [with_single(row, curve) for row in rows]
+    return rows
 
 
-def with_single(row: Row, curve: Sequence[Row]) -> Row:
-    """The row with what its bytes, and its bytes without manifests, buy on a curve of packages of one rung."""
-    whole = [(one.kilobytes, one.measured.mean) for one in curve]
-    media = [(one.kilobytes - one.manifests, one.measured.mean) for one in curve]
-    single, single_media = bought(whole, row.kilobytes), bought(media, row.kilobytes - row.manifests)
-    return replace(row, single=single, single_media=single_media)
+def by_package(rows: Sequence[Row]) -> list[list[Row]]:
+    """The rungs of each package, by falling bytes."""
+    names = dict.fromkeys((row.scene, row.target) for row in rows)
+    return [[row for row in rows if (row.scene, row.target) == name] for name in names]
 
 
-def bought(curve: Sequence[tuple[float, float]], size: float) -> float | None:
-    """PSNR at a size on a curve of (size, PSNR), linear in the logarithm of sizes; None outside the curve."""
-    points = sorted(curve)
-    if not points or not points[0][0] <= size <= points[-1][0]:
-        return None
-    sizes, qualities = np.array(points).T
-    return round(float(np.interp(np.log(size), np.log(sizes), qualities)), 3)
+def package_row(rows: Sequence[Row]) -> PlainRow:
+    """What people look at of a package: its top rung, the lowest of its ladder, how far the ladder's claims are off."""
+    top = rows[0]
+    ladder = [row for row in rows if row.ladder]
+    low = ladder[-1] if ladder else top
+    return {
+        "scene": top.scene, "target": top.target, "kilobytes": top.kilobytes,
+        "claimed": top.claimed, "measured": top.measured.mean, "claimed_worst": top.claimed_worst,
+        "worst": top.measured.worst, "low_kilobytes": low.kilobytes, "low_measured": low.measured.mean,
+        "off": max((row.off for row in ladder), key=abs, default=0.0),
+        "beaten": " ".join(row.rung for row in ladder if is_beaten(row, rows)),
+    }  # fmt: skip
 
 
-def verdict(rows: Sequence[Row]) -> Iterator[str]:
-    """For each package how far claims are off, how far its ladder is below the curve, which of its rungs are beaten."""
-    for scene, target in dict.fromkeys((row.scene, row.target) for row in rows):
-        of = [row for row in rows if (row.scene, row.target) == (scene, target)]
-        words = [f"claims off by {max((row.off for row in of), key=abs):+.2f} dB at most"]
-        ladder = [row for row in of if row.ladder]
-        losses = [row.single - row.measured.mean for row in ladder if row.single is not None]
-        if losses:
-            words.append(f"up to {max(losses):.2f} dB below packages of one rung")
-        beaten = [row.rung for row in ladder if is_beaten(row, of)]
-        if beaten:
-            words.append(f"beaten by a cheaper rung: {' '.join(beaten)}")
-        yield f"{scene} {target}: {'; '.join(words)}"
+def verdict(rows: Sequence[Row]) -> str:
+    """How far claims of top rungs, their worst pictures and ladders are off, and which rungs a cheaper one beats."""
+    packages = [package_row(some) for some in by_package(rows)]
+    if not packages:
+        return "No package could be made."
+    off = [round(one["measured"] - one["claimed"], 2) for one in packages if one["claimed"] is not None]
+    words = []
+    if off:
+        words.append(
+            f"Top rungs of {len(packages)} packages are found {min(off):+.2f} to {max(off):+.2f} dB from their claims"
+        )
+    below = [one["claimed_worst"] - one["worst"] for one in packages if one["claimed_worst"] is not None]
+    if below:
+        words.append(f"the worst picture found is at most {max(0.0, *below):.1f} dB below the worst one claimed")
+    words.append(f"rungs of ladders are off by {max((one['off'] for one in packages), key=abs):+.2f} dB at most")
+    beaten = [f"{one['scene']} {one['target']}: {one['beaten']}" for one in packages if one["beaten"]]
+    words.append(
+        f"a cheaper rung beats {', '.join(beaten)}" if beaten else "no rung of a ladder is beaten by a cheaper one"
+    )
+    sentence = "; ".join(words)
+    return f"{sentence[0].upper()}{sentence[1:]}."
 
 
 def is_beaten(row: Row, others: Sequence[Row]) -> bool:

@@ -44,6 +44,10 @@ from tools.lab import Lab, Page, Section, Table, required, rows_of, setting
 
 SEED = 1  # of the order in which cameras are dealt out
 WAY = 0.5  # to the middle of the scene
+COLUMNS = {
+    "split": ("split", "d"), "camera": ("camera", ""), "psnr": ("PSNR, dB", ".1f"), "matched": ("matched", ".1f"),
+    "haze": ("haze", ".3f"),
+}  # fmt: skip
 NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
 
 
@@ -100,7 +104,12 @@ def run(options: Options, lab: Lab) -> Page:
     captions = [f"split {row.split} {row.camera}, haze {row.haze:.3f}" for row in rows]
     sheet = contact_sheet([picture for split in judged for picture in split.half_way], captions)
     write_png(lab.folder / "half-way.png", sheet)
-    return Page([Section(summary(judged), tables=[Table("splits", rows_of(rows))])])
+    name = options.scene.resolve().name
+    how = (
+        f"{name}, {options.hold} cameras of {len(names)} held out in each split, dealt out anew; matched: after a "
+        "gain and an offset for each colour of a camera; haze: share of light paths that end near a viewer half-way."
+    )
+    return Page([Section(summary(judged), tables=[Table(f"splits-{name}", rows_of(rows), COLUMNS)])], how)
 
 
 def summary(judged: Sequence[Judged]) -> str:

@@ -31,6 +31,7 @@ METHODS = TRAINER, COMMON, DESCENT, UNSCALED = (
 )
 FACTORS = (0.1, 1.0, 10.0, 100.0)  # on the trainer's learning rates
 ITERATIONS = 30
+REACH = f"{ITERATIONS} iterations"  # what bounds a fit
 COMMON_EPSILON = 1e-8  # Adam's, in Kingma and Ba and in torch
 
 Steps = Callable[[Adam], Adam]
@@ -127,22 +128,16 @@ def fit(
         left = float(loss(after, views))
     moved = after is not base and any(bool((p.detach() != 0).any()) for p in variables.adam.parameters.values())
     end = fit_end(before, left, finite)
-    words = _words(problem, max(before, left)) if end == BOUNDED else ""
-    if not moved and max(before, left) >= INVISIBLE:
+    words = REACH if end == BOUNDED else ""
+    if not any(view.target.rgb.any() for view in views):
+        end, words = UNFIT, "nothing is drawn"
+    elif not moved and max(before, left) >= INVISIBLE:
         end, words = UNFIT, "nothing moves"
     return end, left / before if before else 1.0, words
 
 
 def _price_of_changes(problem: Problem) -> Parameters:
     return temporal_weights(TrainSettings().temporal, codec_steps(problem.start, problem.cameras))
-
-
-def _words(problem: Problem, most: float) -> str:
-    """Return what bounds a fit whose larger loss is `most`."""
-    if most < INVISIBLE:
-        return "pictures are right to less than 8 bits show, before and after"
-    reach = f"by how far {ITERATIONS} iterations reach"
-    return f"{reach} at the price of changes" if problem.temporal else reach
 
 
 def judge(axis: Axis, name: str, factor: str, value: float) -> Judged:
@@ -163,7 +158,7 @@ def cases() -> list[Case]:
             own=(TRAINER, "1"),
             points=grid(METHODS, rows, axis.values),
             judge=partial(judge, axis),
-            why=axis.why,
+            why=f"{REACH}{axis.why} (loss x {{span}})",
         )
         for axis in AXES
     ]

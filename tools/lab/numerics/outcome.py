@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 from airgs_codec.errors import AirgsError
 
-CONVERGES, BOUNDED, REFUSED = "converges", "is bounded", "is refused"
-UNFIT, DIVERGES, NOT_FINITE = "does not fit", "diverges", "is not finite"
-ENDS = (CONVERGES, BOUNDED, REFUSED, UNFIT, DIVERGES, NOT_FINITE)
+EXACT, BOUNDED, UNFIT, REFUSED = VERDICTS = ("exact", "bounded", "does not fit", "refused")
+DIVERGES, NOT_FINITE = "diverges", "not finite"
+ENDS = (*VERDICTS, DIVERGES, NOT_FINITE)
 FAULTS = (DIVERGES, NOT_FINITE)  # ends that the code as it is may not have
-HALVED = 0.5  # of the loss at the start: a fit that ends below converges
+HALVED = 0.5  # of the loss at the start: a fit that ends below does well
 GROWN = 1.05  # of the loss at the start: a fit that ends above diverges
-INVISIBLE = 1e-4  # loss: a tenth of the mean error of rounding pictures to 8 bits; what stays below does not diverge
+INVISIBLE = 1e-4  # loss: a tenth of the mean error of rounding pictures to 8 bits; what stays below is exact
 
 Judged = tuple[str, float, str]  # end, what was measured, the message of a refusal or what bounds
 At = tuple[str, str, float]  # panel of the map (the method), its row, its column
@@ -45,7 +45,8 @@ class Case:
     own: tuple[str, str]  # panel and row of the code as it is; "" stands for all of them
     points: tuple[At, ...]
     judge: Callable[[str, str, float], Judged]
-    why: str = ""  # what limits it
+    why: str = ""  # what bounds it; `{span}`: from which to which of what is measured
+    refused: str = ""  # what is refused
 
     def run(self, quick: bool = False) -> list[Cell]:
         """All experiments; `quick`: a third of the axis. An AirgsError is a refusal, other errors are raised."""
@@ -79,14 +80,14 @@ def fit_end(before: float, after: float, finite: bool) -> str:
         return NOT_FINITE
     if after > max(GROWN * before, INVISIBLE):
         return DIVERGES
-    return CONVERGES if after <= HALVED * before and before > 0 else BOUNDED
+    return EXACT if after <= INVISIBLE else BOUNDED
 
 
 def error_end(error: float, close: float) -> str:
-    """Return how a comparison ended: an error of at most `close` converges, a larger one is bounded by what it is."""
+    """Return how a comparison ended: an error of at most `close` is exact, a larger one is bounded by what it is."""
     if not math.isfinite(error):
         return NOT_FINITE
-    return CONVERGES if error <= close else BOUNDED
+    return EXACT if error <= close else BOUNDED
 
 
 def count_ends(cells: Sequence[Cell]) -> dict[str, int]:
@@ -94,16 +95,21 @@ def count_ends(cells: Sequence[Cell]) -> dict[str, int]:
     return {end: sum(cell.end == end for cell in cells) for end in ENDS if any(cell.end == end for cell in cells)}
 
 
-def ranges(cells: Sequence[Cell], end: str) -> str:
-    """Return where along x neighbouring cells of one row end so."""
+def does_well(cell: Cell) -> bool:
+    """Whether a fit leaves at most HALVED of its loss."""
+    return cell.end in (EXACT, BOUNDED) and (cell.end == EXACT or cell.value <= HALVED)
+
+
+def ranges(cells: Sequence[Cell], good: Callable[[Cell], bool]) -> str:
+    """Return where along x neighbouring cells of one row are good."""
     found: list[list[float]] = []
     inside = False
     for cell in cells:
-        if cell.end == end and inside:
+        if good(cell) and inside:
             found[-1][1] = cell.x
-        elif cell.end == end:
+        elif good(cell):
             found.append([cell.x, cell.x])
-        inside = cell.end == end
+        inside = good(cell)
     return ", ".join(number(a) if a == b else f"{number(a)} to {number(b)}" for a, b in found)
 
 

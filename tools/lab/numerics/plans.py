@@ -20,13 +20,13 @@ from airgs_codec.play.offers import Offers, RungOffer, SegmentOffer
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from tools.lab.numerics.outcome import BOUNDED, CONVERGES, DIVERGES, NOT_FINITE, REFUSED, Case, Judged, grid
+from tools.lab.numerics.outcome import BOUNDED, DIVERGES, EXACT, NOT_FINITE, UNFIT, Case, Judged, grid
 
 PACKAGE = Path(__file__).parents[3] / "manifests" / "valid" / "moving"
 SLOTS, LEVELS = 8, 4
 GAP_DB = 0.01  # what docs/numerics.md says the relaxation is above the integers at most, in what was measured
 POLICIES = ("robust-mpc", "bola", "throughput", "paper", "oracle-lp")
-TOO_LATE = "no plan: the smallest rungs come too late"
+TOO_LATE = "the smallest rungs come too late"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ def solved(kind: str, rate_bps: float) -> Judged:
     fits = bool((np.cumsum(what.sizes[:, -1]) <= capacities).all())
     if relaxed is None or whole is None:
         wrong = fits or (relaxed is None and whole is not None)
-        return (DIVERGES, np.nan, "a plan that fits is refused") if wrong else (REFUSED, np.nan, TOO_LATE)
+        return (DIVERGES, np.nan, "a plan that fits is refused") if wrong else (UNFIT, np.nan, TOO_LATE)
     chosen = whole.rungs.argmax(axis=1)
     spent = np.cumsum(what.sizes[np.arange(SLOTS), chosen])
     gap = relaxed.quality - whole.quality
@@ -92,7 +92,7 @@ def solved(kind: str, rate_bps: float) -> Judged:
         return NOT_FINITE, gap, ""
     if (spent > capacities * (1 + 2 * bound.ROUNDING) + 1e-3).any() or gap < -1e-6:
         return DIVERGES, gap, f"{float((spent / capacities).max()):.9f} of the capacity is spent"
-    return (CONVERGES if gap <= GAP_DB else BOUNDED), gap, f"the relaxation is {gap:.2g} dB above the integers"
+    return (EXACT if gap <= GAP_DB else BOUNDED), gap, f"the relaxation is {gap:.2g} dB above the integers"
 
 
 def judge_margin(margin: float, scale: float, tries: int = 12) -> Judged:
@@ -115,7 +115,7 @@ def judge_margin(margin: float, scale: float, tries: int = 12) -> Judged:
             above = max(above, found.quality - 40.0)
     if lost:
         return DIVERGES, above, f"{lost} of {tries} sessions that took place are called impossible"
-    return (CONVERGES if above <= GAP_DB else BOUNDED), above, f"at most {above:.2g} dB too much"
+    return (EXACT if above <= GAP_DB else BOUNDED), above, f"at most {above:.2g} dB too much"
 
 
 def play_once(policy: str, rate_bps: float) -> Judged:
@@ -129,7 +129,7 @@ def play_once(policy: str, rate_bps: float) -> Judged:
     if log.mean_quality > limit + 1e-6:
         return DIVERGES, m.stall_s, f"{log.mean_quality:.6f} dB, above the bound of {limit:.6f} dB"
     if m.stall_s <= 0:
-        return CONVERGES, 0.0, ""
+        return EXACT, 0.0, ""
     return BOUNDED, m.stall_s, f"waits {m.stall_s:.3g} s for {len(log.shown)} segments and shows all of them"
 
 
@@ -149,7 +149,7 @@ def cases() -> list[Case]:
             own=("programme", ""),
             points=grid(["programme"], KINDS, [10.0**e for e in (-3, 0, 2, 4, 5, 5.5, 6, 7, 9, 12, 15)]),
             judge=lambda panel, kind, rate: solved(kind, rate),
-            why="where not even the smallest rungs fit there is no plan, and the player takes the smallest",
+            why="what whole rungs leave ({span} dB)",
         ),
         Case(
             part="selector",
@@ -170,6 +170,7 @@ def cases() -> list[Case]:
             own=("session", ""),
             points=grid(["session"], POLICIES, [10.0**e for e in (-30, -9, -3, 2, 3, 4, 5, 6, 9, 12, 15, 18, 30)]),
             judge=lambda panel, policy, rate: play_once(policy, rate),
-            why="rates over 1e19 bit/s and batches that would take more than a day are refused",
+            why="waiting for the smallest rungs ({span} s)",
+            refused="rates over 1e19 bit/s, batches of over a day",
         ),
     ]

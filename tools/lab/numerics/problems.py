@@ -143,7 +143,7 @@ class Axis:
     label: str
     make: Callable[[float], Problem]
     values: tuple[float, ...]
-    why: str = ""  # what limits a fit
+    why: str = ""  # what bounds a fit besides its iterations
 
 
 AXES = (
@@ -154,7 +154,6 @@ AXES = (
         "distance / extent of the scene",
         distant,
         (0.001, 0.01, 0.1, 1.0, 10.0, 1e2, 1e6),
-        "before the near plane nothing has a gradient, and steps of means are in units of the extent",
     ),
     Axis(
         "motion",
@@ -162,7 +161,6 @@ AXES = (
         "motion / size of a Gaussian",
         moving,
         (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0),
-        "a fit that shows less is dropped, so that such a frame stays as it was",
     ),
     Axis(
         "changes",
@@ -170,7 +168,7 @@ AXES = (
         "motion / size of a Gaussian",
         partial(moving, temporal=True),
         (1e-4, 1e-2, 0.3, 10.0),
-        "a change costs its size in steps of the codec, and six rows pay much",
+        " at the price of changes",
     ),
     Axis(
         "opacity",
@@ -178,7 +176,6 @@ AXES = (
         "logit at the start",
         faint_or_opaque,
         (-30.0, -8.0, -5.5, 0.0, 4.0, 14.0, 30.0),
-        "alpha under 1/255 is not drawn and has no gradient",
     ),
     Axis("coincident", "Coincident rows", "distance / size of a Gaussian", coincident, (0.0, 1e-6, 1e-3, 0.1)),
     Axis(
@@ -187,6 +184,5 @@ AXES = (
         "length",
         quaternions_of,
         (1e-20, 1e-6, 1e-2, 1.0, 1e2, 1e6, 1e25),
-        "shorter ones than 1e-12 are the identity and have no gradient",
     ),
 )

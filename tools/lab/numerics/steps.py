@@ -17,8 +17,8 @@ from airgs_codec.analysis.sensitivity import measure_sensitivity
 from airgs_codec.coding.channels import colour_transform, fit_colour_transform, from_klt, key_channels, to_klt
 from airgs_codec.coding.grid import fit_grid
 from airgs_codec.coding.motion import FLOOR, classify_motion, motion_classes, motion_units
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, get_step, measure_slopes, solve_steps
+from airgs_codec.coding.quantize import StepSettings, get_step
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
 from airgs_codec.encoder.representation import ROUNDING
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
@@ -28,9 +28,10 @@ from airgs_codec.package.tables import pack_matrix, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.numerics.outcome import (
     BOUNDED,
-    CONVERGES,
     DIVERGES,
+    EXACT,
     NOT_FINITE,
+    UNFIT,
     Case,
     Judged,
     error_end,
@@ -79,7 +80,7 @@ def judge_factors(factors: Mapping[str, float], ideal: Mapping[str, float]) -> J
     if max(largest, 1 / least) > LIMIT * (1 + 1e-9):
         return DIVERGES, apart, ""
     equal = max(abs(np.log(factors[name] / ideal[name])) for name in factors) <= np.log(ALIKE)
-    return CONVERGES if equal else BOUNDED, apart, "" if equal else f"no factor beyond {number(LIMIT)} or its inverse"
+    return EXACT if equal else BOUNDED, apart, "" if equal else f"no factor beyond {number(LIMIT)} or its inverse"
 
 
 def cloud(rows: int = ROWS, seed: int = 0) -> Gaussians:
@@ -148,9 +149,9 @@ def calibrated(sample: CalibrationSample) -> Judged:
     subject = cast(
         Subject, SimpleNamespace(settings=settings, frames=sample.frames, layout=SimpleNamespace(removal_error=0.0))
     )
-    steps, price = solve_steps(sample, subject)
+    steps, price, _ = solve_steps(sample, subject)
     if price == 0:
-        return BOUNDED, 1.0, "neither bytes nor error depend on steps: they stay"
+        return UNFIT, 1.0, "neither bytes nor error depend on steps"
     slopes = [b for _, b in measure_slopes(sample, subject).values()]
     seen = [b for b in slopes if b > 0]
     before, after = sample.cost(settings.steps), sample.cost(steps)
@@ -163,7 +164,7 @@ def calibrated(sample: CalibrationSample) -> Judged:
         f"{before.bytes:.0f} to {after.bytes:.0f} B a frame, error x {errors[1] / errors[0]:.2g}"
     )
     at_limit = max(*factors, *(1 / f for f in factors)) > 0.9 * LIMIT
-    end = DIVERGES if gain > ALIKE else BOUNDED if at_limit else CONVERGES
+    end = DIVERGES if gain > ALIKE else BOUNDED if at_limit else EXACT
     return end, gain, words
 
 
@@ -223,7 +224,7 @@ def judge_classes(decades: float) -> Judged:
     if not np.isfinite(unit).all() or not 0 < grid.bits <= 21:
         return NOT_FINITE, off, ""
     if off <= 0.5 + 1e-6:
-        return CONVERGES, float(grid.bits), ""
+        return EXACT, float(grid.bits), ""
     kinds = len(np.unique(classes))
     return BOUNDED, float(grid.bits), f"by {kinds} classes; rows under a hundredth of the median share the coarsest"
 
@@ -244,7 +245,7 @@ def cases() -> list[Case]:
             own=(WITH, ""),
             points=grid([WITH, WITHOUT], KINDS, (0.0, 0.5, 1.0, 2.0, 3.0, 6.0, 12.0, 24.0, 300.0)),
             judge=judge_spread,
-            why=f"no step changes by more than {number(LIMIT)} times or its inverse",
+            why=f"a limit on factors of {number(LIMIT)} and its inverse",
         ),
         Case(
             part="codec",
@@ -255,7 +256,8 @@ def cases() -> list[Case]:
             own=("coded", ""),
             points=grid(["coded"], CODERS, [10.0**e for e in (-300, -12, -9, -8, -6, -4, -2, 0, 2, 4, 8, 300)]),
             judge=lambda panel, kind, factor: CODERS[kind](sample_of(cloud()), factor),
-            why="nothing is clipped: a value beyond 2^30 codes and a step that float32 cannot hold are refused",
+            why="what H.264 may add ({span} steps)",
+            refused="values beyond 2^30 codes, steps that float32 cannot hold",
         ),
         Case(
             part="codec",
@@ -276,7 +278,7 @@ def cases() -> list[Case]:
             own=("classes", ""),
             points=grid(["classes"], ["rows"], (0.0, 1.0, 2.0, 4.0, 6.0, 9.0, 12.0, 24.0, 100.0, 300.0)),
             judge=lambda panel, row, decades: judge_classes(decades),
-            why="rows under a hundredth of the median share the coarsest class",
+            why="the coarsest class, which rows under a hundredth of the median share",
         ),
         Case(
             part="codec",
@@ -287,6 +289,6 @@ def cases() -> list[Case]:
             own=("calibrated", ""),
             points=grid(["calibrated"], SCENES, [0.0]),
             judge=lambda panel, name, _: calibrated(sample_of(SCENES[name](cloud()))),
-            why="what nobody sees has no error, and its step grows to its limit",
+            why="that limit, where nobody sees an error",
         ),
     ]

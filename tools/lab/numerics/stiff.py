@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -20,9 +20,9 @@ from airgs_codec.render import cpu
 from tools.lab.numerics import fits, gradients, plans, steps
 from tools.lab.numerics.outcome import (
     BOUNDED,
-    CONVERGES,
     DIVERGES,
     ENDS,
+    EXACT,
     FAULTS,
     NOT_FINITE,
     REFUSED,
@@ -30,6 +30,7 @@ from tools.lab.numerics.outcome import (
     Case,
     Cell,
     count_ends,
+    does_well,
     ranges,
 )
 from tools.lab.options import expect_names
@@ -46,18 +47,61 @@ CASES: tuple[Case, ...] = (*fits.cases(), *gradients.cases(), *steps.cases(), *p
 PARTS = tuple(dict.fromkeys(case.part for case in CASES))
 COLUMNS = {"trainer": 4, "gradients": 3, "codec": 3, "selector": 2}  # panels in a row of a map
 COLOURS = {
-    CONVERGES: "#b7dfb9",
+    EXACT: "#b7dfb9",
     BOUNDED: "#fff2a8",
     REFUSED: "#c9d7f0",
     UNFIT: "#e3c9a8",
     DIVERGES: "#f2a79b",
     NOT_FINITE: "#b06fb5",
 }
+HAPPENS = "what happens (experiments)"
 HOW = (
-    "Where numbers are at their ends every experiment converges, is bounded by something named, or is refused in one "
-    "line. A fit converges that halves its loss in 30 iterations (6 to 12 Gaussians, two pictures of 32 x 32); a "
-    "gradient, within 1e-3 of float64; steps, at the optimum; a plan, within 0.01 dB of its relaxation; a session, "
-    "without waiting. It does not fit where nothing moves though pictures show an error."
+    "Exact is a fit whose pictures are right to less than 8 bits show, a gradient within 1e-3 of float64, steps at the "
+    "optimum, a plan within 0.01 dB of its relaxation, a session without waiting. A fit has 30 iterations, 6 to 12 "
+    "Gaussians and two pictures of 32 x 32. What does not fit stays as it was."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """What a user may meet, in the cases of these names, and what to do; `{well}`: where fits do well."""
+
+    meet: str
+    names: tuple[str, ...]
+    do: str
+
+
+LINES = (
+    Line(
+        "Needles, coincident rows, quaternions of any length",
+        ("train-needles", "train-coincident", "train-quaternions"),
+        "nothing",
+    ),
+    Line(
+        "Their gradients, and those far away or hardly opaque",
+        tuple(case.name for case in gradients.cases()),
+        "nothing",
+    ),
+    Line("Distance / extent of the scene", ("train-distance",), "stay at {well}"),
+    Line("Motion a frame / size", ("train-motion",), "expect {well} of a size to be followed"),
+    Line("The same at the price of changes", ("train-changes",), "give such frames more iterations"),
+    Line("Opacity logits at the start", ("train-opacity",), "start at {well}"),
+    Line(
+        "Steps that matter unequally",
+        ("codec-closed-form", "codec-scenes"),
+        "look for a scene that cameras see",
+    ),
+    Line("Steps from tiny to huge", ("codec-steps",), "scale scenes to ordinary sizes"),
+    Line(
+        "Rows that matter unequally, colours on a line",
+        ("codec-classes", "codec-klt"),
+        "nothing",
+    ),
+    Line(
+        "Links from 1e-30 to 1e30 bit/s",
+        ("selector-programmes", "selector-margin", "selector-sessions"),
+        "offer a rung that fits the slowest link",
+    ),
 )
 
 
@@ -94,51 +138,45 @@ def page(cells: Sequence[Cell]) -> Page:
         size = 4.3 * columns, (1.5 + 0.24 * tall) * -(-len(maps) // columns) + 0.4
         caption = f"How experiments end: {part}"
         pictures.append(Picture(f"stiff-{part}", caption, partial(draw, maps, columns), size, grid=False))
-    counts = [dict.fromkeys(ENDS, 0) | count_ends(case.shipped(cells)) for case in tried]
-    rows: list[dict[str, Any]] = [{"case": case.title, **ends} for case, ends in zip(tried, counts, strict=True)]
-    used = [end for end in ENDS if any(row[end] for row in rows)]
-    limited = [row for row in rows if any(row[end] for end in used if end != CONVERGES)]
-    table = Table("stiff-ends", limited, {"case": ("case", "")} | {end: (end, "d") for end in used})
-    whole = ", ".join(case.title for case, row in zip(tried, rows, strict=True) if row not in limited)
     wrong = [cell for cell in own if cell.end in FAULTS]
     words = ", ".join(f"{count} {plural(end)}" for end, count in count_ends(own).items())
-    answer = f"Of {len(own)} experiments with the code as it is, {words}; {len(wrong) or 'none'} of them is a fault."
-    advice = [line for case in tried if (line := advice_of(case, cells))]
+    faults = f"{len(wrong)} diverge or are not finite" if wrong else "none diverges or is not finite"
+    answer = f"Of {len(own)} experiments with the code as it is, {words}; {faults}. {HOW} Bold: the loss is halved."
+    rows = [row for line in LINES if (row := row_of(line, tried, cells))]
+    table = Table("stiff-lines", rows, {key: (key, "") for key in ("what you meet", HAPPENS, "what to do")})
     sections = [
-        Section("\n".join(f"- {line}" for line in [*advice, f"Nothing to heed: {whole}."]), "What to do"),
-        Section(f"{answer} {rejected(cells)}".strip(), "Where it ends how", pictures, [table]),
+        Section("", tables=[table]),
+        Section(answer, "Where it ends how", pictures),
     ]
-    return Page(
-        sections, HOW, failed=bool(wrong), more={"faults": rows_of(wrong)}, data=[Table("stiff", rows_of(cells))]
-    )
+    data = [Table("stiff", rows_of(cells))]
+    return Page(sections, failed=bool(wrong), more={"faults": rows_of(wrong)}, data=data)
 
 
-def advice_of(case: Case, cells: Sequence[Cell]) -> str:
-    """Return where all is well and what limits it elsewhere; '' where all converges."""
-    own = case.shipped(cells)
-    if all(cell.end == CONVERGES for cell in own):
-        return ""
-    fine = ranges(own, CONVERGES) if case.label and len({cell.row for cell in own}) == 1 else ""
-    where = f" ({case.label} {fine} is well)" if fine else ""
-    return f"{case.title}{where}: {case.why}."
+def row_of(line: Line, cases: Sequence[Case], cells: Sequence[Cell]) -> dict[str, str]:
+    """Return a line of the page; {} where none of its cases was tried."""
+    of = {case.name: case for case in cases if case.name in line.names}
+    own = [cell for case in of.values() for cell in case.shipped(cells)]
+    counts, words = count_ends(own), dict.fromkeys(ENDS, "")
+    words[BOUNDED] = " by " + ", ".join(bounds_of(list(of.values()), cells))
+    words[UNFIT] = ": " + ", ".join(dict.fromkeys(cell.note for cell in own if cell.end == UNFIT))
+    words[REFUSED] = ": " + ", ".join(case.refused for case in of.values() if case.refused)
+    happens = "; ".join(f"{end}{words[end]} ({count})" for end, count in counts.items())
+    well = ranges(own, does_well)
+    return {"what you meet": line.meet, HAPPENS: happens, "what to do": line.do.format(well=well)} if own else {}
 
 
-def rejected(cells: Sequence[Cell]) -> str:
-    """Return how the ways to step that were rejected end beside the trainer's, over all its cases and factors."""
-    parts = []
-    for name in fits.METHODS:
-        some = [cell for cell in cells if cell.panel == name]
-        ends = count_ends(some)
-        if some:
-            faults = sum(ends.get(end, 0) for end in FAULTS)
-            parts.append(f"{name}: {ends.get(CONVERGES, 0)} of {len(some)} fits converge, {faults} diverge")
-    return f"Over all factors on learning rates: {'; '.join(parts)}." if parts else ""
+def bounds_of(cases: Sequence[Case], cells: Sequence[Cell]) -> list[str]:
+    """Return what bounds some cases, each with the least and the largest of its bounded figures."""
+    found: dict[str, list[float]] = {}
+    for case in cases:
+        found.setdefault(case.why, []).extend(cell.value for cell in case.shipped(cells) if cell.end == BOUNDED)
+    ends = {why: sorted({f"{end:.2g}": end for end in (min(v), max(v))}, key=float) for why, v in found.items() if v}
+    return [why.format(span=" to ".join(span)) for why, span in ends.items()]
 
 
 def plural(end: str) -> str:
     """Return how several cells end."""
-    known = {CONVERGES: "converge", DIVERGES: "diverge", UNFIT: "do not fit"}
-    return known.get(end, end.replace("is ", "are ", 1))
+    return {DIVERGES: "diverge", UNFIT: "do not fit"}.get(end, f"are {end}")
 
 
 def panels_of(cases: Sequence[Case], cells: Sequence[Cell]) -> list[tuple[Case, str, list[Cell]]]:
@@ -175,7 +213,8 @@ def _draw_map(axis: Axes, case: Case, panel: str, cells: Sequence[Cell]) -> None
     for cell in cells:
         at = ys.index(cell.row), xs.index(cell.x)
         picture[at] = to_rgb(COLOURS[cell.end])
-        axis.text(at[1], at[0], _short(cell.value), ha="center", va="center", fontsize=6)
+        weight = "bold" if case.part == "trainer" and does_well(cell) else "normal"
+        axis.text(at[1], at[0], _short(cell.value), ha="center", va="center", fontsize=6, weight=weight)
     axis.imshow(picture, aspect="auto", origin="lower", interpolation="nearest")
     axis.set_xticks(range(len(xs)), [f"{x:.3g}" for x in xs], fontsize=6, rotation=45)
     axis.set_yticks(range(len(ys)), ys, fontsize=6)

@@ -27,7 +27,7 @@ from airgs_codec._sampling import middle_frames
 from airgs_codec.encoder.sample import encode_and_decode
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import state_codec
-from airgs_codec.media.metrics import psnr
+from airgs_codec.media.metrics import psnr, squared_error
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Ladder, Option
@@ -143,7 +143,7 @@ def _open_segment(package: Package, index: int, states: GroupStates, original: G
     if original is None:
         reference = tuple(states.show(values[t]) for t in frames)
         top = segment.levels[0]
-        floor = 10.0 ** (-top.psnr[0] / 10), 1 - top.ssim[0]
+        floor = squared_error(top.psnr[0]), 1 - top.ssim[0]
     else:
         reference, floor = tuple(original.load(numbers).frames), (0.0, 0.0)
     coded, _ = _code(states, values, frames, np.ones(len(states.rows), bool), 1.0)

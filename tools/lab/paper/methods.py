@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from airgs_codec.encoder.settings import EncodeSettings, as_in_paper
 from airgs_codec.trainer.settings import TrainSettings, preset
 from tools.lab.baselines.airgs import AirGS
 from tools.lab.baselines.fourdgs import Fourdgs
@@ -35,7 +36,9 @@ def _airgs(subject: Subject, quick: bool) -> Method:
 
 
 def _paper(subject: Subject, quick: bool) -> Method:
-    return AirGS(subject.open(), preset("paper", trainer_settings(subject, quick)), name="airgs-paper")
+    """The whole system of the paper: its trainer, its levels."""
+    training = preset("paper", trainer_settings(subject, quick))
+    return AirGS(subject.open(), training, as_in_paper(EncodeSettings()), name="airgs-paper")
 
 
 def _v3(_: Subject, quick: bool) -> Method:

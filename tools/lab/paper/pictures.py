@@ -21,6 +21,7 @@ COLOURS = {
     "naive3dgs": "#7f7f7f",
 }
 STYLES = {"unpruned": "-", "paper": "--", "paper-no-cliff": ":", "paper-literal": "-."}
+BUBBLE = 20  # square points of a second
 HELD_OUT = "PSNR at held-out cameras, dB"
 Rows = Sequence[Mapping[str, Any]]
 
@@ -38,10 +39,11 @@ def draw_quality(trained: Sequence[Trained], figure: Figure) -> None:
 
 
 def draw_sizes(rows: Rows, figure: Figure) -> None:
-    """PSNR over bytes a frame, a panel a scene."""
+    """PSNR over bytes a frame, a panel a scene; the area of a point is the time of training a frame."""
     for scene, axis in _panels((row["scene"] for row in rows), figure).items():
         for row in (row for row in rows if row["scene"] == scene):
-            axis.plot(row["kb_frame"], row["psnr"], "o", color=COLOURS.get(row["method"]))
+            area = BUBBLE * row["train_s_frame"]
+            axis.scatter(row["kb_frame"], row["psnr"], area, color=COLOURS.get(row["method"]), alpha=0.6)
             axis.annotate(row["method"], (row["kb_frame"], row["psnr"]), (4, 4), textcoords="offset points", fontsize=8)
         axis.set_xscale("log")
         axis.margins(0.2)
@@ -49,11 +51,23 @@ def draw_sizes(rows: Rows, figure: Figure) -> None:
         axis.set(xlabel="kB a frame", ylabel=HELD_OUT)
 
 
+def draw_side_by_side(sheet: Mapping[str, Mapping[str, Any]], figure: Figure) -> None:
+    """Pictures (H, W, 3) by scene and by whose they are, all of a scene of one view and frame."""
+    across = max(map(len, sheet.values()))
+    grid = figure.subplots(len(sheet), across, squeeze=False)
+    for row, (scene, shown) in zip(grid, sheet.items(), strict=True):
+        for axis, (name, picture) in zip(row, shown.items(), strict=False):
+            axis.imshow(picture)
+            axis.set_title(f"{scene}: {name}", fontsize=8)
+        for axis in row:
+            axis.set_axis_off()
+
+
 def draw_times(rows: Rows, figure: Figure) -> None:
     """Distributions of transmission times over all frames, a panel a scene; a frame that is skipped never comes."""
     for scene, axis in _panels((row["scene"] for row in rows), figure).items():
         for row in (row for row in rows if row["scene"] == scene):
-            alone = row["chooser"] == "unpruned" and row["method"] != "airgs"
+            alone = row["chooser"] == "unpruned" and not row["method"].startswith("airgs")
             name = row["method"] if alone else f"{row['method']}, {row['chooser']}"
             times, style = row["percentiles_ms"], STYLES[row["chooser"]]
             axis.plot(times, range(len(times)), style, color=COLOURS.get(row["method"]), label=name)

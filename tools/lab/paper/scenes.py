@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec.cli.common import parse_frames
@@ -12,7 +12,7 @@ from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.readers import open_scene
 from tools.lab.baselines.method import Footage
 
-OPTIONS = ("frames", "size", "near")
+OPTIONS = ("frames", "size", "near", "held")
 QUICK_FRAMES, QUICK_SIZE = 4, 128  # most of a scene in a quick run
 
 
@@ -25,20 +25,22 @@ class Subject:
     frames: tuple[int, int | None] = (0, None)  # [start, stop)
     size: int | None = None  # longest side of the pictures in pixels; None: as they are
     near: float | None = None  # near plane in world units; None: as the scene has it
+    held: tuple[str, ...] = ()  # cameras that are held out; none: those that the scene says
 
     def quick(self) -> Subject:
         """As much of it as a quick run takes."""
         start, stop = self.frames
         last = start + QUICK_FRAMES if stop is None else min(stop, start + QUICK_FRAMES)
-        return Subject(self.name, self.folder, (start, last), min(self.size or QUICK_SIZE, QUICK_SIZE), self.near)
+        return replace(self, frames=(start, last), size=min(self.size or QUICK_SIZE, QUICK_SIZE))
 
     def words(self) -> dict[str, object]:
         """Return what decides its pictures, as JSON."""
-        return {"scene": self.folder.resolve().name, "frames": self.frames, "size": self.size, "near": self.near}
+        words = {"scene": self.folder.resolve().name, "frames": self.frames, "size": self.size, "near": self.near}
+        return words | ({"held": self.held} if self.held else {})
 
     def open(self) -> MultiviewScene:
         """The scene, some of its cameras held out. Raises SceneError."""
-        scene = with_held_out(open_scene(self.folder, frames=self.frames), None)
+        scene = with_held_out(open_scene(self.folder, frames=self.frames), self.held or None)
         return scene if self.near is None else with_near(scene, self.near)
 
     def footage(self, folder: Path) -> Footage:
@@ -48,7 +50,7 @@ class Subject:
 
 
 def parse_subject(text: str) -> Subject:
-    """NAME=FOLDER[,frames=A:B][,size=PX][,near=Z]. Raises ConfigError."""
+    """NAME=FOLDER[,frames=A:B][,size=PX][,near=Z][,held=CAMERA+CAMERA...]. Raises ConfigError."""
     first, *rest = text.split(",")
     name, _, folder = first.partition("=")
     options = dict(part.partition("=")[::2] for part in rest)
@@ -59,4 +61,5 @@ def parse_subject(text: str) -> Subject:
         near = float(options["near"]) if "near" in options else None
     except ValueError as error:
         raise ConfigError(f"--scene {text!r}: {error}") from error
-    return Subject(name, Path(folder), parse_frames(options.get("frames")), size, near)
+    held = tuple(filter(None, options.get("held", "").split("+")))
+    return Subject(name, Path(folder), parse_frames(options.get("frames")), size, near, held)

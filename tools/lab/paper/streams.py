@@ -30,7 +30,7 @@ from tools.lab.paper.frames import CHOOSERS, FrameLog, Levels, frame_table, push
 from tools.lab.paper.streaming import means
 
 SECONDS = 10.0  # that are streamed from each offset, in whole rounds of the sequence
-OURS = "airgs"
+OURS = ("airgs", "airgs-paper")  # methods that have levels to choose from
 OUR_CHOOSERS = ("unpruned", "paper", "paper-no-cliff", "paper-literal")
 INDEPENDENT = ("naive3dgs",)  # methods whose frames need no other frame
 
@@ -138,7 +138,7 @@ def psnr_of_all(shown: Sequence[Gaussians], pictures: Pictures) -> NDArray[np.fl
 
 def streams_of(method: str, levels: tuple[Level, ...]) -> list[Stream]:
     """The streams of a method: each way to choose among its levels, or to skip, that its frames allow."""
-    choosers = OUR_CHOOSERS if method == OURS else ("unpruned", "paper-no-cliff")[: 1 + (method in INDEPENDENT)]
+    choosers = OUR_CHOOSERS if method in OURS else ("unpruned", "paper-no-cliff")[: 1 + (method in INDEPENDENT)]
     return [Stream(method, chooser, levels) for chooser in choosers]
 
 

@@ -82,8 +82,8 @@ def train(_: int, job: Job) -> Trained:
     return Trained(job.subject.name, job.method, tuple(frames), round(1 / float(np.median(seconds)), 1))
 
 
-def row_of(trained: Trained) -> dict[str, Any]:
-    """Return what the tables say of a method.
+def row_of(trained: Trained, rate: float) -> dict[str, Any]:
+    """Return what the tables say of a method, at a rate of frames a second.
 
     PSNR and deviations from their mean in dB; seconds of one core, those of a keyframe after the first frame with
     rejected fits in its group included, None where there is none.
@@ -101,6 +101,7 @@ def row_of(trained: Trained) -> dict[str, Any]:
         "most_deviation": float(away.max()),
         "ssim": _mean([frame.ssim for frame in frames]),
         "kb_frame": mean_bytes(frames) / 1e3,
+        "mbit_s": 8e-6 * mean_bytes(frames) * rate,
         "gaussians": _mean([frame.gaussians for frame in frames]),
         "train_s_frame": _mean([frame.seconds for frame in frames]),
         "key_s": _mean(keys) if keys else None,

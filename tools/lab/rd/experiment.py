@@ -3,9 +3,9 @@
 PSNR is measured against renderings of the input, pooled over the test cameras and `--frames` frames of the sequence;
 where transforms.json names pictures of these cameras and frames, PSNR against them stands beside it. The re-implemented
 layouts (tools/lab/rd/layouts.py) run at the preset of x264 and x265 that airgs uses, veryslow, and as their published
-scripts call these; V^3's in both forms that it publishes, whose better one at each rate is "better form". The other
-coders are given all rows, in Morton order; "airgs, keeps all" drops none. BD-rate spans only the PSNR that both curves
-cover; negative is smaller. Points that were measured stay measured.
+scripts call these, V^3's in both forms that it publishes. The other coders are given all rows, in Morton order; "airgs,
+keeps all" drops none. Of the variants of a format the one with the fewest bytes counts, at the PSNR of `--at`; a format
+that does not reach it is shown at its nearest point. Points that were measured stay measured.
 """
 
 from __future__ import annotations
@@ -23,12 +23,11 @@ from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
 from tools.lab.page import Row
-from tools.lab.rd.coders import OURS, PRESETS, layout_trials, our_trials, v3_name
+from tools.lab.rd.coders import OURS, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
-from tools.lab.rd.layouts import V3_FORMS
-from tools.lab.rd.points import RdPoint, bd_rate, best_of, curves, kb_at
+from tools.lab.rd.points import RdPoint, bd_rate, curves, kb_at
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
-from tools.lab.rd.subject import Subject, Trial, open_subject, pooled_psnr
+from tools.lab.rd.subject import Subject, Trial, open_subject
 from tools.lab.rd.written import written_trials
 
 if TYPE_CHECKING:
@@ -39,17 +38,10 @@ COUNTED = (
     "both manifests, tables and sidecars; of the layouts every packet, parameter set and range; of the other "
     "formats their files."
 )
-BETTER = "better form"
 STYLES = {"published": ":", "veryslow": "-", "keeps all": "--"}  # by the last words of a coder's name
-ENDS_COLUMNS = {
-    "coder": ("coder", ""), "small_kb": ("smallest point, kB a frame", ".1f"), "small_psnr": ("dB", ".1f"),
-    "large_kb": ("largest point, kB a frame", ".1f"), "large_psnr": ("dB", ".1f"),
-    "rate": ("rate of airgs to its", "+.0%"), "at_kb": ("kB a frame there", ".1f"), "share": ("airgs takes", ".0%"),
-}  # fmt: skip
-POINT_COLUMNS = {
-    "coder": ("coder", ""), "setting": ("setting", ""), "kb_per_frame": ("kB a frame", ".2f"),
-    "psnr": ("PSNR, dB", ".2f"), "ours_kb": ("airgs at that PSNR, kB", ".2f"),
-    "truth_psnr": ("to pictures", ".2f"), "encode_s": ("encode, s", ".2f"), "decode_s": ("decode, s", ".2f"),
+COLUMNS = {
+    "format": ("format", ""), "kb": ("kB a frame", ".1f"), "psnr": ("PSNR, dB", ".1f"),
+    "times": ("times airgs at that PSNR", ".1f"), "variant": ("its variant", ""),
 }  # fmt: skip
 
 
@@ -62,8 +54,6 @@ class Options:
     fps: str = setting("", "frames a second, where the sequence does not say")
     frames: int = setting(6, "frames measured")
     targets: tuple[float, ...] = setting((47.0, 45.5, 44.0, 42.5, 41.0, 39.5), "PSNR of our packages, dB")
-    low: float = setting(41.0, "dB from which the BD-rate counts")
-    high: float = setting(46.0, "dB up to which")
     at: float = setting(43.0, "dB at which bytes are compared")
     splat_transform: str = setting("", "a command such as 'splat-transform -g cpu'")
     splat4d: str = setting("", "the program of the PyPI package splats4d")
@@ -77,22 +67,17 @@ def run(options: Options, lab: Lab) -> Page:
     cameras = [c for c in read_cameras(options.views) if c.held_out]
     subject = open_subject(sequence, cameras, options.frames, options.views)
     points = list(measure(subject, trials(options), lab))
-    better = [point for preset in PRESETS for point in _better_form(points, preset)]
     name = options.sequence.resolve().name
     title = f"{name}: {len(sequence)} frames"
     picture = Picture(f"rd-{name}", title, partial(draw, points, title), (9, 5.5))
-    answer = (
-        f"The rate compares from {options.low:g} to {options.high:g} dB, negative is smaller; the last columns are at "
-        f"{options.at:g} dB."
+    rows = beside(points, options.at)
+    how = (
+        f"{name}, {len(sequence)} frames of at most {max(header.count for header in sequence.headers):,} Gaussians, in "
+        f"{options.frames} of them from {len(cameras)} held-out cameras. {COUNTED}"
     )
-    if subject.truth:
-        answer += f" The input itself is {pooled_psnr(subject.references, subject.truth):.2f} dB from pictures of it."
-    tables = [
-        Table(f"rd-{name}-ends", ends([*points, *better], options), ENDS_COLUMNS),
-        Table(f"rd-{name}", _with_ours(points), POINT_COLUMNS),
-        Table(f"rd-{name}-better-form", _with_ours(better, points), POINT_COLUMNS),
-    ]
-    return Page([Section(answer, pictures=[picture], tables=tables)], COUNTED)
+    table = Table(f"rd-{name}", rows, COLUMNS)
+    data = [Table(f"rd-{name}-points", _with_ours(points))]
+    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=[table])], how, data=data)
 
 
 def trials(options: Options) -> Iterator[Trial]:
@@ -122,36 +107,54 @@ def measure(subject: Subject, wanted: Iterator[Trial], lab: Lab) -> Iterator[RdP
         yield point
 
 
-def _better_form(points: Sequence[RdPoint], preset: str) -> list[RdPoint]:
-    """V^3's layout in the form that is better at each rate."""
-    return best_of(points, {v3_name(form, preset): form for form in V3_FORMS}, v3_name(BETTER, preset))
-
-
-def _with_ours(points: Sequence[RdPoint], among: Sequence[RdPoint] | None = None) -> list[Row]:
-    """A row for each point, with the kB a frame that `airgs`, `among` the points, takes at its PSNR."""
-    ours = curves(points if among is None else among).get(OURS, [])
+def _with_ours(points: Sequence[RdPoint]) -> list[Row]:
+    """A row for each point, with the kB a frame that `airgs` takes at its PSNR."""
+    ours = curves(points).get(OURS, [])
     return [row | {"ours_kb": kb_at(ours, p.psnr)} for row, p in zip(rows_of(points), points, strict=True)]
 
 
-def ends(points: Sequence[RdPoint], options: Options) -> list[Row]:
-    """A row for each coder: the ends of its curve, and how much smaller or larger `airgs` is at equal PSNR."""
+def format_of(coder: str) -> str:
+    """The format that a coder's name begins with; what airgs keeps is a matter of its own."""
+    return coder if coder.startswith(OURS) else coder.partition(", ")[0]
+
+
+def beside(points: Sequence[RdPoint], at: float) -> list[Row]:
+    """A row for each format, by its bytes at a PSNR: of its variants the best, or what it has nearest to that PSNR.
+
+    `times`: how many times the bytes of airgs it takes at the PSNR shown; None where airgs was not measured there.
+    """
     ours = curves(points).get(OURS, [])
-    our_kb = kb_at(ours, options.at)
-    at = {name: kb_at(curve, options.at) for name, curve in curves(points).items()}
-    for preset in PRESETS:  # between points of both forms is none of either
-        at[v3_name(BETTER, preset)] = min(
-            (kb for form in V3_FORMS if (kb := at.get(v3_name(form, preset)))), default=None
-        )
     rows: list[Row] = []
-    for name, curve in curves(points).items():
-        their_kb = at[name]
-        rows.append({
-            "coder": name, "small_kb": curve[0].kb_per_frame, "small_psnr": curve[0].psnr,
-            "large_kb": curve[-1].kb_per_frame, "large_psnr": curve[-1].psnr,
-            "rate": bd_rate(ours, curve, options.low, options.high) if name != OURS else None,
-            "at_kb": their_kb, "share": our_kb / their_kb if our_kb and their_kb and name != OURS else None,
-        })  # fmt: skip
-    return rows
+    for name in dict.fromkeys(format_of(p.coder) for p in points):
+        variants = curves([p for p in points if format_of(p.coder) == name])
+        reached = {coder: kb for coder, curve in variants.items() if (kb := kb_at(curve, at)) is not None}
+        if reached:
+            coder = min(reached, key=lambda coder: reached[coder])
+            kb, psnr = reached[coder], at
+        else:
+            nearest = min((p for p in points if format_of(p.coder) == name), key=lambda p: abs(p.psnr - at))
+            coder, kb, psnr = f"{nearest.coder}, {nearest.setting}", nearest.kb_per_frame, nearest.psnr
+        our_kb = kb_at(ours, psnr)
+        times = kb / our_kb if our_kb and name != OURS else None
+        variant = coder.removeprefix(name).removeprefix(", ")
+        rate = bd_rate(ours, variants[coder]) if reached and name != OURS else None
+        rows.append({"format": name, "kb": kb, "psnr": psnr, "times": times, "variant": variant, "bd_rate": rate})
+    return sorted(rows, key=lambda row: (row["format"] != OURS, abs(row["psnr"] - at) > 0, row["kb"]))
+
+
+def verdict(rows: Sequence[Row], at: float) -> str:
+    """How many bytes airgs takes at the PSNR, and which other format comes nearest."""
+    found = {row["format"]: row for row in rows if row["psnr"] == at}
+    if OURS not in found:
+        return f"No package of airgs was measured on both sides of {at:g} dB."
+    words = f"At {at:g} dB airgs takes {found[OURS]['kb']:.1f} kB a frame."
+    others = [row for name, row in found.items() if not name.startswith(OURS)]
+    if not others:
+        return f"{words} No other format that was run reaches that PSNR from both sides."
+    best = min(others, key=lambda row: row["kb"])
+    share = 100 * found[OURS]["kb"] / best["kb"]
+    nearest = f"{best['format']} ({best['variant'] or 'as it is'}) with {best['kb']:.1f}"
+    return f"{words} Nearest is {nearest}: airgs takes {share:.0f} % of it."
 
 
 def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
@@ -54,15 +54,6 @@ def kb_at(curve: Sequence[RdPoint], psnr: float) -> float | None:
     if len(rising) < 2 or not rising[0].psnr <= psnr <= rising[-1].psnr:
         return None
     return float(np.exp(np.interp(psnr, [p.psnr for p in rising], [np.log(p.kb_per_frame) for p in rising])))
-
-
-def best_of(points: Sequence[RdPoint], names: Mapping[str, str], coder: str) -> list[RdPoint]:
-    """The points of several coders that none of them beats at fewer bytes, as one coder.
-
-    `names`: each of these coders, and what the settings of its points begin with.
-    """
-    kept = _rising([p for p in points if p.coder in names])
-    return [replace(p, coder=coder, setting=f"{names[p.coder]}, {p.setting}") for p in kept]
 
 
 def _rising(points: Sequence[RdPoint]) -> list[RdPoint]:

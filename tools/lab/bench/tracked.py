@@ -1,0 +1,133 @@
+"""What tracking makes of frames that know nothing of each other.
+
+A sequence is disturbed, frame by frame and each frame in another way: rows in another order, places moved by a tenth of
+their Gaussian's size, one row in twenty deleted and one in twenty split in two. Or it comes as it is (`--as-it-is`),
+say as frames that were trained one by one. It is coded frame by frame and tracked, and both are compared with the
+original or, where transforms.json names them, with pictures, from the held-out cameras, errors pooled over all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec import EncodeSettings, encode, open_package
+from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.render import Camera, read_cameras, render
+from airgs_codec.scene.beside import exact_number
+from airgs_codec.scene.formats.ply import write_ply
+from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
+from tools.lab.rd.subject import read_truth
+
+MOVED, GONE, SPLIT = 0.1, 0.05, 0.05  # of a Gaussian's size; shares of rows
+APART, SMALLER = 0.3, 1.3  # halves of a split row: their distance, and by how much they are smaller
+ALONE, TRACKED, GIVEN = "frame by frame", "tracked", "as given"
+COLUMNS = {
+    "coded": ("coded", ""), "kb": ("kB a frame", ".1f"), "psnr": ("PSNR, dB", ".1f"), "worst": ("worst picture", ".1f"),
+    "seconds": ("CPU s a frame", ".1f"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is disturbed."""
+
+    sequence: Path = required("a sequence")
+    views: Path = required("its cameras, of which the held-out ones measure, or all if none is held out")
+    fps: str = setting("", "frames a second, where the sequence does not say")
+    frames: int = setting(30, "frames, the first ones")
+    as_it_is: bool = setting(False, "code it as it comes")
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """Code it in both ways, and measure."""
+    fps = exact_number(options.fps) if options.fps else None
+    clean = open_sequence(options.sequence, views=options.views, fps=fps)
+    clean = replace(clean, paths=clean.paths[: options.frames], headers=clean.headers[: options.frames])
+    cameras = [c for c in read_cameras(options.views) if c.held_out] or read_cameras(options.views)
+    given = clean if options.as_it_is else disturbed(clean, lab.folder / "disturbed")
+    look = looks(clean, cameras, options.views)
+    rows: list[Row] = [{"coded": GIVEN, "kb": None, "seconds": None} | look(given.read)]
+    for name, settings in ((ALONE, EncodeSettings(group_frames=1, track=False)), (TRACKED, EncodeSettings())):
+        target = lab.folder / f"{name.replace(' ', '-')}.airgs"
+        took, _ = seconds_of(lambda settings=settings, target=target: encode(given, target, settings))  # type: ignore[misc]
+        m = (package := open_package(target)).manifest
+        shown = {frame.number: frame.gaussians for frame in decode_frames(package, 0, m.frames)}
+        kb = (m.bytes_of(m.rung_files(0, 0)) + package.manifest_bytes) / m.frames / 1e3
+        rows.append({"coded": name, "kb": kb, "seconds": took.cpu / m.frames} | look(shown.__getitem__))
+    name = options.sequence.resolve().name
+    how = (
+        f"{name}, {len(clean)} frames, {'as they come' if options.as_it_is else WAYS}; {len(cameras)} cameras; seconds "
+        "are of the whole encode."
+    )
+    return Page([Section(verdict(rows), tables=[Table(f"tracked-{name}", rows, COLUMNS)])], how)
+
+
+WAYS = (
+    f"rows in another order in each, places moved by {MOVED:g} of their Gaussian's size, {GONE:.0%} of rows deleted "
+    f"and {SPLIT:.0%} split"
+)
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """What tracking saves, and what it does to the quality of what was given."""
+    given, alone, tracked = ({row["coded"]: row for row in rows}[name] for name in (GIVEN, ALONE, TRACKED))
+    share, gain = 100 * tracked["kb"] / alone["kb"], tracked["psnr"] - alone["psnr"]
+    beside = tracked["psnr"] - given["psnr"]
+    return (
+        f"Tracked it takes {share:.0f} % of the bytes of coding frame by frame, {abs(gain):.1f} dB "
+        f"{'better' if gain > 0 else 'worse'} than these and {abs(beside):.1f} dB {'above' if beside > 0 else 'below'} "
+        "what was given."
+    )
+
+
+def looks(
+    clean: GaussianSequence, cameras: Sequence[Camera], views: Path
+) -> Callable[[Callable[[int], Gaussians]], Row]:
+    """What measures frames, each given by its number, against pictures of the scene or of the clean sequence."""
+    truth = read_truth(views, cameras, range(len(clean)))
+    wanted = truth or {n: [render(clean.read(n), camera).rgb for camera in cameras] for n in range(len(clean))}
+
+    def look(frame: Callable[[int], Gaussians]) -> Row:
+        errors = [
+            mse(render(shown, camera).rgb, picture)
+            for n, pictures in wanted.items()
+            for shown in (frame(n),)
+            for camera, picture in zip(cameras, pictures, strict=True)
+        ]
+        return {"psnr": psnr(float(np.mean(errors))), "worst": psnr(max(errors))}
+
+    return look
+
+
+def disturbed(clean: GaussianSequence, folder: Path) -> GaussianSequence:
+    """A copy whose frames know nothing of each other, in a folder."""
+    folder.mkdir(exist_ok=True)
+    for number in range(len(clean)):
+        write_ply(folder / f"{number:06d}.ply", disturb(clean.read(number), np.random.default_rng(1000 + number)))
+    return replace(open_sequence(folder, fps=clean.fps), cameras=clean.cameras)
+
+
+def disturb(g: Gaussians, rng: np.random.Generator) -> Gaussians:
+    """A frame disturbed in the ways that the module says."""
+    g = replace(g, means=(g.means + MOVED * _sizes(g) * rng.normal(size=g.means.shape)).astype(np.float32))
+    g = g.take(rng.random(len(g)) > GONE)
+    split = rng.random(len(g)) < SPLIT
+    part = g.take(split)
+    way = rng.normal(size=part.means.shape)
+    step = APART * _sizes(part) * way / np.linalg.norm(way, axis=1, keepdims=True)
+    small = replace(part, log_scales=part.log_scales - np.float32(np.log(SMALLER)))
+    halves = [replace(small, means=(part.means + sign * step).astype(np.float32)) for sign in (-1, 1)]
+    whole = join_rows([g.take(~split), *halves])
+    return whole.take(rng.permutation(len(whole)))
+
+
+def _sizes(g: Gaussians) -> np.ndarray:
+    """Mean sizes (N, 1)."""
+    return np.exp(g.log_scales.mean(axis=1, keepdims=True))
