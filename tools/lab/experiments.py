@@ -48,6 +48,7 @@ EXPERIMENTS = (
     Experiment("soak-live", "What does a day of publishing cost, and joining late?", "tools.lab.soak.live", "1 h"),
     _bench("splits", "How good is a training where nobody trained it?", "hours"),
     _bench("start", "How long does a user wait before anything happens?", "10 s"),
+    _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _room("tiles", "What do spatial tiles cost and save?", "30 min"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
@@ -118,6 +119,21 @@ MEASUREMENTS = (
         "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
     Measurement("stiff", "stiff", "stiff"),
+    Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
+    Measurement("crowd", "crowd", "crowd fox/ raca2018_4g_car/"),
+    Measurement("soak-live", "crowd", "soak-live"),
+    Measurement("tiles", "tiles", "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv"),
+    Measurement(
+        "viewpoints",
+        "views",
+        "viewpoints spinach_4.splatv=spinach_views.json fox/=fox/transforms.json "
+        "basketball/=basketball/transforms.json kinoptic/=kinoptic/transforms.json coffee10.splatv "
+        "kacytran_iter7000.ply",
+    ),
+    Measurement("engines", "views", "engines --scenes fox/ ball-0 ball-3"),
+    Measurement("scale", "time", "scale"),
+    Measurement("million", "time", "million --fox fox/"),
+    Measurement("jobs", "time", "jobs"),
 )  # fmt: skip
 
 
@@ -143,10 +159,6 @@ FIGURES = (
     *_of("docs/tracking.md", "airgs-encode noisy/ -o OUT --report OUT",
          "docs/tracking.png"),
     *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
-    *_of("docs/results/crowd.md", "python -m tools.lab crowd fox.airgs raca2018_4g_car/ -o docs/results",
-         *(f"docs/results/crowd-{name}.png" for name in ("cache", "egress", "policies", "stalls"))),
-    *_of("docs/results/crowd.md", "python -m tools.lab soak-live -o docs/results", "docs/results/soak.png"),
-    *_of("docs/results/time.md", "python -m tools.lab scale -o docs/results", "docs/results/scale-time.csv"),
     *_of("docs/results/numerics.md", "python -m tests.makers.extremes", "docs/results/extremes.csv"),
     *_of("docs/results/paper.md", "python -m tools.lab reproduce -o OUT",
          *(f"docs/results/paper-{name}" for name in

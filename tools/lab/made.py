@@ -1,4 +1,4 @@
-"""Scenes that are made, for experiments that need many Gaussians or frames and no meaning in them."""
+"""What experiments play and measure: packages of scenes, and scenes that are made, with many Gaussians or frames."""
 
 from __future__ import annotations
 
@@ -9,11 +9,35 @@ from pathlib import Path
 
 import numpy as np
 
+from airgs_codec.encoder.publish import encode
+from airgs_codec.jobs.job import code_digest, digest
+from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians, to_matrices
 from airgs_codec.scene.sequence import open_sequence
+from tools.lab.results import content
 
 JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
+
+
+def encoded(scene: str, folder: Path) -> Path:
+    """The package that airgs-encode makes of SCENE[=VIEWS], in a folder, unless it is there; or SCENE, if it is one.
+
+    The name of a package says of what, and by which code it was made. Raises AirgsError.
+    """
+    place, _, views = scene.partition("=")
+    if (Path(place) / JSON_NAME).is_file():
+        return Path(place)
+    made_of = digest(code_digest(encode), *(content(Path(path)) for path in (place, views) if path))
+    package = folder / f"{name_of(scene)}-{made_of[:8]}.airgs"
+    if not package.is_dir():
+        encode(open_sequence(place, views=views or None), package)
+    return package
+
+
+def name_of(scene: str) -> str:
+    """What tables call SCENE[=VIEWS]: its file or folder, without its ending."""
+    return Path(scene.partition("=")[0]).stem
 
 
 def make_scene(rows: int, frames: int, folder: Path) -> None:

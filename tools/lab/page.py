@@ -124,11 +124,16 @@ def shown(value: Any, form: str = "") -> str:
         return "yes" if value else "no"
     if not _is_number(value):
         return str(value)
-    return format(value, form or (",.0f" if isinstance(value, int) or abs(value) >= 1000 else ".4g"))
+    return format(value, form or (",.0f" if isinstance(value, int) or abs(value) >= 1000 else ".4g")).replace("%", " %")
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def listed(words: Sequence[str]) -> str:
+    """Words with commas, the last one with "and"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
 def wrapped(text: str) -> str:

@@ -12,9 +12,7 @@ from airgs_codec.play.policies.mpc import GRID_POINTS, Model
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from tools.lab.crowd.costs import Measured, Prices, cost
 from tools.lab.crowd.edge import Edge, EqualShares, LruCache, replay
-from tools.lab.crowd.experiment import rung_rows, stored_rows
 from tools.lab.crowd.figures import cache_rows, edge_row, jain, policy_rows
 from tools.lab.crowd.links import Flows, SharedLink, Traces, water_level
 from tools.lab.crowd.policies import crowd_policy, value_before
@@ -205,25 +203,6 @@ def test_the_programme_repeats_the_package_as_files_of_its_own(programme, demo_p
     visit = programme.visit(1.0, 2.0)
     assert sum(visit.seconds_at(position) for position in range(visit.end(1))) == pytest.approx(2.0, abs=0.25)
     assert programme.visit(1e9, 2.0).end(1) == 1
-
-
-def test_inputs_are_those_of_the_package(demo_package):
-    package = open_package(demo_package)
-    best, stored = rung_rows(package)[0], stored_rows(package)
-    assert best["mbps"] == pytest.approx(
-        8e-6 * package.manifest.bytes_of(package.manifest.rung_files(0, 0)) / (10 / 24)
-    )
-    assert sum(row["mb_minute"] for row in stored) > best["mb_minute"]
-
-
-def test_the_bill_is_bytes_and_requests_times_prices():
-    measured = Measured(8.0, 10.0, 0.75, 0.5, stored_mb_minute=100.0, encode_core_s_second=60.0)
-    bill = cost(measured, Prices(1, 1, 1, 1, 1, 1), viewer_hours=1000, media_hours=2, months=3)
-    assert (bill.edge_bytes, bill.origin_bytes) == (3600, 900)  # GB: a MB a second for 3.6 million s
-    assert (bill.edge_requests, bill.origin_requests) == (36, 18)
-    assert (bill.storage, bill.encoding, bill.total) == (36, 120, 4710)
-    with pytest.raises(ConfigError, match="edge_gb"):
-        Prices(edge_gb=-1)
 
 
 @pytest.mark.parametrize("wrong", [{"viewers": 0}, {"tick_s": 0.0}, {"late": 2.0}, {"bottleneck_bps": -1.0}])

@@ -9,7 +9,7 @@ all repeats, after one run to warm up.
 from __future__ import annotations
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,8 +48,8 @@ def _words(rows: list[Row]) -> Iterator[str]:
         yield f"one frame alone {ms['one frame']:.1f} ms, {ms['one frame'] / ms['PyAV, for one frame']:.1f} times."
 
 
-def measure(scene: str, package: Package, repeat: int) -> list[Row]:
-    """A row for each part."""
+def measure(scene: str, package: Package, repeat: int, only: Sequence[str] = ()) -> list[Row]:
+    """A row for each part, or for some."""
     m = package.manifest
     group, size = m.groups[0], m.bytes_of(m.rung_files(0, 0)) / m.frames
     known = {
@@ -59,7 +59,7 @@ def measure(scene: str, package: Package, repeat: int) -> list[Row]:
         "bytes a frame": size,
     }
     rows = []
-    for part, work in parts(package).items():
+    for part, work in ((part, work) for part, work in parts(package).items() if not only or part in only):
         took = middle(timed(work, repeat)).times(1e3 / (1 if "one frame" in part else m.frames))
         rows.append(known | {"part": part, "ms a frame": took.wall, "CPU ms a frame": took.cpu})
     return rows

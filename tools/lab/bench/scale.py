@@ -4,7 +4,7 @@ Made scenes, balls of Gaussians of which a tenth swings, of each number of rows 
 scenes of each number of frames have `--few` rows. With `--sequence` it is that sequence instead, played forth and back
 as long as `--frames` say, by the defaults of airgs-encode, its trial encodes included. Every encode and every decode is
 a process of its own. cold: from nothing; warm: once more with the jobs that the first one kept; decode: every frame of
-the top rung. A power law is fitted to each step by least squares of the logarithms: an exponent of 1 is linear.
+the top rung. A power law is fitted to cold and decode by least squares of the logarithms.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.package.package import open_package
 from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Section, Table, alone, rows_of, setting
+from tools.lab import Lab, Page, Row, Section, Table, alone, listed, rows_of, setting
 from tools.lab.made import forth_and_back, make_scene
 
 SETTINGS = EncodeSettings(
@@ -69,9 +69,9 @@ class Measured:
 
 
 COLUMNS = {
-    "rows": ("Gaussians", ",d"), "frames": ("frames", ",d"), "step": ("step", ""), "seconds": ("seconds", ".1f"),
-    "cpu_seconds": ("CPU seconds", ".1f"), "cpu_ms_frame": ("CPU ms a frame", ".1f"), "peak_mb": ("memory, MB", ".0f"),
-    "frame_bytes": ("bytes a frame", ",.0f"),
+    "rows": ("Gaussians", ",d"), "frames": ("frames", ",d"), "cold": ("encoding, CPU s", ".1f"),
+    "peak_mb": ("memory, MB", ",.0f"), "warm": ("again, CPU s", ".1f"),
+    "decode_ms": ("decoding, CPU ms a frame", ".1f"),
 }  # fmt: skip
 
 
@@ -81,10 +81,25 @@ def run(options: Options, lab: Lab) -> Page:
     for one in _measured(options):
         found.append(one)
         lab.tell(str(one))
-    rows = [row | {"cpu_ms_frame": 1e3 * row["cpu_seconds"] / row["frames"]} for row in rows_of(found)]
     few = options.few if options.sequence is None else found[0].rows
-    tables = [Table("scale-time", rows, COLUMNS), Table("scale-fit", fits_of(found, few))]
-    return Page([Section("CPU seconds as a power law are in the second table.", tables=tables)], HOW)
+    section = Section(growth_words(found, few), tables=[Table("scale", scenes_of(found), COLUMNS)])
+    return Page([section], HOW, data=[Table("scale-steps", rows_of(found))])
+
+
+def scenes_of(found: Sequence[Measured]) -> list[Row]:
+    """A row for each scene, of all its steps."""
+    scenes: dict[tuple[int, int], Row] = {
+        (one.rows, one.frames): {"rows": one.rows, "frames": one.frames} for one in found
+    }
+    for one in found:
+        row = scenes[one.rows, one.frames]
+        if one.step == "decode":
+            row["decode_ms"] = 1e3 * one.cpu_seconds / one.frames
+        else:
+            row[one.step] = one.cpu_seconds
+        if one.step == "cold":
+            row |= {"peak_mb": one.peak_mb, "kb_frame": one.frame_bytes / 1e3}
+    return list(scenes.values())
 
 
 def _measured(options: Options) -> Iterator[Measured]:
@@ -135,20 +150,16 @@ def fit_power(sizes: Sequence[float], values: Sequence[float]) -> tuple[float, f
     return float(np.exp(log_a)), float(k)
 
 
-def fits_of(found: Sequence[Measured], few: int) -> list[dict[str, str]]:
-    """The power laws of every step; scenes of `few` rows tell those over frames."""
-    fits = []
-    for step in STEPS:
-        same = [one for one in found if one.step == step]
-        rows = [(one.rows, one.cpu_seconds) for one in same if one.frames == found[0].frames and one.rows != few]
-        frames = [(one.frames, one.cpu_seconds) for one in same if one.rows == few]
-        fits.append({"step": step, "over Gaussians": fit_words(rows), "over frames": fit_words(frames)})
-    return fits
-
-
-def fit_words(points: Sequence[tuple[int, float]]) -> str:
-    """The power law of sizes and CPU seconds for people."""
-    if len(points) < 2:
-        return "not measured"
-    _, k = fit_power(*zip(*points, strict=True))
-    return f"exponent {k:.2f}, {points[0][0]:,d} to {points[-1][0]:,d}"
+def growth_words(found: Sequence[Measured], few: int) -> str:
+    """How much longer twice the Gaussians take, and twice the frames, of which scenes of `few` rows tell."""
+    parts = []
+    for step, what in (("cold", "encoding"), ("decode", "decoding")):
+        times = []
+        for name in ("rows", "frames"):
+            same = [one for one in found if one.step == step and (one.rows == few) == (name == "frames")]
+            if len(same) > 1:
+                power = fit_power([getattr(one, name) for one in same], [one.cpu_seconds for one in same])[1]
+                times.append(f"{2**power:.1f} times for twice the {'Gaussians' if name == 'rows' else name}")
+        if times:
+            parts.append(f"{what} takes {listed(times).replace(' for', ' as long for', 1)}")
+    return f"Of CPU time, {'; '.join(parts)}." if parts else ""

@@ -1,12 +1,13 @@
-"""Looks for the viewpoints of each scene, a folder of .ply frames, in its first, middle and last frame.
+"""How near found viewpoints are to the true cameras of scenes that come with them, and what is said of scenes without.
 
-Where true cameras are given, each camera of one rig is compared with the nearest of the other, both ways: the distance
-between them in distances to what is seen, and the angle; medians and worst. Seconds are of the processor, on one
-thread; kernels are compiled before, if they have to be. A contact sheet of each scene goes to the folder.
+Viewpoints are found in the first, middle and last frame of each scene. Each true camera is compared with the nearest
+that was found: the distance between them, in distances to what the true one sees, and the angle. A contact sheet of
+each scene goes to the folder.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,14 +18,19 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.viewpoint_score import Sample
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.inspect.compare import write_contact_sheet
-from airgs_codec.render import Camera, look_at, read_cameras, render
+from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of
+from tools.lab import Lab, Page, Row, Section, Table, listed, required
+from tools.lab.made import name_of
 
 FRAMES = 3
 ROWS = 4000  # that tell how far away is what a camera sees
 HALF = 35.0  # degrees that are as far as half the distance to what is seen
-WARM = look_at(np.zeros(3), np.ones(3), np.array([0.0, 1.0, 0.0]), size=32, fov_y=1.0, name="warm")
+COLUMNS = {
+    "scene": ("scene", ""), "story": ("answer", ""), "sure": ("sure", ""),
+    "away": ("apart, median", ".2f"), "degrees": ("degrees", ".0f"),
+    "worst_away": ("apart, worst", ".2f"), "worst_degrees": ("degrees", ".0f"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,34 +42,45 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     """A row for each scene."""
-    render(open_sequence(options.scenes[0].partition("=")[0]).load([0]).frames[0], WARM)
-    measured = [measure(scene, lab.folder) for scene in options.scenes]
-    answer = " ".join(f"{row['scene']}: {story}" for row, story in measured)
-    table = Table("viewpoints", [row for row, _ in measured])
-    return Page([Section(answer, tables=[table])])
+    return page([measure(scene, lab.folder) for scene in options.scenes])
 
 
-def measure(scene: str, folder: Path) -> tuple[Row, str]:
-    """The row of one SCENE[=CAMERAS], and the story of what was found."""
+def page(rows: Sequence[Row]) -> Page:
+    """What the rows say."""
+    known = [row["scene"] for row in rows if "away" in row]
+    unsure = [row["scene"] for row in rows if not row["sure"]]
+    words = []
+    if known:
+        seen = {key: sorted(row[key] for row in rows if key in row) for key in COLUMNS}
+        (near, far), (least, most) = ((seen[key][0], seen[key][-1]) for key in ("away", "degrees"))
+        words.append(
+            f"From a true camera to the nearest found one it is {near:.2f} to {far:.2f} of the distance to what it "
+            f"sees, and {least:.0f} to {most:.0f} degrees (medians of {listed(known)}; at worst "
+            f"{seen['worst_away'][-1]:.2f} and {seen['worst_degrees'][-1]:.0f})."
+        )
+    words.append(f"Of {listed(unsure)} it says that it is not sure." if unsure else "It is sure of every scene.")
+    return Page([Section(" ".join(words), tables=[Table("viewpoints", rows, COLUMNS)])])
+
+
+def measure(scene: str, folder: Path) -> Row:
+    """The row of one SCENE[=CAMERAS]."""
     place, _, cameras = scene.partition("=")
     sequence = open_sequence(place)
-    frames = [sequence.read(i) for i in evenly_spaced(len(sequence), FRAMES)]
-    took, found = seconds_of(lambda: find_viewpoints(frames))
+    found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), FRAMES)])
     middle = sequence.load([len(sequence) // 2]).frames[0]
-    name = Path(place).resolve().name
-    row = {"scene": name, "Gaussians": len(middle), "CPU s": took.cpu, "sure": found.confident}
+    row = {"scene": name_of(scene), "sure": found.confident, "story": re.split(r":| \(", found.story)[0]}
     if cameras:
-        rig, sample = read_cameras(Path(cameras)), Sample.of(middle, ROWS)
-        pairs = compare(rig, found.cameras, sample) + compare(found.cameras, rig, sample)
-        row |= dict(zip(("true to found", "found, worst", "found to true", "true, worst"), pairs, strict=True))
-    write_contact_sheet(folder / f"{name}.png", middle, found.cameras, [f"{score:.2f}" for score in found.scores])
-    return row, found.story
+        row |= compare(read_cameras(Path(cameras)), found.cameras, Sample.of(middle, ROWS))
+    sheet = [f"{score:.2f}" for score in found.scores]
+    write_contact_sheet(folder / f"{row['scene']}.png", middle, found.cameras, sheet)
+    return row
 
 
-def compare(rig: Sequence[Camera], other: Sequence[Camera], sample: Sample) -> list[str]:
-    """Median and worst of what lies between the cameras of a rig and the nearest of another."""
-    pairs = np.array([_nearest(camera, other, sample.look(camera).distance) for camera in rig])
-    return [f"{away:.2f}, {angle:.0f} deg" for away, angle in (np.median(pairs, axis=0), pairs.max(axis=0))]
+def compare(rig: Sequence[Camera], found: Sequence[Camera], sample: Sample) -> Row:
+    """Medians and worst of what lies between the cameras of a rig and the nearest found ones."""
+    pairs = np.array([_nearest(camera, found, sample.look(camera).distance) for camera in rig])
+    middle, worst = np.median(pairs, axis=0).tolist(), pairs.max(axis=0).tolist()
+    return dict(zip(("away", "degrees", "worst_away", "worst_degrees"), [*middle, *worst], strict=True))
 
 
 def _nearest(camera: Camera, rig: Sequence[Camera], away: float) -> tuple[float, float]:

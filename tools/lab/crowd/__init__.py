@@ -1,1 +1,1 @@
-"""A crowd of viewers behind one edge: see tools/simulate_crowd.py."""
+"""A crowd of viewers behind one cache."""

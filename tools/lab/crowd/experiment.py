@@ -1,9 +1,9 @@
-"""Thousands of viewers of a package over LTE traces, behind one shared link, an edge cache and an origin.
+"""Thousands of viewers of a scene over LTE traces, behind one shared link, an edge cache and an origin.
 
-Every viewer is a real player with a real policy; bytes, files and qualities are those of the package, whose groups are
+Every viewer is a real player with a real policy; bytes, files and qualities are those of a package, whose groups are
 repeated as files of their own for as long as the programme goes on. Each population (--policies; names with commas
 share one crowd) is simulated without a bottleneck, then behind links of 100 % and 50 % of what it took in its busiest
-seconds; --bottleneck-mbps sets other ones (0: none). Prices are what --prices.NAME says, by default examples.
+seconds; --bottleneck-mbps sets other ones (0: none).
 """
 
 from __future__ import annotations
@@ -14,18 +14,15 @@ from pathlib import Path
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.package.layout import FileKind, file_kind
-from airgs_codec.package.manifest import Manifest, pooled_quality
-from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
 from tools.lab import Lab, Page, nested, required, setting
-from tools.lab.crowd.costs import Prices
-from tools.lab.crowd.page import Inputs, page
+from tools.lab.crowd.page import Prices, page
 from tools.lab.crowd.policies import crowd_policy
 from tools.lab.crowd.programme import Programme
 from tools.lab.crowd.runs import NO_LIMIT, Task, run_all, trace_paths
 from tools.lab.crowd.simulation import CrowdSettings
-from tools.lab.page import Row
+from tools.lab.made import encoded
 
 SHARES = (1.0, 0.5)  # of what a crowd takes without a limit
 POPULATIONS = ("robust-mpc", "robust-mpc,throughput,bola,paper")
@@ -36,7 +33,7 @@ DEFAULTS = CrowdSettings()
 class Options:
     """Who watches what, and over what."""
 
-    package: Path = required("a package with measured quality")
+    scene: str = required("a scene, SCENE[=VIEWS], or a package with measured quality")
     traces: Path = required("a folder of traces")
     viewers: int = setting(DEFAULTS.viewers, "of a crowd")
     policies: tuple[str, ...] = setting(POPULATIONS, "populations, P[,P...] each")
@@ -50,22 +47,21 @@ class Options:
     seed: int = setting(DEFAULTS.seed, "of the draw of viewers")
     jobs: int = setting(2, "processes, each with a crowd of its own")
     prices: Prices = nested(Prices, "prices")
-    encode_core_s: float = setting(0.0, "core seconds to encode a second of media")
 
 
 def run(options: Options, lab: Lab) -> Page:
     """Simulate every crowd. Raises AirgsError."""
-    tasks, package = make_tasks(options), open_package(options.package)
+    tasks = make_tasks(options, encoded(options.scene, lab.folder))
     engine = Processes(options.jobs)
     try:
         runs = run_all(tasks, () if options.bottleneck_mbps else SHARES, replace(lab.results, engine=engine))
     finally:
         engine.close()
-    return page(runs, Inputs(rung_rows(package), stored_rows(package), options.prices, options.encode_core_s))
+    return page(runs, tasks[0].settings, options.prices)
 
 
-def make_tasks(options: Options) -> list[Task]:
-    """The crowds that are simulated first. Raises AirgsError for inputs that cannot be."""
+def make_tasks(options: Options, package: Path) -> list[Task]:
+    """The crowds of a package that are simulated first. Raises AirgsError for inputs that cannot be."""
     if not options.traces.is_dir():
         raise ConfigError(f"{options.traces}: expected a folder of traces")
     if options.jobs < 1:
@@ -74,13 +70,12 @@ def make_tasks(options: Options) -> list[Task]:
     if not [Trace.open(trace) for trace in traces]:
         raise ConfigError(f"{options.traces}: expected traces, got an empty folder")
     limits = options.bottleneck_mbps or (0.0,)
-    package = str(options.package)
     tasks = [
-        Task(package, traces, _settings(options, population, limit), f"{limit:g} Mbit/s" if limit else NO_LIMIT)
+        Task(str(package), traces, _settings(options, population, limit), f"{limit:g} Mbit/s" if limit else NO_LIMIT)
         for limit in limits
         for population in options.policies
     ]
-    short = Programme(open_package(options.package), 1e-3).whole
+    short = Programme(open_package(package), 1e-3).whole
     for task in tasks:
         for name in task.settings.policies:
             crowd_policy(name, short)
@@ -100,38 +95,3 @@ def _settings(options: Options, population: str, limit_mbps: float) -> CrowdSett
         cache_bytes=1e6 * options.cache_mb,
         seed=options.seed,
     )
-
-
-def rung_rows(package: Package) -> list[Row]:
-    """What a viewer of one rung fetches for a second of media, without headers and tables, by rung."""
-    m, rows = package.manifest, []
-    seconds = m.frames / float(m.fps)
-    for q, quality in enumerate(m.qualities):
-        for j, level in enumerate(m.levels):
-            paths, pooled = m.rung_files(q, j), pooled_quality(m, j, q)
-            size = m.bytes_of(paths)
-            rows.append(
-                {
-                    "rung": f"{quality.id}+{level.id}",
-                    "psnr": None if pooled is None else pooled.psnr,
-                    "mbps": 8e-6 * size / seconds,
-                    "mb_minute": 60e-6 * size / seconds,
-                    "files_s": len(paths) / seconds,
-                }
-            )
-    return rows
-
-
-def stored_rows(package: Package) -> list[Row]:
-    """MB that a minute of media takes at the origin by kind of file; airgs.json and manifest.mpd are not in it."""
-    m = package.manifest
-    sizes: dict[FileKind, list[int]] = {}
-    for path in m.files():
-        sizes.setdefault(file_kind(path), []).append(m.entry(path).bytes)
-    sizes.pop(FileKind.INIT, None)  # one for the whole programme
-    return [_stored(m, kind.value, found) for kind, found in sizes.items()]
-
-
-def _stored(m: Manifest, kind: str, found: list[int]) -> Row:
-    seconds = m.frames / float(m.fps)
-    return {"kind": kind, "mb_minute": 60e-6 * sum(found) / seconds, "files_s": len(found) / seconds}

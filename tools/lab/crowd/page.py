@@ -1,172 +1,112 @@
-"""The page of a measured crowd: inputs, what it costs, what viewers got, and a sentence for every picture."""
+"""The page of a measured crowd: what cache and viewers get, what half the link takes away, and what it costs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 
+from airgs_codec._settings import setting
+from airgs_codec.errors import ConfigError
 from tools.lab.crowd import pictures
-from tools.lab.crowd.costs import Measured, Prices, cost
 from tools.lab.crowd.figures import ALL
 from tools.lab.crowd.runs import Run
+from tools.lab.crowd.simulation import CrowdSettings
 from tools.lab.page import Page, Picture, Row, Section, Table
 
-VIEWER_HOURS, MEDIA_HOURS = 10_000.0, 1.0  # of the example: as many viewers for an hour
-RUNG_COLUMNS = {
-    "rung": ("rung", ""), "psnr": ("PSNR, dB", ".1f"), "mbps": ("Mbit/s", ".3g"), "mb_minute": ("MB a minute", ".3g"),
-    "files_s": ("files a second", ".3g"),
-}  # fmt: skip
-STORED_COLUMNS = {
-    "kind": ("at the origin", ""), "mb_minute": ("MB a minute of media", ".3g"),
-    "files_s": ("files a second of media", ".3g"),
-}  # fmt: skip
-COST_COLUMNS = {"item": ("item", ""), "price": ("price, an example", ""), "cost": ("cost", ".2f")}
-EDGE_COLUMNS = {
-    "bottleneck": ("bottleneck", ""), "bottleneck_mbps": ("Mbit/s", ",.0f"), "policies": ("policies", ""),
-    "busy_edge_mbps": ("edge, Mbit/s", ",.0f"), "busy_origin_mbps": ("origin, Mbit/s", ",.0f"),
-    "byte_hit_rate": ("byte hits", ".2%"), "request_hit_rate": ("request hits", ".2%"),
-    "busy_requests_s": ("requests/s", ",.0f"), "wall_s": ("simulated in, s", ".0f"),
-}  # fmt: skip
-VIEWER_COLUMNS = {
-    "bottleneck": ("bottleneck", ""), "policies": ("policies", ""), "policy": ("viewers of", ""),
-    "stalled_share": ("stalled", ".1%"), "stall_s_hour": ("s/hour", ".0f"), "startup_p50_s": ("start-up, s", ".2f"),
-    "startup_p95_s": ("95 %", ".2f"), "startup_p99_s": ("99 %", ".2f"), "psnr": ("PSNR, dB", ".2f"),
-    "psnr_low": ("5th %", ".2f"), "mbps": ("Mbit/s", ".2f"), "jain_psnr": ("Jain PSNR", ".4f"),
-    "jain_bitrate": ("Jain Mbit/s", ".3f"), "requests_s": ("requests a second", ".1f"),
-}  # fmt: skip
-CACHE_COLUMNS = {
-    "policies": ("policies", ""), "bottleneck": ("bottleneck", ""), "cache_mb": ("cache, MB", "g"),
-    "request_hit_rate": ("request hits", ".2%"), "byte_hit_rate": ("byte hits", ".2%"),
+WATCHED_H = 10_000.0  # by all viewers together, of the example
+COLUMNS = {
+    "bottleneck": ("bottleneck", ""), "crowd": ("crowd", ""), "policy": ("viewers of", ""),
+    "stalled_share": ("that stall", ".1%"), "startup_p50_s": ("start-up, s", ".2f"), "startup_p95_s": ("95 %", ".2f"),
+    "psnr": ("PSNR, dB", ".1f"), "psnr_low": ("5th percentile", ".1f"), "mbps": ("Mbit/s", ".2f"),
 }  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class Inputs:
-    """What of the package and the prices the page tells."""
+class Prices:
+    """Of what a cache sends, in one currency; examples to make the arithmetic visible, and nobody's quotes."""
 
-    rungs: Sequence[Row]
-    stored: Sequence[Row]
-    prices: Prices
-    encode_core_s: float  # core seconds for a second of media; 0 where nobody measured it
+    gb: float = setting(0.02, "price for 10^9 bytes")
+    million: float = setting(0.75, "price for 10^6 requests")
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not getattr(self, field.name) >= 0:
+                raise ConfigError(f"{field.name}: expected a price of 0 or more, got {getattr(self, field.name):g}")
 
 
-def page(runs: Sequence[Run], inputs: Inputs) -> Page:
-    """All of it."""
-    wide = len(pictures.most_mixed(runs))
-    made = {
-        "cache": ("Hit rate by cache size", _of_cache(runs), pictures.cache, (6.0, 3.6)),
-        "egress": ("What the edge and the origin send over time", _of_egress(runs), pictures.egress, (9.0, 3.6)),
-        "stalls": ("Start-up and waiting by bottleneck", _of_stalls(runs), pictures.stalls, (9.0, 3.6)),
-        "policies": ("PSNR and bit rate by policy", _of_mix(runs), pictures.policies, (3.4 * wide, 5.6)),
-    }
-    sections = [
-        Section(sentence, f"{caption}?", [Picture(f"crowd-{name}", caption, partial(draw, runs), size)])
-        for name, (caption, sentence, draw, size) in made.items()
+def page(runs: Sequence[Run], settings: CrowdSettings, prices: Prices) -> Page:
+    """All of it; `settings` are those of the first run."""
+    rows = [named(run, row) for run in runs for row in run.rows]
+    words = [cache_words(runs[0]), link_words(runs), cost_words(runs[0], prices)]
+    picture = Picture("crowd-cache", "What a cache answers, by its size", partial(pictures.cache, runs[0]), (6.0, 3.6))
+    data = [
+        Table("crowd", rows),
+        Table("crowd-edge", [named(run, run.edge) | {"bottleneck_mbps": run.bottleneck_mbps} for run in runs]),
+        Table("crowd-caches", runs[0].cache),
     ]
-    seconds = [[asdict(second) for second in run.seconds] for run in runs]
-    more = {"prices": asdict(inputs.prices), "seconds_of_crowds": seconds}
-    return Page([_inputs(inputs), _costs(runs, inputs), _viewers(runs), *sections], more=more)
-
-
-def _inputs(inputs: Inputs) -> Section:
-    total = {"kind": ALL} | {key: sum(row[key] for row in inputs.stored) for key in ("mb_minute", "files_s")}
-    tables = [
-        Table("crowd-rungs", inputs.rungs, RUNG_COLUMNS),
-        Table("crowd-stored", [*inputs.stored, total], STORED_COLUMNS),
-    ]
-    words = f"A minute of media takes {total['mb_minute']:.3g} MB in {60 * total['files_s']:.0f} files."
-    return Section(words, "What do origin and viewers need?", tables=tables)
-
-
-def _costs(runs: Sequence[Run], inputs: Inputs) -> Section:
-    bill, p = cost(measured_of(runs, inputs), inputs.prices, VIEWER_HOURS, MEDIA_HOURS), inputs.prices
-    items = [
-        ("bytes to viewers", f"{p.edge_gb:g} a GB", bill.edge_bytes),
-        ("requests to the edge", f"{p.edge_million:g} a million", bill.edge_requests),
-        ("bytes from the origin", f"{p.origin_gb:g} a GB", bill.origin_bytes),
-        ("requests to the origin", f"{p.origin_million:g} a million", bill.origin_requests),
-        ("storage for a month", f"{p.storage_gb_month:g} a GB", bill.storage),
-    ]
-    items += [("encoding", f"{p.encode_core_hour:g} a core hour", bill.encoding)] * (inputs.encode_core_s > 0)
-    items.append(("all", "", bill.total))
-    rows = [dict(zip(COST_COLUMNS, item, strict=True)) for item in items]
-    words = f"{VIEWER_HOURS:,.0f} hours watched of an hour of media cost {bill.total:.2f} at these prices, examples."
-    return Section(words, "What does it cost?", tables=[Table("crowd-costs", rows, COST_COLUMNS)])
-
-
-def _viewers(runs: Sequence[Run]) -> Section:
-    named = [(run, {"bottleneck": run.bottleneck, "policies": run.population}) for run in runs]
-    shared = ("bottleneck_mbps", "wall_s", "cpu_s")
-    edges = [known | run.edge | {name: getattr(run, name) for name in shared} for run, known in named]
-    viewers = [known | row for run, known in named for row in run.rows]
-    caches = [known | row for run, known in named for row in run.cache]
-    tables = [
-        Table("crowd-edge", edges, EDGE_COLUMNS),
-        Table("crowd", viewers, VIEWER_COLUMNS),
-        Table("crowd-cache", caches, CACHE_COLUMNS),
-    ]
-    busy = max(row["busy_viewers"] for row in edges)
-    return Section(f"{busy:,} viewers watch at once.", "What do viewers get?", tables=tables)
-
-
-def _widest(runs: Sequence[Run]) -> Run:
-    """The first run whose viewers have no limit in common; the first of all where each has."""
-    return next((run for run in runs if run.bottleneck_mbps is None), runs[0])
-
-
-def measured_of(runs: Sequence[Run], inputs: Inputs) -> Measured:
-    """Return what the cost model takes from the run without a limit."""
-    run = _widest(runs)
-    return Measured(
-        viewer_mbps=run.rows[-1]["mbps"],
-        viewer_requests_s=run.rows[-1]["requests_s"],
-        byte_hit_rate=run.edge["byte_hit_rate"],
-        request_hit_rate=run.edge["request_hit_rate"],
-        stored_mb_minute=sum(row["mb_minute"] for row in inputs.stored),
-        encode_core_s_second=inputs.encode_core_s,
+    section = Section(
+        " ".join(filter(None, words)), pictures=[picture], tables=[Table("crowd-viewers", telling(runs), COLUMNS)]
     )
+    return Page([section], how_of(runs[0], settings), more={"prices": asdict(prices)}, data=data)
 
 
-def _of_cache(runs: Sequence[Run]) -> str:
-    rows = runs[0].cache
-    best = rows[-1]["byte_hit_rate"]
-    enough = next(row for row in rows if row["byte_hit_rate"] >= best - 0.001)
+def named(run: Run, row: Row) -> Row:
+    """A row of a run with what tells the run from others."""
+    return {"bottleneck": run.bottleneck, "policies": run.population} | row
+
+
+def telling(runs: Sequence[Run]) -> list[Row]:
+    """What the first population gets behind every bottleneck, and the policies of others behind the narrowest."""
+    first, narrow = runs[0].population, runs[-1].bottleneck
+    shown = [run for run in runs if first == run.population or narrow == run.bottleneck]
+    crowds = [(run, {"crowd": "mixed" if len(run.policies) > 1 else "alone"}) for run in shown]
+    return [named(run, row) | crowd for run, crowd in crowds for row in run.rows if row["policy"] != ALL]
+
+
+def how_of(run: Run, settings: CrowdSettings) -> str:
+    """Who watches what over what."""
     return (
-        f"A cache of {rows[0]['cache_mb']:g} MB answers {100 * rows[0]['byte_hit_rate']:.1f} % of the bytes and one of "
-        f"{enough['cache_mb']:g} MB {100 * enough['byte_hit_rate']:.2f} %, within 0.1 % of what any larger one does; "
-        f"all files that were asked for are {runs[0].edge['files_mb']:.0f} MB."
+        f"{settings.viewers:,} viewers come within {settings.join_s:g} s and watch {settings.watch_s:g} s each. "
+        f"Every one is the real player with a trace of its own; behind the traces lie a shared link, a cache of "
+        f"{settings.cache_bytes / 1e6:g} MB, and an origin {1e3 * settings.origin_rtt_s:g} ms away. A bottleneck is a "
+        f"share of the {run.busiest_mbps / 1e3:.1f} Gbit/s that the viewers take in their busiest seconds without one."
     )
 
 
-def _of_egress(runs: Sequence[Run]) -> str:
-    e = _widest(runs).edge
+def cache_words(run: Run) -> str:
+    """What the cache spares the origin, and how large it must be."""
+    edge, sizes = run.edge, run.cache
+    enough = next(row for row in sizes if row["byte_hit_rate"] >= sizes[-1]["byte_hit_rate"] - 0.001)
     return (
-        f"In the busiest seconds {e['busy_viewers']:,} viewers take {e['busy_edge_mbps']:,.0f} Mbit/s from the edge, "
-        f"which takes {e['busy_origin_mbps']:,.0f} Mbit/s from the origin, one part in "
-        f"{e['busy_edge_mbps'] / max(e['busy_origin_mbps'], 1e-9):,.0f}."
+        f"In the busiest seconds {edge['busy_viewers']:,} viewers take {edge['busy_edge_mbps'] / 1e3:.1f} Gbit/s from "
+        f"the cache, which takes {edge['busy_origin_mbps']:.0f} Mbit/s from the origin: it answers "
+        f"{100 * edge['byte_hit_rate']:.2f} % of the bytes, and one of {enough['cache_mb']:g} MB does as well, of "
+        f"{edge['files_mb']:.0f} MB of files; one of {sizes[0]['cache_mb']:g} MB answers "
+        f"{100 * sizes[0]['byte_hit_rate']:.0f} %."
     )
 
 
-def _of_stalls(runs: Sequence[Run]) -> str:
+def link_words(runs: Sequence[Run]) -> str:
+    """What the narrowest link changes for the first population; '' where there is one link."""
     mine = [run for run in runs if run.population == runs[0].population]
-    parts = [
-        f"{100 * run.rows[-1]['stalled_share']:.1f} % of the viewers stall behind {_called(run)} "
-        f"({run.rows[-1]['stall_s_hour']:.0f} s an hour, {run.rows[-1]['psnr']:.1f} dB)"
-        for run in mine
-    ]
-    return f"With {mine[0].population}, {', '.join(parts)}."
+    if len(mine) < 2:
+        return ""
+    wide, narrow = mine[0].rows[-1], mine[-1].rows[-1]
+    lost = wide["psnr"] - narrow["psnr"]
+    much = f"{abs(lost):.1f} dB {'less' if lost >= 0 else 'more'}"
+    return (
+        f"Behind a bottleneck of {mine[-1].bottleneck} viewers see {much}, and "
+        f"{100 * narrow['stalled_share']:.0f} % instead of {100 * wide['stalled_share']:.0f} % stall."
+    )
 
 
-def _called(run: Run) -> str:
-    return "no bottleneck" if run.bottleneck_mbps is None else f"one of {run.bottleneck}"
-
-
-def _of_mix(runs: Sequence[Run]) -> str:
-    mixed = [run for run in runs if len(run.policies) > 1]
-    if not mixed:
-        return "All viewers have one policy."
-    run = mixed[-1]
-    rows = sorted((row for row in run.rows if row["policy"] != ALL), key=lambda row: -row["mbps"])
-    parts = [f"{r['policy']} {r['mbps']:.2f} Mbit/s, {r['psnr']:.1f} dB, {r['stall_s_hour']:.0f} s/h" for r in rows]
-    return f"Side by side behind {_called(run)}, they get (with stalls an hour): {'; '.join(parts)}."
+def cost_words(run: Run, prices: Prices) -> str:
+    """What an audience costs by the measured bytes and requests, and which of the two to spare."""
+    gb, millions = WATCHED_H * 3600 * run.rows[-1]["mbps"] / 8e3, WATCHED_H * 3600 * run.rows[-1]["requests_s"] / 1e6
+    sent, asked = gb * prices.gb, millions * prices.million
+    ways = ("longer groups", "fewer bytes") if asked > sent else ("fewer bytes", "longer groups")
+    return (
+        f"At {prices.gb:g} a GB and {prices.million:g} a million requests, examples, {WATCHED_H:,.0f} hours watched "
+        f"cost {sent:,.0f} for bytes and {asked:,.0f} for requests: {ways[0]} save more than {ways[1]}."
+    )

@@ -9,11 +9,10 @@ from pathlib import Path
 
 from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
-from tools.lab import Results, Row, content, seconds_of
+from tools.lab import Results, Row, content
 from tools.lab.crowd.figures import busiest_bps, cache_rows, edge_row, policy_rows
 from tools.lab.crowd.programme import Programme
-from tools.lab.crowd.simulation import CrowdSettings, Second, run_crowd
-from tools.lab.crowd.viewer import Seen
+from tools.lab.crowd.simulation import CrowdSettings, run_crowd
 
 CACHES_MB = (1, 2, 4, 8, 16, 32, 64, 128, 256, 512)
 NO_LIMIT = "none"
@@ -40,10 +39,6 @@ class Run:
     rows: list[Row]  # a policy each
     edge: Row
     cache: list[Row]
-    seconds: tuple[Second, ...]
-    seen: tuple[Seen, ...]
-    wall_s: float  # of the simulation
-    cpu_s: float
 
     @property
     def population(self) -> str:
@@ -56,7 +51,7 @@ def simulate_task(task: Task) -> Run:
     s = task.settings
     programme = Programme(open_package(task.package), s.join_s + s.watch_s)
     traces = [Trace.open(trace) for trace in task.traces]
-    took, outcome = seconds_of(lambda: run_crowd(programme, traces, s))
+    outcome = run_crowd(programme, traces, s)
     return Run(
         policies=s.policies,
         bottleneck=task.bottleneck,
@@ -65,10 +60,6 @@ def simulate_task(task: Task) -> Run:
         rows=policy_rows(outcome),
         edge=edge_row(outcome),
         cache=cache_rows(outcome, CACHES_MB),
-        seconds=outcome.seconds,
-        seen=outcome.seen,
-        wall_s=took.wall,
-        cpu_s=took.cpu,
     )
 
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING
 
 from airgs_codec.encoder.publish import encode
@@ -38,14 +39,15 @@ from airgs_codec.play.player import run as play
 from airgs_codec.play.policies.named import DEFAULT_POLICY, make_policy
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Picture, Section, Table, memory_of, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, listed, memory_of, rows_of, setting
 from tools.lab.serving import served_folder
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FOX = Path("tests/data/fox")
+FOX = Path(__file__).parents[3] / "tests" / "data" / "fox"
 FPS = 24
+GROWN = 0.1  # share by which something may differ that does not grow
 SECOND = (0, 1, 2, 3, 4, 3, 2, 1) * 3  # frames of the fox, FPS of them
 MEMORY = Path("/dev/shm")
 
@@ -84,12 +86,35 @@ def run(options: Options, lab: Lab) -> Page:
         lab.tell(
             f"hour {moment.hour:.1f}: {moment.start_bytes:,d} bytes before the first picture, {moment.memory_mb:.1f} MB"
         )
-    first, last = moments[0], moments[-1]
-    answer = f"A viewer fetches {first.start_bytes:,d} bytes before the first picture at hour {first.hour:.1f} and "
-    answer += f"{last.start_bytes:,d} at hour {last.hour:.1f}; the publisher has {last.memory_mb:.0f} MB in the end."
     caption = f"Bytes before the first picture, and the publisher's memory, over {options.hours:g} hours"
     picture = Picture("soak", caption, partial(draw, moments), (8, 5))
-    return Page([Section(answer, pictures=[picture], tables=[Table("soak-live", rows_of(moments))])])
+    data = [Table("soak-live", rows_of(moments))]
+    return Page([Section(words(moments), pictures=[picture])], how_of(options, moments), data=data)
+
+
+def how_of(options: Options, moments: Sequence[Moment]) -> str:
+    """What was published, and who joined."""
+    return (
+        f"{moments[-1].groups:,} groups of a second are published, as many as {options.hours:g} hours have, and "
+        f"{len(moments)} viewers join at random moments."
+    )
+
+
+def words(moments: Sequence[Moment]) -> str:
+    """Whether what a viewer fetches and what a publisher needs grow from the second quarter of the day to the last."""
+    quarter = max(1, len(moments) // 4)
+    spans = moments[quarter : 2 * quarter] or moments[:1], moments[-quarter:]
+    said: dict[bool, list[str]] = {True: [], False: []}
+    for what, name, scale, unit in (
+        ("what a viewer fetches before the first picture", "start_bytes", 1e-3, "kB"),
+        ("the memory of the publisher", "memory_mb", 1.0, "MB"),
+        ("its CPU time for a group", "publish_ms", 1.0, "ms"),
+    ):
+        first, last = (scale * median(getattr(moment, name) for moment in span) for span in spans)
+        said[last > (1 + GROWN) * first].append(f"{what} ({first:.3g} to {last:.3g} {unit})")
+    verbs = {(True, 1): "grows", (True, 0): "grow", (False, 1): "does not grow", (False, 0): "do not grow"}
+    parts = [f"{listed(some)} {verbs[grows, len(some) == 1]}" for grows, some in said.items() if some]
+    return f"From the second quarter of the time to the last, {'; '.join(parts)}."
 
 
 class Day:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.package.package import Package
@@ -17,33 +15,11 @@ from airgs_codec.play.session import SessionLog
 from airgs_codec.play.sight import View, half_angles
 from airgs_codec.render.cpu import render
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.gaussians import SH_C0, Gaussians, join_rows
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
-NEIGHBOURS = 8  # of a row, of which one in another tile makes it a row at a border
-BORDER = 0.5  # share of a pixel's colour that rows at borders give, from which it is one of the band
-COVERED = 0.5  # share of a pixel that Gaussians cover, from which it counts
 SIGMAS = 3.0  # of a Gaussian, within which it is seen
 Squares = NDArray[np.float32]
-
-
-def border_rows(tiles: Sequence[Gaussians]) -> NDArray[np.bool_]:
-    """(N,) rows of all tiles, one after another, one of whose nearest neighbours is in another tile."""
-    of_row = np.repeat(np.arange(len(tiles)), [len(tile) for tile in tiles])
-    means = join_rows(tiles).means
-    _, near = cKDTree(means).query(means, NEIGHBOURS + 1)
-    return np.any(of_row[near] != of_row[:, None], axis=1)
-
-
-def border_pixels(tiles: Sequence[Gaussians], border: NDArray[np.bool_], camera: Camera) -> list[NDArray[np.bool_]]:
-    """(H, W) pixels that show mostly rows at borders, and covered pixels that show mostly others."""
-    frame = join_rows(tiles)
-    white = np.repeat(border[:, None], 3, axis=1).astype(np.float32)
-    marked = replace(frame, sh_dc=(white - 0.5) / np.float32(SH_C0), sh_rest=frame.sh_rest[:, :0])
-    picture = render(marked, replace(camera, background=(0.0, 0.0, 0.0)))
-    cover = 1 - picture.transmittance
-    share, covered = picture.rgb[..., 0] / np.maximum(cover, 1e-6), cover > COVERED
-    return [covered & (share > BORDER), covered & (share <= BORDER)]
 
 
 @dataclass(slots=True)
@@ -160,27 +136,6 @@ class Screen:
         seen = Seen()
         for moment in self.moments(log):
             seen.add(self.squares(log, moment))
-        return seen
-
-    def masks(self, log: SessionLog) -> dict[tuple[int, float], list[NDArray[np.bool_]]]:
-        """Pixels at borders of tiles and elsewhere, of every picture of a session that fetched all tiles."""
-        rows: dict[int, NDArray[np.bool_]] = {}
-        found = {}
-        for moment in self.moments(log):
-            parts = [self.part(log, tile, rung, moment.frame) for tile, rung in moment.tiles]
-            if moment.frame not in rows:
-                rows[moment.frame] = border_rows(parts)
-            place = moment.frame, moment.at_s
-            found[place] = border_pixels(parts, rows[moment.frame], self._original(moment)[0])
-        return found
-
-    def at_borders(self, log: SessionLog, masks: dict[tuple[int, float], list[NDArray[np.bool_]]]) -> list[Seen]:
-        """The errors at borders and elsewhere."""
-        seen = [Seen(), Seen()]
-        for moment in self.moments(log):
-            squares = self.squares(log, moment)
-            for band, mask in zip(seen, masks[moment.frame, moment.at_s], strict=True):
-                band.add(squares[mask])
         return seen
 
 
