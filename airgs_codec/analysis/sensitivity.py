@@ -25,7 +25,6 @@ CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
 LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
 BAND = 0.1  # of the distance of a near plane, on both sides of it
 CONTRAST = 1 / 12  # mean square of what a row differs by from what is behind it: the variance of even values
-STRIKING = 1e-3  # mean squared error of a picture, 30 dB, that a row alone must make by coming or going
 MEANS_ERROR = 2e-4  # of means as decoded, in motion units: about a third of a step
 
 
@@ -118,8 +117,7 @@ def measure_crossing(g: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.floa
     A row that is drawn in front of all others, or not at all, errs by all of itself. An error d of its mean makes it
     do so in a share of the views: d times the density of its distances from near planes, of which those within BAND
     tell. That grows with d, not with its square, and is as large as a squared derivative says where d is MEANS_ERROR
-    motion units, which are the fourth root of 1 / sensitivity. Rows count whose error is STRIKING in a picture: others
-    are many, their bytes were seen to gain nothing.
+    motion units, which are the fourth root of 1 / sensitivity.
     """
     means, alpha, areas = g.means.astype(np.float64), g.opacities().astype(np.float64), np.pi * g.areas()
     largest = np.exp(np.minimum(g.log_scales.max(axis=1), LARGEST).astype(np.float64))
@@ -132,9 +130,8 @@ def measure_crossing(g: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.floa
         outside = np.maximum(np.maximum(-centre, centre - (camera.width, camera.height)), 0)
         seen = np.exp(-np.square(outside).sum(axis=1) / np.maximum(largest[rows] * focal, 1) ** 2)
         share = np.minimum(alpha[rows], areas[rows] * focal**2 / (camera.width * camera.height))
-        error = CONTRAST * alpha[rows] * share * seen
-        total[rows] += np.where(error > STRIKING, error, 0) / (2 * BAND * camera.near)
-    return np.asarray((total / len(cameras) / MEANS_ERROR) ** (4 / 3))
+        total[rows] += alpha[rows] * share * seen / (2 * BAND * camera.near)
+    return np.asarray((CONTRAST * total / len(cameras) / MEANS_ERROR) ** (4 / 3))
 
 
 def _squares(active: RasterInputs[Floats], derivatives: RasterInputs[Floats]) -> NDArray[np.float64]:

@@ -172,5 +172,3 @@ def test_a_row_at_the_near_plane_errs_as_often_as_views_tell_it_apart():
     assert slope * shift == pytest.approx(rendered / len(cameras), rel=0.2)
     far = replace(white, means=white.means + np.float32([0, 0, 5]))
     assert measure_crossing(far, cameras)[0] == 0
-    small = replace(white, log_scales=white.log_scales - np.float32(3))  # its error strikes nobody
-    assert measure_crossing(small, cameras)[0] == 0
