@@ -17,15 +17,12 @@ from airgs_codec.render import Camera, Contribution
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.gaussians import LARGEST, Gaussians
+from airgs_codec.scene.gaussians import Gaussians
 
 Floats = NDArray[np.float32]
 MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little
 CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
 LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
-BAND = 0.1  # of the distance of a near plane, on both sides of it
-CONTRAST = 1 / 12  # mean square of what a row differs by from what is behind it: the variance of even values
-MEANS_ERROR = 2e-4  # of means as decoded, in motion units: about a third of a step
 
 
 class UsageSums:
@@ -109,29 +106,6 @@ def measure_views(pictures: Iterable[tuple[Gaussians, Camera]], renderer: Render
         squares += _squares(loaded.inputs, derivatives)
         samples += signs.size
     return usage.usage(), Sensitivity(*(squares / samples))
-
-
-def measure_crossing(g: Gaussians, cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """(N,) what rows that come and go at the near planes of `cameras` add to `Sensitivity.means`.
-
-    A row that is drawn in front of all others, or not at all, errs by all of itself. An error d of its mean makes it
-    do so in a share of the views: d times the density of its distances from near planes, of which those within BAND
-    tell. That grows with d, not with its square, and is as large as a squared derivative says where d is MEANS_ERROR
-    motion units, which are the fourth root of 1 / sensitivity.
-    """
-    means, alpha, areas = g.means.astype(np.float64), g.opacities().astype(np.float64), np.pi * g.areas()
-    largest = np.exp(np.minimum(g.log_scales.max(axis=1), LARGEST).astype(np.float64))
-    total = np.zeros(len(g))
-    for camera in cameras:
-        view, focal = camera.world_to_camera, camera.fx / camera.near
-        depth = means @ view[2, :3] + view[2, 3]
-        rows = np.flatnonzero(np.abs(depth - camera.near) < BAND * camera.near)
-        centre = focal * (means[rows] @ view[:2, :3].T + view[:2, 3]) + (camera.cx, camera.cy)
-        outside = np.maximum(np.maximum(-centre, centre - (camera.width, camera.height)), 0)
-        seen = np.exp(-np.square(outside).sum(axis=1) / np.maximum(largest[rows] * focal, 1) ** 2)
-        share = np.minimum(alpha[rows], areas[rows] * focal**2 / (camera.width * camera.height))
-        total[rows] += alpha[rows] * share * seen / (2 * BAND * camera.near)
-    return np.asarray((CONTRAST * total / len(cameras) / MEANS_ERROR) ** (4 / 3))
 
 
 def _squares(active: RasterInputs[Floats], derivatives: RasterInputs[Floats]) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.importance import importance
 from airgs_codec.analysis.region import region_around
-from airgs_codec.analysis.sensitivity import Sensitivity, measure_crossing, measure_views
+from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.region import DECIDING, MEASURING, draw_views, up_of, with_background, world_from, world_words
@@ -210,8 +210,6 @@ def survey_group(sequence: GaussianSequence, span: GroupSpan, views: ViewPlan) -
     frames = sequence.load(range(span.start, span.stop)).frames
     pictures = sorted(views.decide(span.frames), key=lambda picture: picture[0])  # those of one frame share work
     usage, sensitivity = measure_views(ShownPictures(frames, pictures), views.renderer)
-    crossing = measure_crossing(frames[len(frames) // 2], views.deciding)
-    sensitivity = replace(sensitivity, means=sensitivity.means + crossing)
     known = sequence.usage(span.start, span.stop)
     if known is not None and len(known.peak) == len(frames[0]):
         usage = known
