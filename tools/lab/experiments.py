@@ -116,7 +116,7 @@ MEASUREMENTS = (
     ),
     Measurement(
         "work-precision", "work_precision",
-        "work-precision --scene fox=fox/ --spinach spinach_4.splatv --traces raca2018_4g_car/",
+        "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
     Measurement("stiff", "stiff", "stiff"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),

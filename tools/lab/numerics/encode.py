@@ -28,7 +28,6 @@ from tools.lab.timing import Took, seconds_of
 TARGET = 43.0  # dB
 MEASURED = 8  # pictures of a segment, at least
 PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
-FEW_PRESETS = ("ultrafast", "veryslow")  # of every scene but the first, of quick runs, and where it is calibrated
 ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
 DECIDING = (2, 6, 24, 48)  # --decide-pictures
 PLAIN, CALIBRATED, PREVIEW, DECIDED = "default steps", "calibrated", "--preset quick", "pictures that decide"
@@ -47,7 +46,7 @@ def measure(bench: Bench) -> Iterator[Point]:
     """A row for each preset, calibrated and not, for `--preset quick`, and for each number of deciding pictures."""
     for scene in bench.scenes:
         whole = scene is bench.scenes[0] and not bench.quick
-        for curve, setting, settings in variants(PRESETS if whole else FEW_PRESETS, DECIDING if whole else ()):
+        for curve, setting, settings in variants(PRESETS if whole else PRESETS[-1:], DECIDING if whole else ()):
             place = Place("encode", scene.name, curve, setting)
             make = partial(_row, place, scene.sequence, settings, bench.repeats)
             yield Point("encode", scene, {"place": place, "repeats": bench.repeats}, make)
@@ -63,7 +62,7 @@ def variants(presets: Sequence[str], deciding: Sequence[int]) -> Iterator[tuple[
     calibrated = replace(ONE_RUNG, calibrate="steps")
     for preset in presets:
         yield PLAIN, preset, replace(ONE_RUNG, preset=preset)
-    for preset in FEW_PRESETS:
+    for preset in dict.fromkeys((presets[0], presets[-1])):
         yield CALIBRATED, preset, replace(calibrated, preset=preset)
     for count in deciding:
         yield DECIDED, str(count), replace(calibrated, decide_pictures=count)
