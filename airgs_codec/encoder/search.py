@@ -91,13 +91,17 @@ class Goal:
         m = self.metric
         if not 0 < self.value < math.inf:
             raise ConfigError(f"target: expected a positive {m.name}, got {self.value:g}")
+        if self.value < m.rounding:
+            raise ConfigError(
+                f"target: expected at least {m.rounding:g} {m.unit}, to which it is rounded, got {self.value:g}"
+            )
         if self.value > m.most:
             raise ConfigError(f"target: expected at most {m.most:g} {m.unit}{m.words}, got {self.value:g}")
 
     @property
     def tolerance(self) -> float:
         """Of a search; what tables round is no miss."""
-        return max(self.metric.tolerance, self.metric.rounding / self.value)
+        return max(self.metric.tolerance, math.log1p(self.metric.rounding / self.value))
 
     def misses(self, got: float) -> float:
         """By how many tolerances `got` misses the goal; positive: larger steps would meet it."""

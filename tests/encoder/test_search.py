@@ -52,10 +52,17 @@ def test_a_search_ends_at_its_goal():
     for metric, value, words in (
         (PSNR, math.nan, "positive PSNR, got nan"),
         (DELTA_E, 0.0, "positive ΔE, got 0"),
+        (DELTA_E, 0.001, "at least 0.01 ΔE, to which it is rounded, got 0.001"),
         (DELTA_E, 101.0, "at most 100 ΔE, that of black and white, got 101"),
     ):
         with pytest.raises(ConfigError, match=words):
             Goal(metric, value)
+
+
+def test_a_colour_difference_ten_times_as_large_as_asked_for_is_none():
+    assert find_quality(Goal(DELTA_E, 0.01), lambda _: 0.02, 1.0) == 1.0  # what tables round
+    with pytest.raises(ConfigError, match=r"0\.01 ΔE is out of reach, the nearest was 0\.1 at"):
+        find_quality(Goal(DELTA_E, 0.01), lambda _: 0.1, 1.0)
 
 
 def test_a_goal_between_two_trials_is_in_reach_however_they_jump():
