@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import GREY, Page, Picture, html_table, report_folder
 from airgs_codec.encoder.publish import EncodeReport, Stage, doubt_db
+from airgs_codec.encoder.search import DELTA_E
 from airgs_codec.inspect.compare import Comparison, Seen, compare_two, side_by_side
 from airgs_codec.inspect.plot import plot_rungs
 from airgs_codec.inspect.sides import Side, before_both, shared_views, side_of
@@ -81,8 +82,7 @@ def _small(camera: Camera) -> Camera:
 
 def _worst(result: Comparison) -> Seen:
     """The worst picture of the worst frame."""
-    worst = result.frames[int(np.argmin(result.by_frame))]
-    return next(seen for seen in result.ranked if seen.frame == worst)
+    return next(seen for seen in result.ranked if seen.frame == result.frames[int(np.argmin(result.by_frame))])
 
 
 def _film(a: Side, b: Side, camera: Camera) -> Iterator[NDArray[np.uint8]]:
@@ -154,7 +154,7 @@ def advice(done: EncodeReport) -> str:
         told.append("Fewer --measure-pictures would be quicker, with a claim less sure.")
     if share["calibration"] > MUCH:
         told.append("--calibrate none does without trials, at the price of what they save.")
-    if share["search"] > MUCH and (goal := done.goal):
+    if share["search"] > MUCH and (goal := done.goal) and goal.metric != DELTA_E:  # which chooses colours, too
         factor, _ = min(done.trials, key=lambda trial: abs(goal.misses(trial[1])))
         told.append(f"The next encode of this scene need not search: --quality {factor:.4g} is what was found.")
     return " ".join(told)

@@ -9,7 +9,7 @@ import pytest
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import EncodeReport, doubt_db
-from airgs_codec.encoder.search import PSNR, Goal
+from airgs_codec.encoder.search import DELTA_E, PSNR, Goal
 from airgs_codec.inspect.report import advice, bought, holds_back, write_report
 from airgs_codec.inspect.summary import RungSummary
 from airgs_codec.media.image import read_picture
@@ -86,6 +86,8 @@ def test_what_each_second_bought_begins_with_what_took_longest():
     assert "Search took 12.0 s: 3 trials for 40 PSNR, from 42 to 41. Encoding took 6.0 s: L1." in told
     assert "save about 25 % of the bytes at equal error, which an earlier run found" in told
     assert "--quality 1.3 " in advice(more)
+    colours = dataclasses.replace(more, goal=Goal(DELTA_E, 0.5), trials=((1.0, 0.6), (0.8, 0.5)))
+    assert "3 trials" not in bought(colours.stages()) and advice(colours) == ""  # a factor alone does not give it again
 
 
 def test_a_claim_is_as_good_as_two_standard_errors():
