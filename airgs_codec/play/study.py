@@ -138,7 +138,7 @@ def _is_feasible_to_the_end(c: Offers, link: Link, rules: SessionSettings) -> bo
 
 
 def _session_row(log: SessionLog) -> Row:
-    bound = session_bound(log)
+    bound = session_bound(log) if log.offers.manifest.measured else None
     shown = sum(s.frames for s in log.shown)
     return (
         log.metrics.as_dict()

@@ -12,7 +12,7 @@ from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.report.study import study_answer
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.study import Study, StudySettings
+from airgs_codec.play.study import Study, StudySettings, _session_row
 from airgs_codec.play.trace import Trace
 from tests.play.test_session import link, play
 from tests.support.manifests import missing, tiny_manifest
@@ -29,7 +29,7 @@ LOST = missing(*(TINY.state_files(1, level)[0] for level in range(3)))
         (play(TINY, link([4e4]), loops=3), ASKED),
         (play(TINY, link([8e4, 8e4, *[3e4] * 30]), "throughput", loops=4), OVER),
         (play(TINY, link([5.1e4]), loops=8), SHORT),
-        (play(TINY, link([5e3]), faults=LOST, loops=2), FAULTS),
+        (play(TINY, link([4e4]), "robust-mpc", faults=LOST, loops=2), FAULTS),
     ],
 )
 def test_every_wait_has_its_reason_and_its_advice(log, why):
@@ -38,7 +38,8 @@ def test_every_wait_has_its_reason_and_its_advice(log, why):
     assert why in {stall.why for stall in stalls}
     told = answer(log)
     assert f"waited for {log.metrics.stall_s:.1f} s" in told["wrong"] and why in told["wrong"]
-    assert {BELOW: "--levels", ASKED: "--policy robust-mpc", OVER: "--policy robust-mpc"}.get(why, "") in told["change"]
+    helps = {BELOW: "--levels", ASKED: "--policy robust-mpc", OVER: "--policy robust-mpc"}
+    assert (helps | {SHORT: "--player.startup", FAULTS: "validate"})[why] in told["change"]
 
 
 def test_a_larger_buffer_is_advised_only_where_the_link_carries_enough_at_times():
@@ -126,6 +127,26 @@ def test_a_study_recommends_what_did_best_on_its_links():
 def test_few_links_or_small_differences_are_not_sold_as_sure():
     told = study_answer(study({"robust-mpc": 38.0, "bola": 40.0}, traces=2))
     assert "may be chance" in told["good"] and "Give more --traces" in told["change"]
+
+
+def test_a_study_of_a_package_that_was_not_measured_tells_of_waiting_alone():
+    def told(traces, waits):
+        plain = study(dict.fromkeys(waits, 0.0), traces)
+        known = ({"stall_ratio": waits[row["policy"]]} for row in plain.rows)
+        none = dict.fromkeys(("qoe", "psnr_mean", "regret"))
+        return study_answer(replace(plain, rows=tuple(a | none | b for a, b in zip(plain.rows, known, strict=True))))
+
+    many, few = (told(traces, {"robust-mpc": 0.2, "fixed:1": 0.1}) for traces in (8, 2))
+    assert many["good"].startswith("fixed:1 does best on 8 links: what it shows was not measured, and it waits 10.0 %")
+    assert "robust-mpc, the next, waits 10.0 % more" in many["good"] and many["change"] == "Play with --policy fixed:1."
+    assert "may be chance" in few["good"] and "10.0 % less waiting than robust-mpc" in few["change"]
+    assert not any(word in words for one in (many, few) for words in one.values() for word in ("nan", "dB"))
+    assert told(8, {"fixed:1": 0.0})["wrong"] == "Nothing: nobody waits."
+
+
+def test_a_session_of_a_package_that_was_not_measured_has_no_bound():
+    row = _session_row(play(tiny_manifest(psnr=None), link([8e6]), "fixed:0"))
+    assert row["bound"] is row["regret"] is row["qoe"] is None
 
 
 def test_oracles_are_no_players():

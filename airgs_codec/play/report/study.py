@@ -84,8 +84,9 @@ def study_answer(study: Study) -> dict[str, str]:
     goodness = {p: _goodness(study, p) for p in players}
     ranked = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
     best, links = ranked[0], len(goodness[ranked[0]])
-    psnr, waited, regret = (float(np.nanmean(study.of(best, name))) for name in ("psnr_mean", "stall_ratio", "regret"))
-    good = f"{best} does best on {links} links: it shows {psnr:.1f} dB and waits {100 * waited:.1f} % of the time."
+    psnr, waited, regret = (_mean(study.of(best, name)) for name in ("psnr_mean", "stall_ratio", "regret"))
+    shows = f"it shows {psnr:.1f} dB and" if _is_measured(study) else "what it shows was not measured, and it"
+    good = f"{best} does best on {links} links: {shows} waits {100 * waited:.1f} % of the time."
     if len(ranked) > 1:
         good += f" {_lead(study, best, ranked[1])}"
         good += f" {ranked[-1]} is the last of {len(ranked)}." if len(ranked) > 2 else ""
@@ -99,14 +100,24 @@ def study_answer(study: Study) -> dict[str, str]:
     }
 
 
+def _is_measured(study: Study) -> bool:
+    """Whether the quality of the package is known."""
+    return any(row["qoe"] is not None for row in study.rows)
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    """The mean of those that are not NaN; NaN where all are."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else math.nan
+
+
 def _goodness(study: Study, policy: str) -> NDArray[np.float64]:
     """(n,) QoE of a policy's sessions in dB; where quality was not measured, the share of time that nobody waited."""
-    qoe = study.of(policy, "qoe")
-    return 1 - study.of(policy, "stall_ratio") if np.isnan(qoe).all() else qoe
+    return study.of(policy, "qoe") if _is_measured(study) else 1 - study.of(policy, "stall_ratio")
 
 
 def _difference(study: Study, a: str, b: str) -> Interval:
-    """By how much QoE of one policy is above that of another on the same links, in dB."""
+    """By how much the `_goodness` of one policy is above that of another on the same links."""
     traces = [row["trace"] for row in study.rows if row["policy"] == a]
     return interval(_goodness(study, a) - _goodness(study, b), traces)
 
@@ -119,6 +130,9 @@ def _is_sure(study: Study, difference: Interval) -> bool:
 def _lead(study: Study, best: str, other: str) -> str:
     lead = _difference(study, best, other)
     sure = "" if _is_sure(study, lead) else ", which may be chance"
+    if not _is_measured(study):
+        mean, low, high = (100 * share for share in lead)
+        return f"{other}, the next, waits {mean:.1f} % more ({low:.1f} to {high:.1f} over traces{sure})."
     return (
         f"Its QoE (quality less changes and 20 dB for a second of waiting) is {lead.mean:.2f} dB above that of "
         f"{other}, the next ({lead.low:.2f} to {lead.high:.2f} over traces{sure})."
@@ -138,7 +152,7 @@ def _wrong(study: Study, best: str, regret: float) -> str:
         told.append(f"Where the smallest rungs would not stall it still waits {easy.mean():.1f} % of the time.")
     if regret > 0:
         told.append(f"It shows {regret:.1f} dB less than the most that a player could at the same moments.")
-    return " ".join(told) or "Nothing: nobody waits, and no player could show more."
+    return " ".join(told) or f"Nothing: nobody waits{', and no player could show more' if regret <= 0 else ''}."
 
 
 def _advice(study: Study, best: str) -> str:
@@ -151,7 +165,8 @@ def _advice(study: Study, best: str) -> str:
         told.append(f"Play with --policy {best}.")
     else:
         lead = _difference(study, best, DEFAULT_POLICY).mean
-        told.append(f"Give more --traces: {lead:.2f} dB more than {DEFAULT_POLICY}, the default, may be chance here.")
+        more = f"{lead:.2f} dB more" if _is_measured(study) else f"{100 * lead:.1f} % less waiting"
+        told.append(f"Give more --traces: {more} than {DEFAULT_POLICY}, the default, may be chance here.")
     if (~np.array([row["feasible"] for row in study.rows], bool)).any():
         told.append("For links that carry too little, encode a lower level (airgs-encode --levels).")
     return " ".join(told)
