@@ -38,7 +38,7 @@ MAY_IMPORT = {
         "render/cpu_kernels.py",
         "trainer/fit/kernels.py",
     },
-    "matplotlib": {"_report.py", "jobs/report.py"},
+    "matplotlib": {"_report.py"},
     "dask": {"jobs/dask_engine.py"},
     "distributed": {"jobs/dask_engine.py"},
     "aiohttp": {"play/http_files.py"},

@@ -50,11 +50,9 @@ def _kinds(records: Sequence[Record]) -> list[str]:
 
 def _chart(records: Sequence[Record], axis: Any) -> None:
     """A bar for each job, a row for each worker."""
-    from matplotlib import colormaps
-
     workers, begun = sorted({record.worker for record in records}), min(record.begun for record in records)
     for number, kind in enumerate(_kinds(records)):
-        colour = colormaps["tab10"](number % 10)
+        colour = f"C{number % 10}"
         for place, worker in enumerate(workers):
             some = [r for r in records if r.kind == kind and r.worker == worker]
             bars = [(r.begun - begun, r.seconds) for r in some]
