@@ -80,7 +80,7 @@ soak: .venv/installed
 	$(BIN)/python -m tests.long.watch
 
 # Changes rules that decide, one operator or constant at a time, and runs their tests: survivors are what no test asks.
-# About an hour; CONTRIBUTING.md explains those that are left.
+# About an hour.
 mutants: .venv/installed
 	$(BIN)/pip install --quiet mutmut==3.8.1
 	$(BIN)/mutmut run
