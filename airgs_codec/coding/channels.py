@@ -306,10 +306,11 @@ def colour_steps(sh_dc: float, sh_rest: float, channels: int) -> NDArray[np.floa
 
 
 def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] = ()) -> NDArray[np.float64]:
-    """The orthonormal KLT (C, C) of (N, C) colours in units of their steps: row k is the k-th strongest direction.
+    """The KLT (C, C) of (N, C) colours in units of their steps: row k is what the k-th strongest direction adds.
 
-    The entry of a row that is largest by size is positive, so that equal scenes give equal packages. `weights` (3, 3),
-    symmetric, row by row: the KLT is that of r, g, b times them, in which errors of equal length matter alike.
+    It is orthonormal, and the entry of a row that is largest by size positive, so that equal scenes give equal
+    packages. `weights` (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length
+    matter alike, with what undoes them after it.
     """
     centred = scaled - scaled.mean(axis=0)
     mixed = np.kron(np.eye(scaled.shape[1] // 3), np.reshape(weights or np.eye(3), (3, 3)))

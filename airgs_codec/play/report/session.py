@@ -229,7 +229,7 @@ def _more(log: SessionLog, viewer: Viewer | None) -> dict[str, str]:
             *("-" if r[name] is None else f"{r[name]:.2f} dB" for name in ("psnr", "worst")),
             f"{r['mbps']:.2f}",
             str(r["shown"]),
-            "yes" if r["on_ladder"] else "no",
+            "-" if r["psnr"] is None else "yes" if r["on_ladder"] else "no",
         )
         for r in rung_record(log)
     ]
