@@ -6,7 +6,6 @@ begins with the detail that its own finer cells add.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -37,15 +36,6 @@ class KeySidecar:
     classes: NDArray[np.int16]  # (N,) motion classes, -128..127
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
     kept: Kept = field(default=NOTHING_KEPT)  # the rows of the tier before these
-
-
-def join_sidecars(parts: Sequence[KeySidecar]) -> KeySidecar:
-    """The rows of several tiers that are not kept, one after another."""
-    return KeySidecar(
-        np.concatenate([part.codes for part in parts]),
-        np.concatenate([part.classes for part in parts]),
-        np.concatenate([part.depths for part in parts]),
-    )
 
 
 def pack_key_sidecar(sidecar: KeySidecar, grid: Grid, coarsest: int = 0) -> bytes:
