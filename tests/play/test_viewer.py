@@ -6,9 +6,10 @@ import json
 import numpy as np
 import pytest
 
+from airgs_codec._report import new_figure
 from airgs_codec.package.region import place_view
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.report.map import MOST_PIXELS, Viewer
+from airgs_codec.play.report.map import MOST_PIXELS, Viewer, draw_walk
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
@@ -46,10 +47,18 @@ def test_who_leaves_the_region_says_by_how_much(tmp_path):
     page = write_report(log, tmp_path, viewer)
     record = json.loads((tmp_path / "session.json").read_text())
     assert record["viewer"]["ticks_outside"] == 40 and record["viewer"]["furthest_units"] == pytest.approx(2)
-    assert (
-        "outside the viewing region for 40 of 40" in page.read_text()
-        and "The viewing region from above" in page.read_text()
-    )
+    text = page.read_text()
+    assert "outside the viewing region for 40 of 40" in text and "The viewing region from above" in text
+    axis = new_figure(4, 3).subplots()
+    draw_walk(viewer, axis)
+    drawn = {line.get_label(): line.get_xydata() for line in axis.lines}
+    assert len(axis.patches) == len(region.places) and len(drawn["looked at"]) == len(region.places)
+    assert len(drawn["the walk"]) == 40
+    np.testing.assert_array_equal(drawn["outside"], drawn["the walk"])
+    above = np.tile(
+        drawn["places, and their reach"][:1], (40, 1)
+    )  # he is to the side along up, as seen from above there
+    np.testing.assert_allclose(drawn["outside"], above, atol=1e-6)
 
 
 def test_a_guessed_region_is_told_in_every_picture():
