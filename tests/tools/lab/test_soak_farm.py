@@ -1,14 +1,10 @@
-"""The tools that measure and torment shared work, on very little of it."""
-
-from dataclasses import replace
+"""The tool that torments shared work, on very little of it."""
 
 import pytest
 
 pytest.importorskip("distributed", reason="Dask, the extra `farm`, is not installed")
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.engines import Processes
-from tools.lab.bench import jobs
 from tools.lab.command import Lab
 from tools.lab.soak import farm
 
@@ -24,11 +20,3 @@ def test_two_workers_four_jobs_and_a_few_failures_end_with_the_same_bytes(tmp_pa
     assert "<svg" in (tmp_path / "out" / "jobs.html").read_text()
     with pytest.raises(ConfigError, match="expected a new folder"):
         farm.run(farm.Options(), lab)
-
-
-def test_ways_to_share_work_are_timed(tmp_path, monkeypatch):
-    monkeypatch.setattr(jobs.DaskEngine, "local", Processes)  # tests/jobs and the test above have clusters of Dask
-    monkeypatch.setattr(jobs, "SETTINGS", replace(jobs.SETTINGS, measure_pictures=0))
-    page = jobs.run(jobs.Options(frames=2, rows=100, jobs=2, seconds=0.1), Lab.at(tmp_path))
-    rows = page.sections[0].tables[0].rows
-    assert len(rows) == 3 + 2 and rows[-1]["way"] == "Dask, two workers" and all(row["seconds"] > 0 for row in rows)
