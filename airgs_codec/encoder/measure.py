@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -89,7 +90,8 @@ def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds:
     for number in numbers:
         segments = [_with_errors(m, m.segments[s], errors[s], turn) for s in m.segments_of(number)]
         groups.append(replace(m.groups[number], segments=segments))
-    return Measured(groups, (done + 1) * turn, unsure)
+    pictures = (done + 1) * turn
+    return Measured(groups, pictures, unsure if pictures > 1 else math.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,7 +100,7 @@ class Measured:
 
     groups: list[Group]
     pictures: int  # of each segment that were measured
-    unsure: float  # relative standard error of the top rung's mean squared error
+    unsure: float  # relative standard error of the top rung's mean squared error; NaN: one picture tells none
 
     def whole(self, m: Manifest) -> Manifest:
         """The tables of a package of which these are all groups."""

@@ -87,7 +87,7 @@ class EncodeReport:
             wanted = f"{self.goal.value:g} {self.goal.metric.name}"
             trials = f"{len(self.trials)} trials for {wanted}, from {first:.4g} to {last:.4g}"
         if m.measured:
-            measured = f"a claim good to {doubt_db(self.unsure):.1f} dB, by {m.views.measured} pictures of each segment"
+            measured = f"a claim {doubt_words(self.unsure)}, by pictures of each segment: {m.views.measured}"
         return [
             Stage("order of rows", self.rows_s, f"{len(self.rows.matched)} frames were put in order"),
             Stage("views and lengths of groups", self.survey_s, f"{len(m.groups)} groups of up to {longest} frames"),
@@ -101,6 +101,11 @@ class EncodeReport:
 def doubt_db(unsure: float) -> float:
     """Two relative standard errors of a mean squared error, in dB of PSNR."""
     return 10 * math.log10(1 + 2 * unsure)
+
+
+def doubt_words(unsure: float) -> str:
+    """How far a claim may be off; one picture of each segment does not tell."""
+    return "whose doubt is not known" if math.isnan(unsure) else f"good to {doubt_db(unsure):.1f} dB"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._report import GREY, Page, Picture, html_table, report_folder
-from airgs_codec.encoder.publish import EncodeReport, Stage, doubt_db
+from airgs_codec.encoder.publish import EncodeReport, Stage, doubt_db, doubt_words
 from airgs_codec.encoder.search import DELTA_E
 from airgs_codec.inspect.compare import Comparison, Seen, compare_two, side_by_side
 from airgs_codec.inspect.plot import plot_rungs
@@ -104,7 +104,7 @@ def _good(top: RungSummary, result: Comparison, views: str, unsure: float) -> st
     """Bytes and PSNR of the top rung: as claimed, and in views of the frames as they were given."""
     claim = f"The top rung takes {top.bytes_per_frame / 1e3:.1f} kB a frame, {top.mean_bps / 1e6:.2f} Mbit/s"
     if top.psnr is not None:
-        claim += f", and is measured at {top.psnr:.1f} dB, good to {doubt_db(unsure):.1f} dB"
+        claim += f", and is measured at {top.psnr:.1f} dB, {doubt_words(unsure)}"
     return f"{claim}. It shows the frames that were given at {result.quality.psnr:.1f} dB in {views}."
 
 
@@ -148,7 +148,7 @@ def advice(done: EncodeReport) -> str:
     """What would make the next encode better or quicker; empty where that is nothing."""
     seconds = {stage.name: stage.seconds for stage in done.stages()}
     share, told = {name: s / max(1e-9, sum(seconds.values())) for name, s in seconds.items()}, []
-    if doubt_db(done.unsure) > DOUBT_DB:
+    if not doubt_db(done.unsure) <= DOUBT_DB:  # also where it is not known
         told.append("The claim is not sure: more --measure-pictures make it so.")
     elif share["measuring"] > MUCH:
         told.append("Fewer --measure-pictures would be quicker, with a claim less sure.")

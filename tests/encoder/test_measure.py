@@ -1,6 +1,8 @@
 """What is measured of every rung, and with how many pictures."""
 
+import math
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,6 +62,19 @@ def test_more_pictures_of_the_top_rung_are_measured_until_its_error_is_sure(smal
     errors, m = measured(small, monkeypatch, unsure=0.0)
     assert m.views.measured == 24 * ROUNDS
     check_scaled(errors, m, 24 * ROUNDS)
+
+
+@pytest.mark.parametrize(("rounds", "known"), [(1, False), (2, True)])
+def test_one_picture_of_each_segment_does_not_tell_its_doubt(small, rounds, known):
+    package, sequence = small
+    m, views = package.manifest, replace(ViewPlan.of(sequence, 24), small=False)
+
+    def ask(asked):
+        pictures = pictures_of(views, m, 0, asked, len(m.segments))
+        return [measure_round(package, sequence, views.renderer, 0, pictures)]
+
+    found = measure_groups(m, [0], views, Rounds(1).again(rounds), ask)
+    assert found.pictures == rounds and math.isfinite(found.unsure) is known
 
 
 def check_scaled(errors, m, pictures):
