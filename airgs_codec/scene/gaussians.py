@@ -245,6 +245,13 @@ def morton_encode(index: NDArray[np.integer]) -> NDArray[np.uint64]:
     return code
 
 
+def morton_order(means: NDArray[np.floating], bits: int = 16) -> NDArray[np.intp]:
+    """(N,) rows along a Z-order curve through the box of `means` (N, 3), N > 0, in cells of 2^bits an axis."""
+    low = means.min(axis=0).astype(np.float64)
+    span = float((means.max(axis=0) - low).max()) or 1.0  # all in one place: 0 / 0
+    return np.argsort(morton_encode(((means - low) / span * (2**bits - 1)).astype(np.int64)), kind="stable")
+
+
 def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
     """Inverse of `morton_encode`: (M,) codes -> (M, 3) grid indices."""
     index = np.empty((len(code), 3), np.uint32)

@@ -17,13 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import write_json
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians, morton_encode
+from airgs_codec.scene.gaussians import Gaussians, morton_order
 from airgs_codec.trainer.fit.first import FIRST_REGULARISERS, fit_first
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
@@ -133,6 +132,7 @@ class V3Settings:
             sh_degree=self.sh_degree,
             first_iterations=self.key_iterations,
             coarse=self.coarse,
+            rate=0.0,
             seed=self.seed,
         )
 
@@ -281,7 +281,7 @@ def fit_key(
     schedule = _schedule(trainer, "after pruning", settings.finetune_iterations)
     optimise(fitted, target.views, schedule, _rng(settings, target.frame, 0), progress=progress)
     g = to_gaussians(fitted.detached())
-    return g.take(morton_order(g.means))
+    return g.take(morton_order(g.means, GRID_BITS))
 
 
 def fit_frame(
@@ -299,14 +299,6 @@ def fit_frame(
     stage = _schedule(trainer, "fine-tuning", settings.frame_iterations, settings.coarse)
     optimise(tuned, target.views, stage, rng, progress=progress)
     return to_gaussians(tuned.detached())
-
-
-def morton_order(means: NDArray[np.float32]) -> NDArray[np.intp]:
-    """(N,) rows along a Z-order curve through the box of `means` (N, 3)."""
-    low = means.min(axis=0)
-    span = np.maximum((means.max(axis=0) - low).max(), np.finfo(np.float32).tiny)  # all in one place: 0 / 0
-    cells = ((means - low) / span * (2**GRID_BITS - 1)).astype(np.int64)
-    return np.argsort(morton_encode(cells), kind="stable")
 
 
 def _schedule(trainer: Trainer, stage: str, iterations: int, coarse: float = 0.0) -> Schedule:

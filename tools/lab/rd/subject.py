@@ -14,7 +14,7 @@ from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.media.image import read_picture, to_floats
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, render
-from airgs_codec.scene.gaussians import Gaussians, morton_encode
+from airgs_codec.scene.gaussians import Gaussians, morton_order
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.lab.rd.points import RdPoint
 
@@ -69,19 +69,13 @@ def open_subject(sequence: GaussianSequence, cameras: list[Camera], count: int, 
     groups = []
     for start, stop in plan_groups(sequence).spans:
         frames = sequence.load(range(start, stop)).frames
-        order = _morton_order(frames[len(frames) // 2].means.astype(np.float64))
+        order = morton_order(frames[len(frames) // 2].means)
         groups.append((start, [frame.take(order) for frame in frames]))
     measured = evenly_spaced(len(sequence), count)
     truth = read_truth(views, cameras, measured)
     subject = Subject(sequence, groups, cameras, measured, {}, truth)
     subject.references.update({n: [render(subject.frame(n), c).rgb for c in cameras] for n in measured})
     return subject
-
-
-def _morton_order(means: np.ndarray) -> np.ndarray:
-    low, extent = means.min(axis=0), float(np.ptp(means, axis=0).max()) or 1.0
-    codes = morton_encode(((means - low) / extent * (2**16 - 1)).astype(np.int64))
-    return np.argsort(codes, kind="stable")
 
 
 def pooled_psnr(shown: Pictures, wanted: Pictures) -> float:
