@@ -58,6 +58,9 @@ EXPERIMENTS = (
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
     ),
     Experiment("stiff", "Where do numbers at their ends lead?", "tools.lab.numerics.stiff", "2 minutes"),
+    Experiment(
+        "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
+    ),
     Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.levels", "minutes"),
     Experiment("frames", "What does the paper's frame mode give over links?", "tools.lab.paper.streaming", "1 minute"),
     Experiment(
@@ -119,6 +122,7 @@ MEASUREMENTS = (
         "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
     Measurement("stiff", "stiff", "stiff"),
+    Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
     Measurement("crowd", "crowd", "crowd fox/ raca2018_4g_car/"),
     Measurement("soak-live", "crowd", "soak-live"),
@@ -159,7 +163,6 @@ FIGURES = (
     *_of("docs/tracking.md", "airgs-encode noisy/ -o OUT --report OUT",
          "docs/tracking.png"),
     *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
-    *_of("docs/results/numerics.md", "python -m tests.makers.extremes", "docs/results/extremes.csv"),
     *_of("docs/results/paper.md", "python -m tools.lab reproduce -o OUT",
          *(f"docs/results/paper-{name}" for name in
            ("quality.png", "ablations.png", "methods.csv", "streams.csv", "ablations.csv"))),
