@@ -23,8 +23,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.sequence import Sequence as Scene
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast", keep_all=True, threads=1)
 Frames = list[Gaussians]
@@ -225,7 +224,7 @@ class Outcome:
     finite: bool = True
 
 
-def written(case: Case, folder: Path) -> Scene:
+def written(case: Case, folder: Path) -> GaussianSequence:
     """Its frames in a new folder, with cameras but for those that an encode is to find."""
     folder.mkdir()
     frames = case.frames()
