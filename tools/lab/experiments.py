@@ -42,6 +42,7 @@ EXPERIMENTS = (
     _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
     _bench("play", "How fast are the selector, the bounds and the simulator?", "2 min"),
     _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
+    Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
     _bench("serve", "How does the server hold out under many sessions?", "1 min"),
     Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
@@ -97,6 +98,10 @@ MEASUREMENTS = (
     ),
     Measurement(
         "rd-head", "size", f"rd head10/ head_views.json --fps 30 --at 44.5 --targets 46 44 42 40 38 {PEERS}"
+    ),
+    Measurement(
+        "rivals", "baselines",
+        "rivals fox/=fox/transforms.json head10/=head_views.json spinach10/=spinach_views.json",
     ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
