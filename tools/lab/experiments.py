@@ -44,6 +44,7 @@ EXPERIMENTS = (
     _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
     Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
+    _bench("scenes", "What is measured?", "10 s"),
     _bench("serve", "How does the server hold out under many sessions?", "1 min"),
     Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
     Experiment("soak-live", "What does a day of publishing cost, and joining late?", "tools.lab.soak.live", "1 h"),
@@ -84,14 +85,19 @@ class Measurement:
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
-        "claims", "size",
-        "claims fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
-        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json "
-        "--targets default 36 40 43 --pictures 128",
+        "scenes", "README",
+        "scenes fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
+        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json",
     ),
     Measurement(
         "rd-fox", "size",
         f"rd fox/ fox/transforms.json --fps 24 --frames 24 --targets 48 46 44.5 43 41.5 40 38 {PEERS}",
+    ),
+    Measurement(
+        "claims", "size",
+        "claims fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
+        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json "
+        "--targets default 36 40 43 --pictures 128",
     ),
     Measurement(
         "rd-spinach", "size", f"rd spinach10/ spinach_views.json --fps 30 --at 40 --targets 42 40 38 36 {PEERS}"

@@ -23,7 +23,7 @@ from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
 from tools.lab.page import Row
-from tools.lab.rd.coders import OURS, layout_trials, our_trials
+from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.points import RdPoint, bd_rate, curves, kb_at
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
@@ -43,6 +43,7 @@ COLUMNS = {
     "format": ("format", ""), "kb": ("kB a frame", ".1f"), "psnr": ("PSNR, dB", ".1f"),
     "times": ("times airgs at that PSNR", ".1f"), "variant": ("its variant", ""),
 }  # fmt: skip
+BRIEF = 6  # formats that the README shows: ours and the nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +78,10 @@ def run(options: Options, lab: Lab) -> Page:
     )
     table = Table(f"rd-{name}", rows, COLUMNS)
     data = [Table(f"rd-{name}-points", _with_ours(points))]
-    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=[table])], how, data=data)
+    brief = [
+        Table("brief", [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF], dict(list(COLUMNS.items())[:3]))
+    ]
+    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=[table])], how, data=data, brief=brief)
 
 
 def trials(options: Options) -> Iterator[Trial]:
