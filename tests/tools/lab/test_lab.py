@@ -7,7 +7,7 @@ import math
 import multiprocessing
 import shlex
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
