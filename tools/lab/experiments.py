@@ -128,6 +128,7 @@ MEASUREMENTS = (
         "splits-kinoptic", "training",
         "splits kinoptic_views/ --splits 4 --hold 2 --only 1 2 --frames 0:10 '--train=--max-size 480'",
     ),
+    Measurement("keyframe", "training", "keyframe fox_views/ fox.gaussians/"),
     Measurement(
         "work-precision", "work_precision",
         "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
