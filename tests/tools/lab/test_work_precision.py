@@ -131,6 +131,18 @@ def test_every_conclusion_of_the_documents_follows_from_their_figures():
     assert [section.answer for section in made.sections] == entry["answers"]
 
 
+def test_why_the_horizon_stays_is_so_in_the_figures():
+    """No shorter one waits as little, and QoE does not fall by what they wait more."""
+    table = published.read_figures()["work-precision"]["tables"]["work_precision"]
+    rows = [dict(zip(table["columns"], values, strict=True)) for values in table["rows"]]
+    rows = [row for row in rows if row["question"] == "horizon"]
+    for scene in {row["scene"] for row in rows}:
+        waits = {row["setting"]: float(row["note"].split()[0]) for row in rows if row["scene"] == scene}
+        assert min(waits, key=waits.get) == BY_NAME["horizon"].default[1] and len(waits) > 3
+        qoe = {row["setting"]: row["error"] for row in rows if row["scene"] == scene}
+        assert qoe["1"] > qoe[BY_NAME["horizon"].default[1]] - BY_NAME["horizon"].enough
+
+
 def test_bytes_are_interpolated_in_the_logarithm():
     assert encode.bytes_at(42.0, encode.Trial(41.0, 100), encode.Trial(43.0, 400)) == pytest.approx(200)
 

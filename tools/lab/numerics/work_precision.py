@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
-BESIDE = ((4, 3), (4, -9), (-4, 3), (-4, -9), (4, 11), (4, -17), (-4, 11), (-4, -17), (4, 19), (4, -25))  # points
+BESIDE = tuple((x, y) for y in (3, -9, 11, -17, 19, -25, 27, -33) for x in (4, -4))  # points
 MARK = 3  # pixels about a point
 LESS = 0.75  # of the time of a setting is less time, and its inverse is more
 HOW = (
