@@ -15,6 +15,7 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
+from airgs_codec.play.buffered import Buffered
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
@@ -229,6 +230,17 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
         shown = better.shown[f.position]
         assert f.arrival_s <= shown.start_s and shown.rung == f.rung
     assert better.metrics.wasted > 0 == kept.metrics.wasted
+
+
+def test_a_replacement_of_the_same_level_asks_for_keys_alone():
+    offers = Offers(tiny_manifest())
+    offer = offers.offer(0)
+    fetcher = SimpleNamespace(offer=lambda _: offer, missing=lambda _, rung: offer.missing(rung, NONE))
+    best, same, other = (offers.names.index(name) for name in ("Q0+L0", "Q1+L0", "Q0+L2"))
+    keys, whole = (
+        Buffered(None, fetcher, None)._replacing(SimpleNamespace(position=0, rung=rung), best) for rung in (same, other)
+    )
+    assert keys.files == whole.keys and len(whole.state) > 0
 
 
 @pytest.mark.parametrize("rtt", [0.3, 0.6, 0.9])
