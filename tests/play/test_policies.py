@@ -71,6 +71,13 @@ def names(decision):
     return OFFERS.names[decision.index]
 
 
+def test_no_drop_is_a_cliff_to_the_whole_ladder():
+    steep = Offers(tiny_manifest(psnr=((90.0, 36.0), (20.0, 15.0), (4.0, 2.0))), header_bytes=0).offer(0)
+    s = replace(state(), offer=steep, options=steep.options(NONE))
+    assert [p.quality for p in full_ladder(s).options] == [90.0, 36.0, 15.0, 2.0]
+    assert len(before_cliff(s).options) < 4
+
+
 def test_options_are_what_is_missing():
     sizes = dict(zip(OFFERS.names, OFFER.sizes(NONE), strict=True))
     assert sizes["Q0+L0"] == 3000 + 100 + 1000 + 100 + 2000 + 100

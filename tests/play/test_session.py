@@ -28,6 +28,7 @@ from airgs_codec.play.downloader import (
 )
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
+from airgs_codec.play.metrics import mean_quality
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
@@ -212,6 +213,11 @@ def test_it_goes_on_when_enough_is_at_hand_again():
     assert two.shown[-1].start_s + 1 > one.shown[-1].start_s
 
 
+def test_mean_quality_is_over_media_time():
+    shown = [SimpleNamespace(psnr=p, frames=n) for p, n in ((40.0, 10), (20.0, 30), (None, 50))]
+    assert mean_quality(shown) == 25.0
+
+
 def test_a_full_buffer_need_not_wait_for_more():
     log = play(tiny_manifest(), link([4e4]), loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0)
     assert log.shown[0].start_s == pytest.approx(2.76)  # two segments are all it may hold
@@ -241,6 +247,45 @@ def test_a_replacement_of_the_same_level_asks_for_keys_alone():
         Buffered(None, fetcher, None)._replacing(SimpleNamespace(position=0, rung=rung), best) for rung in (same, other)
     )
     assert keys.files == whole.keys and len(whole.state) > 0
+
+
+def replacements(slots, unusable=frozenset(), rate_bps=8e3):
+    """What `Buffered` would replace at 10 s over 1000 bytes/s and 0.5 s of round trip: slot, rung, dB s a byte."""
+    offers = Offers(tiny_manifest(psnr=((40.0, 39.5), (38.0, 35.0), (34.0, 32.0))), 0)
+    offer, name = offers.offer(0), offers.names.index
+    found = [SimpleNamespace(position=n, rung=name(r), start_s=at, seconds=2.0) for n, (r, at) in enumerate(slots)]
+    fetcher = SimpleNamespace(
+        now_s=10.0, connection=SimpleNamespace(rtt_s=0.5), settings=SimpleNamespace(decode_frame_s=0.25),
+        loop=lambda _: 0, units=SimpleNamespace(options=lambda *_: offer.options(NONE)), offer=lambda _: offer,
+        missing=lambda _, rung: offer.missing(rung, NONE), unusable=unusable,
+        usable=lambda batch: unusable.isdisjoint(batch.files),
+    )  # fmt: skip
+    playout = SimpleNamespace(pending=lambda: [(slot, offer) for slot in found])
+    made = Buffered(None, fetcher, playout)._replacements(rate_bps)
+    return [(slot.position, offers.names[option.index], pytest.approx(gain)) for gain, slot, option in made]
+
+
+def test_replacements_are_worth_their_gain_over_what_they_still_need():
+    """Of rungs that show at least half a dB more: keys have 4200 and 1700 bytes, states 2100, 1100 and 600."""
+    assert replacements([("Q1+L0", 99.0)]) == [(0, "Q0+L0", 0.5 * 2 / 4200)]  # its state is there, 0.5 dB is enough
+    assert replacements([("Q0+L1", 99.0)]) == [(0, "Q0+L0", 2 * 2 / 6300), (0, "Q1+L0", 1.5 * 2 / 3800)]
+    assert [name for _, name, _ in replacements([("Q1+L2", 99.0)])] == ["Q0+L0", "Q0+L1", "Q0+L2", "Q1+L0", "Q1+L1"]
+
+
+def test_replacements_are_decoded_when_their_segment_begins():
+    in_time = 10 + 0.5 + 4.2 + 0.25
+    assert len(replacements([("Q1+L0", in_time)])) == 1 and replacements([("Q1+L0", in_time - 0.01)]) == []
+    late, never = [("Q1+L0", 10.0), ("Q1+L0", 9.0)], [("Q1+L0", np.inf)]
+    found = replacements([*late, *never, ("Q0+L0", 99.0), ("Q1+L0", 99.0)], rate_bps=1e9)
+    assert [position for position, *_ in found] == [4]
+    assert replacements([("Q1+L0", 10.0)], rate_bps=np.inf) == []
+    assert replacements([("Q0+L1", 14.6)]) == [(0, "Q1+L0", 1.5 * 2 / 3800)]  # the dearer one would be late
+
+
+def test_what_cannot_be_had_replaces_nothing():
+    broken = frozenset({"key/T0/Q0/1.m4s"})
+    assert [name for _, name, _ in replacements([("Q0+L1", 99.0)], broken)] == ["Q1+L0"]
+    assert len(replacements([("Q0+L1", 99.0)], frozenset({"another"}))) == 2
 
 
 @pytest.mark.parametrize("rtt", [0.3, 0.6, 0.9])

@@ -39,5 +39,5 @@ def choose_bola(state: PlayerState) -> Decision:
     v = (limit - reserve) / (utility[0] + bend)
     g = bend + reserve / v
     scores = [(v * (u + g) - state.buffer_s) / max(1, p.size_bytes) for u, p in zip(utility, rungs, strict=True)]
-    chosen = rungs[0 if max(scores) <= 0 else int(np.argmax(scores))]
+    chosen = rungs[int(np.argmax(scores))]  # the largest where all are under 0
     return Decision(chosen.index, True, f"buffer {state.buffer_s:.2f} s", chosen.size_bytes)
