@@ -249,20 +249,63 @@ def test_a_replacement_of_the_same_level_asks_for_keys_alone():
     assert keys.files == whole.keys and len(whole.state) > 0
 
 
-def replacements(slots, unusable=frozenset(), rate_bps=8e3):
-    """What `Buffered` would replace at 10 s over 1000 bytes/s and 0.5 s of round trip: slot, rung, dB s a byte."""
+def buffered(slots, unusable=frozenset(), **more):
+    """What has (rung, start in s) buffered at 10 s, over 0.5 s of round trip, and the slots."""
     offers = Offers(tiny_manifest(psnr=((40.0, 39.5), (38.0, 35.0), (34.0, 32.0))), 0)
     offer, name = offers.offer(0), offers.names.index
-    found = [SimpleNamespace(position=n, rung=name(r), start_s=at, seconds=2.0) for n, (r, at) in enumerate(slots)]
+    found = [
+        SimpleNamespace(position=n, rung=name(r), start_s=at, seconds=2.0, psnr=35.0) for n, (r, at) in enumerate(slots)
+    ]
     fetcher = SimpleNamespace(
-        now_s=10.0, connection=SimpleNamespace(rtt_s=0.5), settings=SimpleNamespace(decode_frame_s=0.25),
+        now_s=10.0, connection=SimpleNamespace(rtt_s=0.5), settings=SimpleNamespace(decode_frame_s=0.25, replace=True),
         loop=lambda _: 0, units=SimpleNamespace(options=lambda *_: offer.options(NONE)), offer=lambda _: offer,
         missing=lambda _, rung: offer.missing(rung, NONE), unusable=unusable,
-        usable=lambda batch: unusable.isdisjoint(batch.files),
+        usable=lambda batch: unusable.isdisjoint(batch.files), policy=SimpleNamespace(may_replace=True), **more,
     )  # fmt: skip
     playout = SimpleNamespace(pending=lambda: [(slot, offer) for slot in found])
-    made = Buffered(None, fetcher, playout)._replacements(rate_bps)
-    return [(slot.position, offers.names[option.index], pytest.approx(gain)) for gain, slot, option in made]
+    return Buffered(SimpleNamespace(all_at_once=False), fetcher, playout), found, offers.names
+
+
+def replacements(slots, unusable=frozenset(), rate_bps=8e3):
+    """What may be replaced over 1000 bytes/s: slot, rung, dB s a byte."""
+    made, _, names = buffered(slots, unusable)
+    return [
+        (slot.position, names[option.index], pytest.approx(gain)) for gain, slot, option in made._replacements(rate_bps)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arrives_s", "complete", "rung"),
+    [(98.75, True, "Q1+L0"), (98.76, True, "Q0+L1"), (97.0, False, "Q0+L1"), (99.0, False, "Q0+L1")],
+)
+def test_a_replacement_is_shown_once_it_is_decoded_in_time(arrives_s, complete, rung):
+    def receive(request):
+        asked.append(request)
+        made.fetcher.now_s = arrives_s
+        return SimpleNamespace(complete=complete)
+        yield
+
+    asked = []
+    made, (slot,), names = buffered([("Q0+L1", 99.0)], receive=receive, throughput_bps=lambda _: 8e6)
+    steps, events = made._replace_best(), []
+    with pytest.raises(StopIteration) as ended:
+        while True:
+            events.append(next(steps))
+    best = names.index("Q1+L0")  # 1.5 dB for 3800 bytes, where Q0+L0 takes 6300 for 2 dB
+    assert ended.value.value is True and names[slot.rung] == rung
+    (request,) = asked
+    assert (request.kind, request.position, request.rung, request.sent_s) == (BatchKind.REPLACEMENT, 0, best, 10.0)
+    decision = Decision(best, True, "39.5 dB in place of 35.0", 3800)
+    assert (events[0].decision, events[0].budget_bytes, events[0].throughput_bps) == (decision, 0.0, 8e6)
+    shown = [(0, names.index("Q0+L1"), best)] if rung == "Q1+L0" else []
+    assert [(one.position, one.before, one.after) for one in events[1:]] == shown
+
+
+@pytest.mark.parametrize("more", [{"throughput_bps": lambda _: 0.0}, {"throughput_bps": lambda _: 1e3}])
+def test_nothing_is_replaced_without_an_estimate_or_in_no_time(more):
+    with pytest.raises(StopIteration) as ended:
+        next(buffered([("Q0+L1", 12.0)], **more)[0]._replace_best())
+    assert ended.value.value is False
 
 
 def test_replacements_are_worth_their_gain_over_what_they_still_need():
