@@ -36,6 +36,7 @@ from tests.support.manifests import tiny_manifest, units
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 OFFER = OFFERS.offer(0)
+FLAT = Offers(tiny_manifest(psnr=((40.0, 39.9), (39.8, 39.7), (39.6, 39.5))), header_bytes=0)
 
 
 def constant(rate, rtt=0.0):
@@ -225,6 +226,30 @@ def test_mpc_chooses_as_brute_force_does(buffer_s, rate):
     """Its grid rounds what a second of waiting costs between two of its points, 10 s / 79 apart, no more."""
     s = state(rate, buffer_s, end=4, shown=36.0)
     assert best_total(s, rate, 4, choose_robust_mpc(s).index) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
+
+
+@pytest.mark.parametrize("shown", [None, 40.0, 34.5])
+@pytest.mark.parametrize("buffer_s", [0.0, 0.6, 1.5, 3.0, 3.9, 9.5])
+@pytest.mark.parametrize("rate", [1.2e4, 2.5e4, 3.6e4, 5e4, 9e4])
+@pytest.mark.parametrize("offers", [OFFERS, FLAT])
+def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
+    """Nothing follows, so that nothing is rounded to the grid; a rung that is hardly better is not worth the reserve."""
+    s, offer = state(rate, buffer_s, offers=offers, end=1, shown=shown), offers.offer(0)
+    took = [8 * size / rate for size in offer.sizes(NONE)]
+    left = [min(max(buffer_s - t, 0) + 1, 10.0) for t in took]
+    totals = [
+        quality - STALL_DB * max(t - buffer_s, 0) - SWITCH_DB * abs(quality - (quality if shown is None else shown))
+        - LOW_BUFFER_DB * max(RESERVE_S - after, 0)
+        for quality, t, after in zip(offer.psnr, took, left, strict=True)
+    ]  # fmt: skip
+    chosen = choose_robust_mpc(s)
+    assert totals[chosen.index] == pytest.approx(max(totals))
+    assert chosen.fits is (took[chosen.index] <= buffer_s)
+
+
+def test_mpc_says_what_it_counts_on():
+    assert choose_robust_mpc(state(8e4, 1.5)).reason == "0.08 Mbit/s, buffer 1.50 s, 8 segments ahead"
+    assert choose_robust_mpc(state(2e6, 0.0, end=3)).reason == "2.00 Mbit/s, buffer 0.00 s, 3 segments ahead"
 
 
 def test_a_step_of_mpc_weighs_quality_stalls_changes_and_the_reserve():

@@ -1,6 +1,7 @@
 """The judge of held-out cameras: what it calls matched, and what it calls fog."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from airgs_codec.render import cpu, look_at
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.pictures import Target, View
 from tests.support.paths import FOX_VIEWS
-from tools.lab.bench.splits import Judged, Options, Row, compare, draw, from_half_way, run, summary
+from tools.lab.bench.splits import Judged, Options, Row, compare, draw, from_half_way, run, shown_to, summary
 from tools.lab.command import Lab
 
 
@@ -38,6 +39,14 @@ def test_a_gain_and_an_offset_of_a_camera_are_matched_and_nothing_else() -> None
     assert matched > 90
     moved = View(CAMERA, Target(np.roll(seen, 4, axis=1)))
     assert compare([g], [moved])[1] < 30
+
+
+def test_a_camera_that_is_late_sees_the_model_when_its_picture_was_taken() -> None:
+    frames = [_ball((x, 0, 0), 0.6, 0.5) for x in (0.0, 0.1, 0.4)]
+    model = SimpleNamespace(read=frames.__getitem__, record=SimpleNamespace(group_start=lambda frame: 0))
+    late = [View(CAMERA, Target(cpu.render(frames[0], CAMERA).rgb), after=after) for after in (0.0, 0.5, -0.5)]
+    shown = [float(g.means[0, 0]) for g in shown_to(model, late)]  # type: ignore[arg-type]
+    assert shown == pytest.approx([0.0, 0.1 + 0.05, 0.4 - 0.15])
 
 
 def test_only_what_is_right_before_a_viewer_half_way_is_haze() -> None:

@@ -2,7 +2,7 @@
 
 The cameras of the scene are shuffled with a fixed seed and dealt out: split i holds out cameras i * hold to
 i * hold + hold - 1 of that order. Every split is an `airgs-train` of its own into FOLDER/split-I (one that is there
-goes on), with the options given. For every held-out camera that is in step:
+goes on), with the options given. For every held-out camera, at the times of its pictures:
 
     psnr      mean over frames of its PSNR in dB, in the look of the model
     matched   the same after a gain and an offset for each colour, found for that camera over all frames: no camera that
@@ -41,6 +41,7 @@ from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, wi
 from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.points import looked_at
+from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
 from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
@@ -164,25 +165,29 @@ def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
     model = read_model(folder)
     pictures = open_pictures(scene, model)
     frames = range(len(model.record.frames))
-    shown = [model.read(frame) for frame in frames]
-    views = [_in_step(pictures.held_out(frame)) for frame in frames]
+    first = model.read(0)
     cameras = [view.camera for view in (*pictures.train(0), *pictures.held_out(0))]
     middle = looked_at(cameras)
     rows, half_way, last = [], [], []
-    for i, name in enumerate(view.camera.name for view in views[0]):
-        plain, matched = compare(shown, [of_frame[i] for of_frame in views])
-        picture, haze = from_half_way(shown[0], views[0][i].camera, middle)
-        light = float(picture.mean() / views[0][i].target.rgb.mean())
-        rows.append(Row(number, name, plain, matched, haze, light))
+    for views in zip(*(pictures.held_out(frame) for frame in frames), strict=True):
+        shown, camera = shown_to(model, views), views[0].camera
+        plain, matched = compare(shown, views)
+        picture, haze = from_half_way(first, camera, middle)
+        light = float(picture.mean() / views[0].target.rgb.mean())
+        rows.append(Row(number, camera.name, plain, matched, haze, light))
         half_way.append(to_bytes(picture))
-        last.append((to_bytes(views[-1][i].target.rgb), to_bytes(cpu.render(shown[-1], views[-1][i].camera).rgb)))
-    every = [_in_step(pictures.train(frame)) for frame in frames]
-    training = [compare(shown, [of_frame[i] for of_frame in every])[1] for i in range(len(every[0]))]
+        last.append((to_bytes(views[-1].target.rgb), to_bytes(cpu.render(shown[-1], camera).rgb)))
+    every = zip(*(pictures.train(frame) for frame in frames), strict=True)
+    training = [compare(shown_to(model, views), views)[1] for views in every]
     return Judged(rows, float(np.mean(training)), half_way, last)
 
 
-def _in_step(views: Sequence[View]) -> list[View]:
-    return [view for view in views if not view.after]
+def shown_to(model: Model, views: Sequence[View]) -> list[Gaussians]:
+    """What a camera sees of a model at the times of its pictures, one of each frame."""
+    return [
+        frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
+        for frame, view in enumerate(views)
+    ]
 
 
 def open_pictures(scene: MultiviewScene, model: Model) -> Pictures:
