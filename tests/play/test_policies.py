@@ -233,7 +233,7 @@ def test_mpc_chooses_as_brute_force_does(buffer_s, rate):
 @pytest.mark.parametrize("rate", [1.2e4, 2.5e4, 3.6e4, 5e4, 9e4])
 @pytest.mark.parametrize("offers", [OFFERS, FLAT])
 def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
-    """Nothing follows, so that nothing is rounded to the grid; a rung that is hardly better is not worth the reserve."""
+    """Nothing follows, so nothing is rounded to the grid; a rung that is hardly better is not worth the reserve."""
     s, offer = state(rate, buffer_s, offers=offers, end=1, shown=shown), offers.offer(0)
     took = [8 * size / rate for size in offer.sizes(NONE)]
     left = [min(max(buffer_s - t, 0) + 1, 10.0) for t in took]

@@ -119,9 +119,10 @@ def run(options: Options, lab: Lab) -> Page:
         "gain and an offset for each colour of a camera; haze: share of light paths that end near a viewer half-way."
     )
     pairs = [pair for split in judged for pair in split.last]
-    picture = Picture(
-        f"splits-{name}", "Filmed, and shown, by held-out cameras", partial(draw, rows, pairs), (9, 5.5), grid=False
-    )
+    tall, wide = pairs[0][0].shape[:2]
+    size = 9, 6 * tall / wide + 0.4
+    caption = "Filmed, and shown, by held-out cameras"
+    picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size, grid=False)
     table = Table(f"splits-{name}", rows_of(rows), COLUMNS)
     return Page([Section(summary(name, judged), pictures=[picture], tables=[table])], how)
 
