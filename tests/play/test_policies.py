@@ -250,6 +250,8 @@ def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
 def test_mpc_says_what_it_counts_on():
     assert choose_robust_mpc(state(8e4, 1.5)).reason == "0.08 Mbit/s, buffer 1.50 s, 8 segments ahead"
     assert choose_robust_mpc(state(2e6, 0.0, end=3)).reason == "2.00 Mbit/s, buffer 0.00 s, 3 segments ahead"
+    short = Offers(tiny_manifest(fps=(20, 1)), header_bytes=0)  # segments of half a second: 16 in its eight seconds
+    assert choose_robust_mpc(state(8e4, 1.5, offers=short)).reason.endswith(", 12 segments ahead")
 
 
 def test_a_step_of_mpc_weighs_quality_stalls_changes_and_the_reserve():
@@ -339,6 +341,7 @@ def test_surprises_discount_the_estimate():
     halved = discounted_throughput([*steady, Download(500, 1.0)])
     assert halved == pytest.approx(3 / (1 / 8000 + 1 / 8000 + 1 / 4000) / 2)  # predicted 8000 for 4000: error 1
     assert discounted_throughput([*steady, Download(2000, 1.0)]) > 8000  # a pleasant one does not
+    assert discounted_throughput([Download(1000, 1.0), Download(500, 1.0)]) == pytest.approx(16e3 / 3 / 2)
 
 
 @pytest.mark.parametrize(
