@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, Model, choose_robust_mpc, discounted_throughput
+from airgs_codec.play.policies.mpc import (
+    GRID_POINTS,
+    LOW_BUFFER_DB,
+    SWITCH_DB,
+    Model,
+    choose_robust_mpc,
+    discounted_throughput,
+)
 from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp, upcoming_horizon
 from airgs_codec.play.policies.paper import (
@@ -245,6 +252,25 @@ def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
     chosen = choose_robust_mpc(s)
     assert totals[chosen.index] == pytest.approx(max(totals))
     assert chosen.fits is (took[chosen.index] <= buffer_s)
+
+
+def test_a_step_of_mpc_adds_what_follows_between_the_points_of_its_grid():
+    """Segments of half a second; what follows is known for each rung at each buffer of the grid."""
+    limit, seconds = 6.0, 0.5
+    grid_s, value = np.linspace(0.0, limit, GRID_POINTS), np.random.default_rng(0).normal(size=(2, GRID_POINTS))
+    sizes, quality, before = np.array([[200, 50]]), np.array([40.0, 36.0]), np.array([40.0, 30.0])
+    model = Model(8e3, 0.01, limit, grid_s)
+    found = model.value_before(sizes, quality, before, seconds, value)
+    assert model.download_s(np.array([0, 1, 50])).tolist() == pytest.approx([0, 0.011, 0.06])
+
+    def total(rung, before_it, buffer_s):
+        left_s = min(max(buffer_s - (0.21, 0.06)[rung], 0) + seconds, limit)
+        change, short = abs(quality[rung] - before_it), max(RESERVE_S - left_s, 0)
+        worth = seconds * (quality[rung] - SWITCH_DB * change - LOW_BUFFER_DB * short)
+        return worth - STALL_DB * max((0.21, 0.06)[rung] - buffer_s, 0) + np.interp(left_s, grid_s, value[rung])
+
+    expected = [[max(total(0, b, g), total(1, b, g)) for g in grid_s] for b in before]
+    np.testing.assert_allclose(found, expected)
 
 
 def test_mpc_says_what_it_counts_on():
