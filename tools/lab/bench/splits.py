@@ -124,7 +124,7 @@ def run(options: Options, lab: Lab) -> Page:
     caption = "Filmed, and shown, by held-out cameras"
     picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size, grid=False)
     table = Table(f"splits-{name}", rows_of(rows), COLUMNS)
-    return Page([Section(summary(name, judged), pictures=[picture], tables=[table])], how)
+    return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
 
 
 def summary(name: str, judged: Sequence[Judged]) -> str:
