@@ -8,6 +8,7 @@ import pytest
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.importance import (
+    DETAIL,
     CostSums,
     ExpectedError,
     RowPruning,
@@ -85,6 +86,8 @@ def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
     assert np.intersect1d(kept.rows, eye).size and np.isin(without.rows, kept.rows).all()
     assert worst(kept.rows) < worst(without.rows) / 2
     assert kept.error == pytest.approx(pruning.error_of(len(g)), abs=0.05**2)
+    allowed = worst(without.rows) / DETAIL  # at which no place is plainly another, and nothing comes back
+    assert pruning.with_details(without, 1.01 * allowed).rows.tolist() == without.rows.tolist()
 
 
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
