@@ -55,7 +55,7 @@ COLUMNS = {
     "split": ("split", "d"), "camera": ("camera", ""), "psnr": ("PSNR, dB", ".1f"), "matched": ("matched", ".1f"),
     "haze": ("haze", ".3f"),
 }  # fmt: skip
-SAME = 0.1  # dB
+SAME, CLEAR = 0.1, 0.005  # dB; haze
 NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
 
 
@@ -115,8 +115,8 @@ def run(options: Options, lab: Lab) -> Page:
     write_png(lab.folder / "half-way.png", sheet)
     name = options.scene.resolve().name
     how = (
-        f"{name}, {options.hold} cameras of {len(names)} held out in each split, dealt out anew; matched: after a "
-        "gain and an offset for each colour of a camera; haze: share of light paths that end near a viewer half-way."
+        f"{options.hold} cameras of {len(names)} held out in each split, dealt out anew; matched: after a gain and an "
+        "offset for each colour of a camera."
     )
     pairs = [pair for split in judged for pair in split.last]
     tall, wide = pairs[0][0].shape[:2]
@@ -134,10 +134,10 @@ def summary(name: str, judged: Sequence[Judged]) -> str:
     gap = float(np.mean([split.training for split in judged])) - matched
     worst, haze = min(rows, key=lambda row: row.psnr), max(row.haze for row in rows)
     looks = f"{mean:.1f} dB as it is, {matched:.1f} matched" if matched - mean >= SAME else f"{mean:.1f} dB"
-    fog = f"half-way to the scene up to {haze:.0%} of the light ends in fog".replace("%", " %")
+    fog = f"; half-way to the scene up to {100 * haze:.0f} % of the light ends in fog" if haze >= CLEAR else ""
     return (
         f"{name}, from {len(rows)} cameras that were not trained on, in {len(judged)} splits: {looks}, the worst "
-        f"({worst.camera}) {worst.psnr:.1f}; {gap:.1f} dB less than from those that were; {fog}."
+        f"({worst.camera}) {worst.psnr:.1f}; {gap:.1f} dB less than from those that were{fog}."
     )
 
 
