@@ -83,7 +83,7 @@ soak: .venv/installed
 # About an hour.
 mutants: .venv/installed
 	$(BIN)/pip install --quiet mutmut==3.8.1
-	$(BIN)/mutmut run
+	NUMBA_THREADING_LAYER=forksafe $(BIN)/mutmut run
 	$(BIN)/mutmut results
 
 # For a machine with an NVIDIA GPU: its driver, and nvcc and a C++ compiler, since gsplat comes from PyPI as source and

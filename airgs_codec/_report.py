@@ -10,6 +10,7 @@ import html
 import importlib.util
 import io
 import math
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 BLUE, ORANGE, GREEN, RED, GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8a8f98"
 MOST_PICTURES = 4  # of a page
+IDS = re.compile(r'\bid="|\bhref="#|url\(#')  # what stands before an id in SVG
 CHART = 4.2, 2.7  # inches: letters of 9 points stay legible on a screen 390 pixels wide, two fit beside each other
 HEADS = {
     "good": "How good it is",
@@ -56,11 +58,11 @@ class Picture:
     panels: int = 1  # equal ones beside each other, which come one below the other where the screen is narrow
     shape: tuple[int, ...] = ()  # (H, W * panels, 3) of a picture of panels
 
-    def to_html(self) -> str:
-        """The figure as HTML. Raises ConfigError without matplotlib."""
+    def to_html(self, number: int) -> str:
+        """The figure of this number on its page as HTML. Raises ConfigError without matplotlib."""
         name, caption, kind = html.escape(self.name), html.escape(self.caption), ""
         if self.draw is not None:
-            shown = _chart(self.draw)
+            shown = _chart(self.draw, number)
         elif name.endswith(".mp4"):
             shown = f'<video src="{name}" controls loop muted></video>'
         elif self.panels == 1:
@@ -73,14 +75,14 @@ class Picture:
         return f'<figure class="{kind}"><div>{shown}</div><figcaption>{caption}</figcaption></figure>'
 
 
-def _chart(draw: Callable[[Any], None]) -> str:
-    """What `draw` draws on axes, as SVG."""
+def _chart(draw: Callable[[Any], None], number: int) -> str:
+    """What `draw` draws on axes, as SVG whose ids no chart of another number has."""
     figure, drawn = new_figure(*CHART), io.StringIO()
     axes = figure.subplots()
     axes.grid(alpha=0.25)
     draw(axes)
     figure.savefig(drawn, format="svg")
-    return drawn.getvalue()[drawn.getvalue().index("<svg") :]
+    return IDS.sub(rf"\g<0>{number}-", drawn.getvalue()[drawn.getvalue().index("<svg") :])
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,10 +107,11 @@ class Page:
         title, told = html.escape(self.title), [(HEADS[key], words) for key, words in self.answer.items() if words]
         answer = "".join(f"<dt>{name}</dt><dd>{html.escape(words)}</dd>" for name, words in told)
         more = "".join(f"<details><summary>{html.escape(a)}</summary>{b}</details>" for a, b in self.more.items() if b)
+        pictures = "".join(picture.to_html(number) for number, picture in enumerate(self.pictures))
         return (
             f'<!doctype html><html lang="en"><meta charset="utf-8">{again}<title>{title}</title>'
             f'<meta name="viewport" content="width=device-width,initial-scale=1"><style>{STYLE}</style><h1>{title}</h1>'
-            f'<dl>{answer}</dl><div class="pictures">{"".join(p.to_html() for p in self.pictures)}</div>{more}</html>\n'
+            f'<dl>{answer}</dl><div class="pictures">{pictures}</div>{more}</html>\n'
         )
 
 

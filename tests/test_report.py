@@ -1,6 +1,7 @@
 """Text tables, and figures where matplotlib is and where it is not."""
 
 import itertools
+import re
 import sys
 from pathlib import Path
 
@@ -111,8 +112,17 @@ def test_a_page_has_at_most_four_pictures():
         Page("", {}, [*four, *four], {}).to_html()
 
 
+def test_no_id_of_charts_stands_twice_on_a_page_and_every_reference_has_its_own():
+    charts = [Picture(f"{n}", lambda axes: axes.plot([1, 2], [3, 4], label="a") and axes.legend()) for n in range(3)]
+    text = Page("", {}, charts, {}).to_html()
+    ids = re.findall(r'\bid="([^"]+)"', text)
+    assert len(ids) == len(set(ids)) > 30
+    used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
+    assert {one or other for one, other in used} <= set(ids) and len(used) > 10
+
+
 def test_panels_beside_each_other_are_shown_one_by_one():
-    text = Picture("three", name="a.png", panels=3, shape=(100, 600, 3)).to_html()
+    text = Picture("three", name="a.png", panels=3, shape=(100, 600, 3)).to_html(0)
     assert text.count('src="a.png"') == 3 and text.count("aspect-ratio:200/100") == 3
     assert [text.count(f"object-position:{share}% 0") for share in (0, 50, 100)] == [1, 1, 1]
 

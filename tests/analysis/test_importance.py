@@ -8,6 +8,9 @@ import pytest
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.importance import (
+    DETAIL,
+    CostSums,
+    ExpectedError,
     RowPruning,
     WrittenRows,
     estimate_cost,
@@ -15,7 +18,7 @@ from airgs_codec.analysis.importance import (
     pooled_error,
     select_omissions,
 )
-from airgs_codec.analysis.sensitivity import MAX_VIEWS, measure_sensitivity, measure_usage
+from airgs_codec.analysis.sensitivity import CODING_VARIANCE, MAX_VIEWS, measure_sensitivity, measure_usage
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import render
 from airgs_codec.scene.camera import training_views
@@ -83,6 +86,8 @@ def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
     assert np.intersect1d(kept.rows, eye).size and np.isin(without.rows, kept.rows).all()
     assert worst(kept.rows) < worst(without.rows) / 2
     assert kept.error == pytest.approx(pruning.error_of(len(g)), abs=0.05**2)
+    allowed = worst(without.rows) / DETAIL  # at which no place is plainly another, and nothing comes back
+    assert pruning.with_details(without, 1.01 * allowed).rows.tolist() == without.rows.tolist()
 
 
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
@@ -121,6 +126,56 @@ def test_things_go_as_long_as_they_pay():
     # at half of what their bytes are worth, and no dearer
     assert select_omissions(sizes, np.zeros(3), lambda chosen: 4.9 * chosen.sum(), 1.0)[0].tolist() == [True] * 3
     assert select_omissions(sizes, np.zeros(3), lambda chosen: 5.1 * chosen.sum(), 1.0)[0].tolist() == [False] * 3
+
+
+def test_what_pays_most_goes_first_and_the_half_of_it_where_all_is_too_dear():
+    sizes, guesses = np.array([100.0, 10.0]), np.array([40.0, 5.0])
+    chosen, cost = select_omissions(sizes, guesses, lambda chosen: 60.0 if chosen.all() else 40.0, 1.0)
+    assert (chosen.tolist(), cost) == ([True, False], 40.0) and chosen.dtype == bool
+    four = np.full(4, 10.0)
+    chosen, _ = select_omissions(four, np.arange(4.0), lambda chosen: 5.0 * 2 if chosen.sum() <= 2 else 1e9, 1.0)
+    assert chosen.tolist() == [True, True, False, False]  # at exactly half the price of their bytes
+    nothing, cost = select_omissions(four, four, lambda chosen: 0.0, 1.0)  # a guess that is no less than the price
+    assert (nothing.tolist(), nothing.dtype, cost) == ([False] * 4, bool, 0.0)
+    alike = select_omissions(np.ones(64), np.zeros(64), lambda chosen: 0.0 if chosen.sum() < 40 else 1e9, 1.0)[0]
+    assert alike.tolist() == [True] * 32 + [False] * 32  # the first of equals
+
+
+def test_sums_of_costs_are_those_of_all_rows():
+    random = np.random.default_rng(0)
+    values, centres = 3 * random.normal(size=(4, 2, 30)) + 5, np.array([5.0, -7.0])
+    weights = random.uniform(size=(2, 30))
+    sums = CostSums.of(centres)
+    for rows in (slice(0, 10), slice(10, 30)):
+        sums.add(values[:, :, rows], weights[:, rows])
+    sizes, errors = estimate_cost(values, centres, weights)
+    np.testing.assert_array_equal(sums.costs()[0], sizes)
+    np.testing.assert_allclose(sums.costs()[1], errors)
+    away = (np.square(values - centres[:, None]).mean(axis=0) * weights).sum(axis=1)
+    np.testing.assert_allclose(errors, away - CODING_VARIANCE * weights.sum(axis=1))
+    np.testing.assert_array_equal(estimate_cost(values - centres[:, None], np.zeros(2), weights)[0], sizes)
+
+
+def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_the_largest():
+    ones, still = np.ones((1, 8)), np.zeros((2, 1, 8))
+    assert estimate_cost(still[:, :, :1], np.zeros(1), ones[:, :1])[0].tolist() == [0.0]  # one row is no news
+    changing = still.copy()
+    changing[0, 0, :4] = 9  # a bit a row at first, then another that it goes back
+    assert estimate_cost(changing, np.zeros(1), ones)[0].tolist() == [2.0]
+    far, wide = ([[[-a, a, 0, b, -a, a, 0, b]]] for a, b in ((9000, 300), (255, 255)))
+    assert (
+        estimate_cost(np.array(far, float), np.zeros(1), ones)[0]
+        == estimate_cost(np.array(wide, float), np.zeros(1), ones)[0]
+    )
+    seldom = np.arange(8.0)[None, None]  # each of them once: three bits a row
+    assert estimate_cost(seldom, np.zeros(1), ones)[0].tolist() == [3.0]
+
+
+def test_expected_errors_grow_with_the_square_of_steps():
+    assert ExpectedError(1.0, 2.0, 3.0).at(2.0) == ExpectedError(4.0, 8.0, 12.0)
+    assert ExpectedError(1.0, 2.0, 3.0).total == 6.0
+    whole = WrittenRows.all(3)
+    assert (whole.rows.tolist(), whole.error) == ([0, 1, 2], 0.0)
 
 
 def test_guessed_bytes_are_the_entropy():

@@ -14,9 +14,9 @@ from airgs_codec.inspect.numerics import NAMES, format_numerics, measure_numeric
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import mean_frame, to_matrices
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.extremes import CASES, Case, changed
 from tests.support.paths import VALID
 from tests.support.scenes import write_sequence
+from tools.lab.numerics.sequences import CASES, Case, changed
 
 VERDICTS = ("exact", "bounded by", "does not fit", "refused")
 # Scenes of any kind may take escapes, few values or a decoded alpha under 0.

@@ -7,7 +7,18 @@ import pytest
 from airgs_codec.package.manifest import on_ladder
 from airgs_codec.package.region import place_view
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.report.answer import ASKED, BELOW, FAULTS, OVER, SHORT, answer, beaten_words, find_stalls
+from airgs_codec.play.report.answer import (
+    ASKED,
+    BELOW,
+    FAULTS,
+    OVER,
+    SHORT,
+    Stall,
+    _advice,
+    answer,
+    beaten_words,
+    find_stalls,
+)
 from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.report.study import study_answer
 from airgs_codec.play.session import simulate
@@ -40,6 +51,28 @@ def test_every_wait_has_its_reason_and_its_advice(log, why):
     assert f"waited for {log.metrics.stall_s:.1f} s" in told["wrong"] and why in told["wrong"]
     helps = {BELOW: "--levels", ASKED: "--policy robust-mpc", OVER: "--policy robust-mpc"}
     assert (helps | {SHORT: "--player.startup", FAULTS: "validate"})[why] in told["change"]
+
+
+@pytest.mark.parametrize(
+    ("waits", "advice"),
+    [
+        ({SHORT: 3.0, BELOW: 5.0}, ["--levels", "--player.startup"]),
+        ({SHORT: 5.0, BELOW: 3.0}, ["--player.startup", "--levels"]),
+        ({SHORT: 95.0, BELOW: 9.0}, ["--player.startup"]),
+        ({ASKED: 4.0, OVER: 3.0, FAULTS: 1.0}, ["Ask for less", "validate"]),
+        ({ASKED: 3.0, OVER: 4.0}, ["Be more cautious"]),
+    ],
+)
+def test_each_long_kind_of_waits_is_advised_on_and_the_longest_first(waits, advice):
+    log = play(TINY, link([4e4]), loops=3)
+    told = _advice(log, [Stall(float(n), seconds, why, 1e4) for n, (why, seconds) in enumerate(waits.items())])
+    assert len(told) == len(advice) and all(words in line for words, line in zip(advice, told, strict=True))
+
+
+def test_the_rate_that_levels_need_is_that_of_waits_for_them():
+    log = play(TINY, link([4e4]), loops=3)
+    (line,) = _advice(log, [Stall(0.0, 5.0, BELOW, 2e6), Stall(9.0, 0.1, SHORT, 1e4)])
+    assert "that 2.00 Mbit/s carry" in line
 
 
 def test_a_larger_buffer_is_advised_only_where_the_link_carries_enough_at_times():

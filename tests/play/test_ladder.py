@@ -138,6 +138,8 @@ def literal(*qualities, **more):
         ("5: a slow slide has no cliff", literal(34, 32, 30, 28, 26, 24, 14, budget=150), 6),
         ("6: the first level is never the cliff", literal(40, 20, 19, budget=250), 1),
         ("6: unless beta < 1", literal(40, 39, 38, budget=10, beta=0.5), 1),
+        ("6: of two levels, too", literal(40, 39, budget=10, beta=0.5), 1),
+        ("a ratio of beta is no cliff", literal(40, 39, 37, budget=10), None),
         ("7: nothing fits, the answer is the cliff, outside S", literal(40, 39, 30, 20, budget=10), 2),
         ("7: even where a level past the cliff would fit", literal(40, 39, 30, 20, budget=150), 2),
         ("without a cliff that level is found", literal(40, 39, 30, 20, budget=150, beta=math.inf), 3),

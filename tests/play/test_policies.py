@@ -10,7 +10,14 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, Model, choose_robust_mpc, discounted_throughput
+from airgs_codec.play.policies.mpc import (
+    GRID_POINTS,
+    LOW_BUFFER_DB,
+    SWITCH_DB,
+    Model,
+    choose_robust_mpc,
+    discounted_throughput,
+)
 from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp, upcoming_horizon
 from airgs_codec.play.policies.paper import (
@@ -36,6 +43,7 @@ from tests.support.manifests import tiny_manifest, units
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 OFFER = OFFERS.offer(0)
+FLAT = Offers(tiny_manifest(psnr=((40.0, 39.9), (39.8, 39.7), (39.6, 39.5))), header_bytes=0)
 
 
 def constant(rate, rtt=0.0):
@@ -69,6 +77,13 @@ def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NON
 
 def names(decision):
     return OFFERS.names[decision.index]
+
+
+def test_no_drop_is_a_cliff_to_the_whole_ladder():
+    steep = Offers(tiny_manifest(psnr=((90.0, 36.0), (20.0, 15.0), (4.0, 2.0))), header_bytes=0).offer(0)
+    s = replace(state(), offer=steep, options=steep.options(NONE))
+    assert [p.quality for p in full_ladder(s).options] == [90.0, 36.0, 15.0, 2.0]
+    assert len(before_cliff(s).options) < 4
 
 
 def test_options_are_what_is_missing():
@@ -220,6 +235,51 @@ def test_mpc_chooses_as_brute_force_does(buffer_s, rate):
     assert best_total(s, rate, 4, choose_robust_mpc(s).index) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
 
 
+@pytest.mark.parametrize("shown", [None, 40.0, 34.5])
+@pytest.mark.parametrize("buffer_s", [0.0, 0.6, 1.5, 3.0, 3.9, 9.5])
+@pytest.mark.parametrize("rate", [1.2e4, 2.5e4, 3.6e4, 5e4, 9e4])
+@pytest.mark.parametrize("offers", [OFFERS, FLAT])
+def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
+    """Nothing follows, so nothing is rounded to the grid; a rung that is hardly better is not worth the reserve."""
+    s, offer = state(rate, buffer_s, offers=offers, end=1, shown=shown), offers.offer(0)
+    took = [8 * size / rate for size in offer.sizes(NONE)]
+    left = [min(max(buffer_s - t, 0) + 1, 10.0) for t in took]
+    totals = [
+        quality - STALL_DB * max(t - buffer_s, 0) - SWITCH_DB * abs(quality - (quality if shown is None else shown))
+        - LOW_BUFFER_DB * max(RESERVE_S - after, 0)
+        for quality, t, after in zip(offer.psnr, took, left, strict=True)
+    ]  # fmt: skip
+    chosen = choose_robust_mpc(s)
+    assert totals[chosen.index] == pytest.approx(max(totals))
+    assert chosen.fits is (took[chosen.index] <= buffer_s)
+
+
+def test_a_step_of_mpc_adds_what_follows_between_the_points_of_its_grid():
+    """Segments of half a second; what follows is known for each rung at each buffer of the grid."""
+    limit, seconds = 6.0, 0.5
+    grid_s, value = np.linspace(0.0, limit, GRID_POINTS), np.random.default_rng(0).normal(size=(2, GRID_POINTS))
+    sizes, quality, before = np.array([[200, 50]]), np.array([40.0, 36.0]), np.array([40.0, 30.0])
+    model = Model(8e3, 0.01, limit, grid_s)
+    found = model.value_before(sizes, quality, before, seconds, value)
+    assert model.download_s(np.array([0, 1, 50])).tolist() == pytest.approx([0, 0.011, 0.06])
+
+    def total(rung, before_it, buffer_s):
+        left_s = min(max(buffer_s - (0.21, 0.06)[rung], 0) + seconds, limit)
+        change, short = abs(quality[rung] - before_it), max(RESERVE_S - left_s, 0)
+        worth = seconds * (quality[rung] - SWITCH_DB * change - LOW_BUFFER_DB * short)
+        return worth - STALL_DB * max((0.21, 0.06)[rung] - buffer_s, 0) + np.interp(left_s, grid_s, value[rung])
+
+    expected = [[max(total(0, b, g), total(1, b, g)) for g in grid_s] for b in before]
+    np.testing.assert_allclose(found, expected)
+
+
+def test_mpc_says_what_it_counts_on():
+    assert choose_robust_mpc(state(8e4, 1.5)).reason == "0.08 Mbit/s, buffer 1.50 s, 8 segments ahead"
+    assert choose_robust_mpc(state(2e6, 0.0, end=3)).reason == "2.00 Mbit/s, buffer 0.00 s, 3 segments ahead"
+    short = Offers(tiny_manifest(fps=(20, 1)), header_bytes=0)  # segments of half a second: 16 in its eight seconds
+    assert choose_robust_mpc(state(8e4, 1.5, offers=short)).reason.endswith(", 12 segments ahead")
+
+
 def test_a_step_of_mpc_weighs_quality_stalls_changes_and_the_reserve():
     """Two rungs of 1 s, at 1000 B/s 2 s and 0.5 s to fetch, of 40 and 36 dB, after either of two; nothing follows."""
     grid_s = np.array([0.0, 1.0, 2.5, RESERVE_S + 3])
@@ -307,6 +367,7 @@ def test_surprises_discount_the_estimate():
     halved = discounted_throughput([*steady, Download(500, 1.0)])
     assert halved == pytest.approx(3 / (1 / 8000 + 1 / 8000 + 1 / 4000) / 2)  # predicted 8000 for 4000: error 1
     assert discounted_throughput([*steady, Download(2000, 1.0)]) > 8000  # a pleasant one does not
+    assert discounted_throughput([Download(1000, 1.0), Download(500, 1.0)]) == pytest.approx(16e3 / 3 / 2)
 
 
 @pytest.mark.parametrize(

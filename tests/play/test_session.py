@@ -15,6 +15,7 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
+from airgs_codec.play.buffered import Buffered
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
@@ -27,6 +28,7 @@ from airgs_codec.play.downloader import (
 )
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
+from airgs_codec.play.metrics import mean_quality
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
@@ -211,6 +213,11 @@ def test_it_goes_on_when_enough_is_at_hand_again():
     assert two.shown[-1].start_s + 1 > one.shown[-1].start_s
 
 
+def test_mean_quality_is_over_media_time():
+    shown = [SimpleNamespace(psnr=p, frames=n) for p, n in ((40.0, 10), (20.0, 30), (None, 50))]
+    assert mean_quality(shown) == 25.0
+
+
 def test_a_full_buffer_need_not_wait_for_more():
     log = play(tiny_manifest(), link([4e4]), loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0)
     assert log.shown[0].start_s == pytest.approx(2.76)  # two segments are all it may hold
@@ -229,6 +236,99 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
         shown = better.shown[f.position]
         assert f.arrival_s <= shown.start_s and shown.rung == f.rung
     assert better.metrics.wasted > 0 == kept.metrics.wasted
+
+
+def test_a_replacement_of_the_same_level_asks_for_keys_alone():
+    offers = Offers(tiny_manifest())
+    offer = offers.offer(0)
+    fetcher = SimpleNamespace(offer=lambda _: offer, missing=lambda _, rung: offer.missing(rung, NONE))
+    best, same, other = (offers.names.index(name) for name in ("Q0+L0", "Q1+L0", "Q0+L2"))
+    keys, whole = (
+        Buffered(None, fetcher, None)._replacing(SimpleNamespace(position=0, rung=rung), best) for rung in (same, other)
+    )
+    assert keys.files == whole.keys and len(whole.state) > 0
+
+
+def buffered(slots, unusable=frozenset(), **more):
+    """What has (rung, start in s) buffered at 10 s, over 0.5 s of round trip, and the slots."""
+    offers = Offers(tiny_manifest(psnr=((40.0, 39.5), (38.0, 35.0), (34.0, 32.0))), 0)
+    offer, name = offers.offer(0), offers.names.index
+    found = [
+        SimpleNamespace(position=n, rung=name(r), start_s=at, seconds=2.0, psnr=35.0) for n, (r, at) in enumerate(slots)
+    ]
+    fetcher = SimpleNamespace(
+        now_s=10.0, connection=SimpleNamespace(rtt_s=0.5), settings=SimpleNamespace(decode_frame_s=0.25, replace=True),
+        loop=lambda _: 0, units=SimpleNamespace(options=lambda *_: offer.options(NONE)), offer=lambda _: offer,
+        missing=lambda _, rung: offer.missing(rung, NONE), unusable=unusable,
+        usable=lambda batch: unusable.isdisjoint(batch.files), policy=SimpleNamespace(may_replace=True), **more,
+    )  # fmt: skip
+    playout = SimpleNamespace(pending=lambda: [(slot, offer) for slot in found])
+    return Buffered(SimpleNamespace(all_at_once=False), fetcher, playout), found, offers.names
+
+
+def replacements(slots, unusable=frozenset(), rate_bps=8e3):
+    """What may be replaced over 1000 bytes/s: slot, rung, dB s a byte."""
+    made, _, names = buffered(slots, unusable)
+    return [
+        (slot.position, names[option.index], pytest.approx(gain)) for gain, slot, option in made._replacements(rate_bps)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("arrives_s", "complete", "rung"),
+    [(98.75, True, "Q1+L0"), (98.76, True, "Q0+L1"), (97.0, False, "Q0+L1"), (99.0, False, "Q0+L1")],
+)
+def test_a_replacement_is_shown_once_it_is_decoded_in_time(arrives_s, complete, rung):
+    def receive(request):
+        asked.append(request)
+        made.fetcher.now_s = arrives_s
+        return SimpleNamespace(complete=complete)
+        yield
+
+    asked = []
+    made, (slot,), names = buffered([("Q0+L1", 99.0)], receive=receive, throughput_bps=lambda _: 8e6)
+    steps, events = made._replace_best(), []
+    with pytest.raises(StopIteration) as ended:
+        while True:
+            events.append(next(steps))
+    best = names.index("Q1+L0")  # 1.5 dB for 3800 bytes, where Q0+L0 takes 6300 for 2 dB
+    assert ended.value.value is True and names[slot.rung] == rung
+    (request,) = asked
+    assert (request.kind, request.position, request.rung, request.sent_s) == (BatchKind.REPLACEMENT, 0, best, 10.0)
+    decision = Decision(best, True, "39.5 dB in place of 35.0", 3800)
+    assert (events[0].decision, events[0].budget_bytes, events[0].throughput_bps) == (decision, 0.0, 8e6)
+    shown = [(0, names.index("Q0+L1"), best)] if rung == "Q1+L0" else []
+    assert [(one.position, one.before, one.after) for one in events[1:]] == shown
+
+
+@pytest.mark.parametrize("more", [{"throughput_bps": lambda _: 0.0}, {"throughput_bps": lambda _: 1e3}])
+def test_nothing_is_replaced_without_an_estimate_or_in_no_time(more):
+    with pytest.raises(StopIteration) as ended:
+        next(buffered([("Q0+L1", 12.0)], **more)[0]._replace_best())
+    assert ended.value.value is False
+
+
+def test_replacements_are_worth_their_gain_over_what_they_still_need():
+    """Of rungs that show at least half a dB more: keys have 4200 and 1700 bytes, states 2100, 1100 and 600."""
+    assert replacements([("Q1+L0", 99.0)]) == [(0, "Q0+L0", 0.5 * 2 / 4200)]  # its state is there, 0.5 dB is enough
+    assert replacements([("Q0+L1", 99.0)]) == [(0, "Q0+L0", 2 * 2 / 6300), (0, "Q1+L0", 1.5 * 2 / 3800)]
+    assert [name for _, name, _ in replacements([("Q1+L2", 99.0)])] == ["Q0+L0", "Q0+L1", "Q0+L2", "Q1+L0", "Q1+L1"]
+
+
+def test_replacements_are_decoded_when_their_segment_begins():
+    in_time = 10 + 0.5 + 4.2 + 0.25
+    assert len(replacements([("Q1+L0", in_time)])) == 1 and replacements([("Q1+L0", in_time - 0.01)]) == []
+    late, never = [("Q1+L0", 10.0), ("Q1+L0", 9.0)], [("Q1+L0", np.inf)]
+    found = replacements([*late, *never, ("Q0+L0", 99.0), ("Q1+L0", 99.0)], rate_bps=1e9)
+    assert [position for position, *_ in found] == [4]
+    assert replacements([("Q1+L0", 10.0)], rate_bps=np.inf) == []
+    assert replacements([("Q0+L1", 14.6)]) == [(0, "Q1+L0", 1.5 * 2 / 3800)]  # the dearer one would be late
+
+
+def test_what_cannot_be_had_replaces_nothing():
+    broken = frozenset({"key/T0/Q0/1.m4s"})
+    assert [name for _, name, _ in replacements([("Q0+L1", 99.0)], broken)] == ["Q1+L0"]
+    assert len(replacements([("Q0+L1", 99.0)], frozenset({"another"}))) == 2
 
 
 @pytest.mark.parametrize("rtt", [0.3, 0.6, 0.9])

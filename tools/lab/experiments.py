@@ -42,7 +42,9 @@ EXPERIMENTS = (
     _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
     _bench("play", "How fast are the selector, the bounds and the simulator?", "2 min"),
     _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
+    Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
+    _bench("scenes", "What is measured?", "10 s"),
     _bench("serve", "How does the server hold out under many sessions?", "1 min"),
     Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
     Experiment("soak-live", "What does a day of publishing cost, and joining late?", "tools.lab.soak.live", "1 h"),
@@ -58,6 +60,9 @@ EXPERIMENTS = (
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
     ),
     Experiment("stiff", "Where do numbers at their ends lead?", "tools.lab.numerics.stiff", "2 minutes"),
+    Experiment(
+        "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
+    ),
     Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.levels", "minutes"),
     Experiment("frames", "What does the paper's frame mode give over links?", "tools.lab.paper.streaming", "1 minute"),
     Experiment(
@@ -80,20 +85,29 @@ class Measurement:
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
-        "claims", "size",
-        "claims fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
-        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json "
-        "--targets default 36 40 43 --pictures 128",
+        "scenes", "README",
+        "scenes fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
+        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json",
     ),
     Measurement(
         "rd-fox", "size",
         f"rd fox/ fox/transforms.json --fps 24 --frames 24 --targets 48 46 44.5 43 41.5 40 38 {PEERS}",
     ),
     Measurement(
+        "claims", "size",
+        "claims fox/=fox/transforms.json head/ spinach_4.splatv=spinach_views.json "
+        "basketball/=basketball/transforms.json coffee10.splatv kinoptic/=kinoptic/transforms.json "
+        "--targets default 36 40 43 --pictures 128",
+    ),
+    Measurement(
         "rd-spinach", "size", f"rd spinach10/ spinach_views.json --fps 30 --at 40 --targets 42 40 38 36 {PEERS}"
     ),
     Measurement(
         "rd-head", "size", f"rd head10/ head_views.json --fps 30 --at 44.5 --targets 46 44 42 40 38 {PEERS}"
+    ),
+    Measurement(
+        "rivals", "baselines",
+        "rivals fox/=fox/transforms.json head10/=head_views.json spinach10/=spinach_views.json",
     ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
@@ -114,11 +128,13 @@ MEASUREMENTS = (
         "splits-kinoptic", "training",
         "splits kinoptic_views/ --splits 4 --hold 2 --only 1 2 --frames 0:10 '--train=--max-size 480'",
     ),
+    Measurement("keyframe", "training", "keyframe fox_views/ fox.gaussians/"),
     Measurement(
         "work-precision", "work_precision",
         "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
     Measurement("stiff", "stiff", "stiff"),
+    Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
     Measurement("crowd", "crowd", "crowd fox/ raca2018_4g_car/"),
     Measurement("soak-live", "crowd", "soak-live"),
@@ -159,7 +175,6 @@ FIGURES = (
     *_of("docs/tracking.md", "airgs-encode noisy/ -o OUT --report OUT",
          "docs/tracking.png"),
     *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
-    *_of("docs/results/numerics.md", "python -m tests.makers.extremes", "docs/results/extremes.csv"),
     *_of("docs/results/paper.md", "python -m tools.lab reproduce -o OUT",
          *(f"docs/results/paper-{name}" for name in
            ("quality.png", "ablations.png", "methods.csv", "streams.csv", "ablations.csv"))),

@@ -86,6 +86,7 @@ class Page:
     failed: bool = False
     more: Mapping[str, Any] = field(default_factory=dict)  # figures for the JSON alone
     data: Sequence[Table] = ()  # what pictures are drawn from, for the JSON and files alone
+    brief: Sequence[Table] = ()  # what the README shows of it
 
     def tables(self) -> list[Table]:
         """All tables, those that the page does not show last."""
@@ -156,10 +157,15 @@ def text_of(page: Page) -> str:
 
 def markdown(page: Page, made: Made) -> str:
     """The page as a document."""
-    return "\n\n".join([f"# {made.question}", *_body(page, made)]) + "\n"
+    return f"# {made.question}\n\n{body_of(page, made)}\n"
 
 
-def _body(page: Page, made: Made) -> Iterator[str]:
+def body_of(page: Page, made: Made) -> str:
+    """The page without its title."""
+    return "\n\n".join(_parts(page, made))
+
+
+def _parts(page: Page, made: Made) -> Iterator[str]:
     if page.how:
         yield wrapped(page.how)
     for section in page.sections:
@@ -168,16 +174,16 @@ def _body(page: Page, made: Made) -> Iterator[str]:
         yield from (f"![{picture.caption}]({picture.name}.png)" for picture in section.pictures)
         if section.answer:
             yield wrapped(section.answer)
-        yield from ("\n".join(markdown_table(one)) for one in section.tables if one.rows)
+        yield from (markdown_table(one) for one in section.tables if one.rows)
     yield f"```sh not-run\n{made.command}\n```"
     yield wrapped(made.said())
 
 
-def markdown_table(one: Table) -> list[str]:
-    """The lines of a table."""
+def markdown_table(one: Table) -> str:
+    """A table of a document."""
     rule = ["---:" if number else "---" for number in one.numeric()]
     cells = [[cell.replace("|", "\\|") for cell in line] for line in one.cells()]
-    return [f"| {' | '.join(line)} |" for line in (one.head, rule, *cells)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in (one.head, rule, *cells))
 
 
 def write_page(page: Page, made: Made, folder: Path) -> None:
@@ -217,12 +223,11 @@ def write_picture(picture: Picture, path: Path) -> None:
     save_figure(figure, path, DPI)
 
 
-def update(document: Path, page: Page, made: Made) -> None:
-    """Put a page between its marks in a document. Raises ConfigError where they are not there."""
-    begin, end = (f"<!-- tools.lab {made.name}: {word} -->" for word in ("begin", "end"))
-    text = document.read_text(encoding="utf-8")
-    before, after = text.partition(begin)[0], text.partition(end)[2]
-    if begin not in text or end not in text:
+def update(document: Path, name: str, text: str) -> None:
+    """Put a text between the marks of a name in a document. Raises ConfigError where they are not there."""
+    begin, end = (f"<!-- tools.lab {name}: {word} -->" for word in ("begin", "end"))
+    whole = document.read_text(encoding="utf-8")
+    before, after = whole.partition(begin)[0], whole.partition(end)[2]
+    if begin not in whole or end not in whole:
         raise ConfigError(f"{document}: expected the lines {begin!r} and {end!r}")
-    body = "\n\n".join(_body(page, made))
-    write_bytes(document, f"{before}{begin}\n\n{body}\n\n{end}{after}".encode())
+    write_bytes(document, f"{before}{begin}\n\n{text}\n\n{end}{after}".encode())

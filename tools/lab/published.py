@@ -19,11 +19,14 @@ from typing import Any
 
 from airgs_codec.places.whole import to_json, write_bytes
 from tools.lab.experiments import MEASUREMENTS, Measurement
-from tools.lab.page import Made, Page, Table, update
+from tools.lab.page import Made, Page, Table, body_of, markdown_table, update
 
 REPOSITORY = Path(__file__).parents[2]
 RESULTS = REPOSITORY / "docs" / "results"
 FIGURES = RESULTS / "figures.json"
+README = REPOSITORY / "README.md"
+ANSWERS = "answers"  # the marks of what the first page of results shows
+SENTENCE = re.compile(r"(?<=\.) (?=[A-Z])")  # its end
 CODE = ("airgs_codec", "tools", "web/src")  # what a measurement depends on
 LINE = 110  # characters of a value that stay on one line of figures.json
 NOT_PROSE = re.compile(r"```.*?```|`[^`]*`|<!--.*?-->|\]\([^)]*\)", re.DOTALL)
@@ -36,27 +39,42 @@ NUMBER = re.compile(r"(?<![\w.,^#-])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?!\w)")
 
 
 def publish(measurement: Measurement, page: Page, made: Made, pictures: Path) -> None:
-    """Put a page into its document, its pictures beside it, and its figures into figures.json.
+    """Put a page into its document, its pictures beside it, its figures into figures.json, what is brief into READMEs.
 
     `pictures`: the folder where they are. Raises ConfigError where the document has no marks for it, OSError.
     """
-    update(RESULTS / f"{measurement.document}.md", page, made)
+    update(RESULTS / f"{measurement.document}.md", made.name, body_of(page, made))
+    if page.brief:
+        update(README, made.name, "\n\n".join(map(markdown_table, page.brief)))
     for picture in (picture for section in page.sections for picture in section.pictures):
         shutil.copyfile(pictures / f"{picture.name}.png", RESULTS / f"{picture.name}.png")
     entries = read_figures() | {made.name: entry(measurement, page, made)}
     order = [one.name for one in MEASUREMENTS]
     kept = {name: entries[name] for name in order if name in entries}
     write_bytes(FIGURES, ("\n".join(lines_of(kept)) + "\n").encode())
+    update(RESULTS / "README.md", ANSWERS, markdown_table(answers_of(kept)))
+
+
+def answers_of(entries: Mapping[str, Any]) -> Table:
+    """The pages of results, each with the first sentence of the first answer that was published of it."""
+    rows, texts = [], {one.document: "" for one in MEASUREMENTS if one.document != "README"}
+    for one in entries.values():
+        if one["answers"] and not texts.get(one["document"], "-"):
+            texts[one["document"]] = SENTENCE.split(one["answers"][0])[0]
+    for document, answer in texts.items():
+        title = (RESULTS / f"{document}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        rows.append({"question": f"[{title}]({document}.md)", "answer": answer})
+    return Table(ANSWERS, rows)
 
 
 def entry(measurement: Measurement, page: Page, made: Made) -> dict[str, Any]:
     """What figures.json says of a measurement: how it was made, its answers, and the rows of its tables."""
-    answers = [page.how, *(section.answer for section in page.sections)]
     how = {name: value for name, value in dataclasses.asdict(made).items() if name != "name"}
     pictures = [picture.name for section in page.sections for picture in section.pictures]
     tables = {one.name: _columns(one) for one in page.tables()}
     how["seconds"] = round(made.seconds, 1)
-    more = {"document": measurement.document} | how | {"answers": [line for line in answers if line]}
+    answers = [section.answer for section in page.sections if section.answer]
+    more = {"document": measurement.document} | how | {"how": page.how, "answers": answers}
     return more | {"pictures": pictures, "more": dict(page.more), "tables": tables}
 
 

@@ -58,9 +58,9 @@ def select_literal(options: Sequence[Option], budget_bytes: float, beta: float =
     if not options:
         raise ConfigError("Algorithm 1: expected at least one level, got none")
     rungs, answer = [0], None
-    previous = _minus(options[1].quality, options[0].quality) if len(options) > 1 else 0.0
+    previous = options[1].quality - options[0].quality if len(options) > 1 else 0.0
     for i in range(1, len(options)):
-        drop = _minus(options[i].quality, options[i - 1].quality)
+        drop = options[i].quality - options[i - 1].quality
         if _ratio(drop, previous) > beta:
             answer = i
             break
@@ -74,10 +74,6 @@ def select_literal(options: Sequence[Option], budget_bytes: float, beta: float =
         else:
             low = middle + 1
     return answer
-
-
-def _minus(a: float, b: float) -> float:
-    return a - b if math.isfinite(a) or math.isfinite(b) else math.nan
 
 
 def _ratio(a: float, b: float) -> float:

@@ -16,6 +16,7 @@ from airgs_codec.play.session import SessionLog, session_bound
 
 LOOK = "Look at the files: airgs-manifest validate names those that are broken."
 MUCH_DB = 0.5  # under the bound from which another policy may be worth a look
+MUCH_WAIT = 0.1  # of the waiting
 MUCH_WASTE = 0.05  # of the bytes
 OFTEN = 0.9  # share of the segments in the top rung, and of the link, from which more or nothing is to be had
 REASONS = FAULTS, BELOW, OVER, ASKED, SHORT = (  # why a viewer waited
@@ -144,25 +145,9 @@ def beaten_words(on_ladder: Mapping[str, bool]) -> str:
 
 
 def _advice(log: SessionLog, stalls: Sequence[Stall]) -> list[str]:
-    """What would help most against the longest waits; where there are none, what would show more."""
+    """What would help most against each kind of long waits; where there are none, what would show more."""
     if stalls:
-        waits = {why: sum(s.seconds for s in stalls if s.why == why) for why in REASONS}
-        buffer, came = f"--player.buffer {2 * log.settings.buffer_s:g}", min(s.came_bps for s in stalls) / 1e6
-        policy = buffer if log.policy == DEFAULT_POLICY else f"--policy {DEFAULT_POLICY}"
-        startup_s = log.settings.startup_s + waits[SHORT] + 0.05  # rounded up
-        end_s = max(f.arrival_s for f in log.fetches)
-        carried = log.link.bytes_between(0.0, end_s) if log.link else log.metrics.wire_bytes
-        enough = 8e-6 * carried / end_s > lowest_mbps(log)
-        bridge = f", or buffer more before ({buffer})" if enough else ""
-        helps = {
-            FAULTS: LOOK,
-            BELOW: f"No policy helps there: encode a lower level (airgs-encode --levels) that {came:.2f} Mbit/s carry"
-            f"{bridge}.",
-            OVER: f"Be more cautious: {policy}.",
-            ASKED: f"Ask for less: {policy}.",
-            SHORT: f"Buffer longer before playing: --player.startup {startup_s:.1f}.",
-        }
-        return [helps[max(waits, key=lambda why: waits[why])]]
+        return _against(log, stalls)
     r, told = log.metrics, [LOOK] * bool(log.lost)
     bound = session_bound(log) if log.offers.manifest.measured else None
     if bound is not None and bound - log.mean_quality > MUCH_DB:
@@ -170,3 +155,28 @@ def _advice(log: SessionLog, stalls: Sequence[Stall]) -> list[str]:
     if r.rungs.get(log.offers.names[0], 0) > OFTEN * len(log.shown) and (r.utilisation or 1.0) < OFTEN:
         told.append("The link carries more than the top rung: airgs-encode --quality high has finer ones.")
     return told
+
+
+def _against(log: SessionLog, stalls: Sequence[Stall]) -> list[str]:
+    """What would help against waits, the longest kind first; kinds of under MUCH_WAIT of the waiting are left out."""
+    waits = {why: sum(s.seconds for s in stalls if s.why == why) for why in REASONS}
+    buffer = f"--player.buffer {2 * log.settings.buffer_s:g}"
+    policy = buffer if log.policy == DEFAULT_POLICY else f"--policy {DEFAULT_POLICY}"
+    came = min((s.came_bps for s in stalls if s.why == BELOW), default=0.0) / 1e6
+    startup_s = log.settings.startup_s + waits[SHORT] + 0.05  # rounded up
+    end_s = max(f.arrival_s for f in log.fetches)
+    carried = log.link.bytes_between(0.0, end_s) if log.link else log.metrics.wire_bytes
+    bridge = f", or buffer more before ({buffer})" if 8e-6 * carried / end_s > lowest_mbps(log) else ""
+    helps = {
+        FAULTS: LOOK,
+        BELOW: f"No policy helps there: encode a lower level (airgs-encode --levels) that {came:.2f} Mbit/s carry"
+        f"{bridge}.",
+        OVER: f"Be more cautious: {policy}.",
+        ASKED: f"Ask for less: {policy}.",
+        SHORT: f"Buffer longer before playing: --player.startup {startup_s:.1f}.",
+    }
+    long = [why for why in REASONS if waits[why] >= MUCH_WAIT * sum(waits.values())]
+    long.sort(key=lambda why: -waits[why])
+    if OVER in long and ASKED in long:  # the same setting helps against both
+        long.remove(min(OVER, ASKED, key=lambda why: waits[why]))
+    return [helps[why] for why in long]

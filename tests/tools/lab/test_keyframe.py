@@ -54,4 +54,19 @@ def test_both_curves_are_followed(scene, model, tmp_path, monkeypatch):
         ("from scratch", 2),
         ("from scratch", 4),
     ]
-    assert all(row["PSNR, dB"] > 0 and row["Gaussians"] > 0 for row in rows) and "U = " in section.answer
+    assert all(row["psnr"] > 0 and row["rows"] > 0 for row in rows) and "The frame before has " in section.answer
+
+
+def curve(name, *points):
+    return [{"fitted": name, "iterations": 9, "seconds": s, "psnr": psnr, "rows": 110} for s, psnr in points]
+
+
+def test_how_much_sooner_is_told_of_the_best_that_both_reach():
+    fast = curve("from the frame before", (1.0, 30.0), (2.0, 33.0), (4.0, 33.5))
+    (section,) = keyframe.page(100, fast, curve("from scratch", (3.0, 31.0), (8.0, 33.2), (20.0, 34.0))).sections
+    assert section.answer == (
+        "What a fit from scratch shows after 8.0 s (33.2 dB), one from the frame before shows after 4.0 s, 2.0 times "
+        "sooner. The frame before has 100 Gaussians, to which at most 10.0 % are added."
+    )
+    (section,) = keyframe.page(100, fast, curve("from scratch", (3.0, 34.0))).sections
+    assert section.answer.startswith("No fit from the frame before shows what")

@@ -7,7 +7,7 @@ import math
 import multiprocessing
 import shlex
 import time
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
@@ -20,7 +20,7 @@ from tools.lab import main, published
 from tools.lab.command import PROGRAM, Lab
 from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
 from tools.lab.options import expect_names, required, setting
-from tools.lab.page import Made, Page, Picture, Section, Table, markdown, text_of, update, wrapped, write_page
+from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, text_of, update, wrapped, write_page
 from tools.lab.results import Results, content
 from tools.lab.timing import alone, middle, seconds_of, timed
 
@@ -147,12 +147,12 @@ def test_the_terminal_shows_answers_and_tables():
 def test_a_page_goes_between_its_marks(tmp_path):
     document = tmp_path / "document.md"
     document.write_text("# A\n\n<!-- tools.lab thing: begin -->\nold\n<!-- tools.lab thing: end -->\n\n## B\n")
-    update(document, page(), MADE)
+    update(document, "thing", body_of(page(), MADE))
     text = document.read_text()
     assert text.startswith("# A\n\n<!-- tools.lab thing: begin -->\n\nBy hand.") and "old" not in text
     assert text.endswith("<!-- tools.lab thing: end -->\n\n## B\n")
     with pytest.raises(ConfigError, match="other: begin"):
-        update(document, page(), replace(MADE, name="other"))
+        update(document, "other", "")
 
 
 def test_work_is_timed_here_and_alone():

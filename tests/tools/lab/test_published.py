@@ -11,10 +11,11 @@ from tests.tools.lab.test_lab import MADE, page
 from tools.lab import published
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import MEASUREMENTS, Measurement
+from tools.lab.page import Table
 
 # Pages of which not all numbers are in figures.json yet.
 NOT_YET = {
-    "README", "baselines", "crowd", "numerics", "paper", "size", "tiles", "time", "training",
+    "crowd", "paper", "size", "tiles", "time",
 }  # fmt: skip
 PAGES = sorted(published.RESULTS.glob("*.md"))
 ENTRY = {
@@ -33,6 +34,18 @@ def own(name):
 def test_every_number_of_results_is_in_the_file_of_figures(path):
     found = published.unsourced(path.read_text(), own(path.stem))
     assert (found == []) is (path.stem not in NOT_YET), found
+
+
+def test_the_first_page_shows_an_answer_of_every_page_that_has_one():
+    entries, text = published.read_figures(), (published.RESULTS / "README.md").read_text()
+    table = published.answers_of(entries)
+    assert published.markdown_table(table) in text
+    assert {one["question"].partition("](")[2] for one in table.rows} == {
+        f"{path.stem}.md)" for path in PAGES if path.stem != "README"
+    }
+    told = {one["question"].partition("](")[2]: one["answer"] for one in table.rows}
+    for one in (one for one in entries.values() if one["answers"] and one["document"] != "README"):
+        assert told[f"{one['document']}.md)"], one["document"]
 
 
 def test_every_measurement_has_its_place_in_a_document():
@@ -72,11 +85,18 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     folder = tmp_path / "results"
     folder.mkdir()
     (tmp_path / "line.png").write_bytes(b"picture")
-    (folder / "thing.md").write_text("<!-- tools.lab thing: begin -->\n<!-- tools.lab thing: end -->\n")
+    marks = "<!-- tools.lab {0}: begin -->\n<!-- tools.lab {0}: end -->\n"
+    (folder / "thing.md").write_text("# A thing\n" + marks.format("thing"))
+    (folder / "README.md").write_text(marks.format("answers"))
+    (tmp_path / "README.md").write_text(marks.format("thing"))
     monkeypatch.setattr(published, "RESULTS", folder)
+    monkeypatch.setattr(published, "README", tmp_path / "README.md")
     monkeypatch.setattr(published, "FIGURES", folder / "figures.json")
     monkeypatch.setattr(published, "MEASUREMENTS", (Measurement("thing", "thing", "thing"),))
-    published.publish(Measurement("thing", "thing", "thing"), page(), MADE, tmp_path)
+    shown = replace(page(), brief=[Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})])
+    published.publish(Measurement("thing", "thing", "thing"), shown, MADE, tmp_path)
+    assert "| time |\n| ---: |\n| 1.25 |\n" in (tmp_path / "README.md").read_text()
+    assert "| [A thing](thing.md) | It takes 1 ms. |" in (folder / "README.md").read_text()
     assert (folder / "line.png").read_bytes() == b"picture"
     text = (folder / "thing.md").read_text()
     assert "It takes 1 ms." in text and "Measured 2026-11-26 in 3 s, commit abc1234, format 4 (2 cores)." in text

@@ -1,10 +1,12 @@
 """The report on error against run time: what is good enough follows from rows."""
 
 import dataclasses
+import itertools
 from functools import partial
 
 import pytest
 
+from airgs_codec._report import new_figure
 from airgs_codec.package.package import open_package
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import make_policy
@@ -14,7 +16,7 @@ from tools.lab import main, published
 from tools.lab.command import Lab
 from tools.lab.numerics import encode, selector, survey, work_precision
 from tools.lab.numerics.questions import NAMES, QUESTIONS
-from tools.lab.numerics.rows import Bench, Place, Row, open_scene, quartiles
+from tools.lab.numerics.rows import Bench, Place, Row, average, open_scene, quartiles
 from tools.lab.numerics.work_precision import Options, answer, figure, judge, page, run, seconds
 from tools.lab.page import text_of, write_picture
 from tools.lab.timing import Took
@@ -23,7 +25,7 @@ BY_NAME = {question.name: question for question in QUESTIONS}
 
 
 def row(question, curve, setting, took, error, scene="fox", note=""):
-    return Row.of(Place(question, scene, curve, str(setting)), [Took(took, 2 * took)], [error], "dB", note)
+    return Row.by(Place(question, scene, curve, str(setting)), [Took(took, 2 * took)], quartiles([error]), "dB", note)
 
 
 def said(*rows):
@@ -86,6 +88,21 @@ def test_a_row_has_quartiles():
     assert (kept.seconds, kept.wall, kept.runs, kept.error) == (3.0, 4.0, 2, 2.0)
 
 
+def test_sessions_have_a_mean_that_a_few_that_wait_long_move():
+    assert average([4.0]) == (4.0, 4.0, 4.0)
+    assert average([44.0, 44.0, 44.0, 20.0]) == pytest.approx((38.0, 32.0, 44.0))
+
+
+def test_labels_of_points_that_lie_together_do_not_overlap(tmp_path):
+    rows = [row("horizon", "horizon", n, 1e-3 * (1 + 1e-3 * n), 44 + 1e-3 * n, note="2.2 % waiting") for n in range(6)]
+    shown = new_figure(6, 3.7)
+    work_precision.draw(BY_NAME["horizon"], [*rows, row("horizon", "horizon", "far", 9e-3, 40)], shown)
+    boxes = [text.get_window_extent() for text in shown.axes[0].texts]
+    assert len(boxes) == 7
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    assert all(shown.axes[0].bbox.x0 <= box.x0 and box.x1 <= shown.axes[0].bbox.x1 for box in boxes)
+
+
 @pytest.mark.parametrize(
     ("value", "words"), [(0.0, "0"), (3.14159, "3.14"), (1234.5, "1,230"), (2e-5, "2.0e-5"), (0.0015, "0.0015")]
 )
@@ -111,7 +128,19 @@ def test_every_conclusion_of_the_documents_follows_from_their_figures():
     entry = published.read_figures()["work-precision"]
     columns, rows = (entry["tables"]["work_precision"][name] for name in ("columns", "rows"))
     made = page([Row(**dict(zip(columns, values, strict=True))) for values in rows])
-    assert [made.how, *(section.answer for section in made.sections)] == entry["answers"]
+    assert [section.answer for section in made.sections] == entry["answers"]
+
+
+def test_why_the_horizon_stays_is_so_in_the_figures():
+    """No shorter one waits as little, and QoE does not fall by what they wait more."""
+    table = published.read_figures()["work-precision"]["tables"]["work_precision"]
+    rows = [dict(zip(table["columns"], values, strict=True)) for values in table["rows"]]
+    rows = [row for row in rows if row["question"] == "horizon"]
+    for scene in {row["scene"] for row in rows}:
+        waits = {row["setting"]: float(row["note"].split()[0]) for row in rows if row["scene"] == scene}
+        assert min(waits, key=waits.get) == BY_NAME["horizon"].default[1] and len(waits) > 3
+        qoe = {row["setting"]: row["error"] for row in rows if row["scene"] == scene}
+        assert qoe["1"] > qoe[BY_NAME["horizon"].default[1]] - BY_NAME["horizon"].enough
 
 
 def test_bytes_are_interpolated_in_the_logarithm():

@@ -2,7 +2,7 @@
 
 The cameras of the scene are shuffled with a fixed seed and dealt out: split i holds out cameras i * hold to
 i * hold + hold - 1 of that order. Every split is an `airgs-train` of its own into FOLDER/split-I (one that is there
-goes on), with the options given. For every held-out camera that is in step:
+goes on), with the options given. For every held-out camera, at the times of its pictures:
 
     psnr      mean over frames of its PSNR in dB, in the look of the model
     matched   the same after a gain and an offset for each colour, found for that camera over all frames: no camera that
@@ -11,7 +11,8 @@ goes on), with the options given. For every held-out camera that is in step:
               paths that end in Gaussians nearer than a tenth of the way that is left (0: clear, 1: fog)
     light     mean of that picture over the mean of what the camera filmed (near 0: black)
 
-The gap is the training PSNR less the held-out one, both matched; half-way.png shows what is seen half-way.
+The gap is the training PSNR less the held-out one, both matched; half-way.png shows what is seen half-way, and the
+page's picture the last frame from the best, the middle and the worst held-out camera.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,9 +41,13 @@ from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, wi
 from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.points import looked_at
+from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
-from tools.lab import Lab, Page, Section, Table, required, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SEED = 1  # of the order in which cameras are dealt out
 WAY = 0.5  # to the middle of the scene
@@ -48,6 +55,7 @@ COLUMNS = {
     "split": ("split", "d"), "camera": ("camera", ""), "psnr": ("PSNR, dB", ".1f"), "matched": ("matched", ".1f"),
     "haze": ("haze", ".3f"),
 }  # fmt: skip
+SAME, CLEAR = 0.1, 0.005  # dB; haze
 NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
 
 
@@ -77,11 +85,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """A split: its cameras, its training views, and what is seen half-way from each of its cameras."""
+    """A split: its cameras, its training views, and pictures for each of its cameras."""
 
     rows: list[Row]
     training: float  # dB, matched
-    half_way: list[NDArray[np.uint8]]  # a picture for each of the rows
+    half_way: list[NDArray[np.uint8]]  # what is seen half-way
+    last: list[tuple[NDArray[np.uint8], NDArray[np.uint8]]]  # what was filmed last, and what is shown
 
 
 def run(options: Options, lab: Lab) -> Page:
@@ -99,27 +108,48 @@ def run(options: Options, lab: Lab) -> Page:
         late = known_offsets(folder) or {}
         scene = with_held_out(in_step(open_scene(options.scene), late, parse_frames(options.frames)), held_out)
         judged.append(judge(number, scene, folder))
-        lab.tell(summary(judged))
+        lab.tell(summary(options.scene.resolve().name, judged))
     rows = [row for split in judged for row in split.rows]
     captions = [f"split {row.split} {row.camera}, haze {row.haze:.3f}" for row in rows]
     sheet = contact_sheet([picture for split in judged for picture in split.half_way], captions)
     write_png(lab.folder / "half-way.png", sheet)
     name = options.scene.resolve().name
     how = (
-        f"{name}, {options.hold} cameras of {len(names)} held out in each split, dealt out anew; matched: after a "
-        "gain and an offset for each colour of a camera; haze: share of light paths that end near a viewer half-way."
+        f"{options.hold} cameras of {len(names)} held out in each split, dealt out anew; matched: after a gain and an "
+        "offset for each colour of a camera."
     )
-    return Page([Section(summary(judged), tables=[Table(f"splits-{name}", rows_of(rows), COLUMNS)])], how)
+    pairs = [pair for split in judged for pair in split.last]
+    tall, wide = pairs[0][0].shape[:2]
+    size = 9, 6 * tall / wide + 0.4
+    caption = "Filmed, and shown, by held-out cameras"
+    picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size, grid=False)
+    table = Table(f"splits-{name}", rows_of(rows), COLUMNS)
+    return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
 
 
-def summary(judged: Sequence[Judged]) -> str:
+def summary(name: str, judged: Sequence[Judged]) -> str:
     """The means so far."""
     rows = [row for split in judged for row in split.rows]
     mean, matched = (float(np.mean([getattr(row, name) for row in rows])) for name in ("psnr", "matched"))
     gap = float(np.mean([split.training for split in judged])) - matched
-    worst, haze = min(row.matched for row in rows), max(row.haze for row in rows)
-    quality = f"{mean:.2f} dB, matched {matched:.2f} (worst camera {worst:.2f}), gap {gap:.2f}"
-    return f"{len(judged)} splits: {quality}, most haze {haze:.3f}."
+    worst, haze = min(rows, key=lambda row: row.psnr), max(row.haze for row in rows)
+    looks = f"{mean:.1f} dB as it is, {matched:.1f} matched" if matched - mean >= SAME else f"{mean:.1f} dB"
+    fog = f"; half-way to the scene up to {100 * haze:.0f} % of the light ends in fog" if haze >= CLEAR else ""
+    return (
+        f"{name}, from {len(rows)} cameras that were not trained on, in {len(judged)} splits: {looks}, the worst "
+        f"({worst.camera}) {worst.psnr:.1f}; {gap:.1f} dB less than from those that were{fog}."
+    )
+
+
+def draw(rows: Sequence[Row], pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]], figure: Figure) -> None:
+    """The best, the middle and the worst camera: what was filmed above what is shown."""
+    order = sorted(range(len(rows)), key=lambda at: -rows[at].psnr)
+    chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
+    for axes, at in zip(figure.subplots(2, len(chosen), squeeze=False).T, chosen, strict=True):
+        for axis, picture in zip(axes, pairs[at], strict=True):
+            axis.imshow(picture)
+            axis.axis("off")
+        axes[0].set_title(f"{rows[at].camera}, {rows[at].psnr:.1f} dB", fontsize=9)
 
 
 def train(scene: Path, folder: Path, held_out: Sequence[str], options: Sequence[str]) -> None:
@@ -136,24 +166,29 @@ def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
     model = read_model(folder)
     pictures = open_pictures(scene, model)
     frames = range(len(model.record.frames))
-    shown = [model.read(frame) for frame in frames]
-    views = [_in_step(pictures.held_out(frame)) for frame in frames]
+    first = model.read(0)
     cameras = [view.camera for view in (*pictures.train(0), *pictures.held_out(0))]
     middle = looked_at(cameras)
-    rows, half_way = [], []
-    for i, name in enumerate(view.camera.name for view in views[0]):
-        plain, matched = compare(shown, [of_frame[i] for of_frame in views])
-        picture, haze = from_half_way(shown[0], views[0][i].camera, middle)
-        light = float(picture.mean() / views[0][i].target.rgb.mean())
-        rows.append(Row(number, name, plain, matched, haze, light))
+    rows, half_way, last = [], [], []
+    for views in zip(*(pictures.held_out(frame) for frame in frames), strict=True):
+        shown, camera = shown_to(model, views), views[0].camera
+        plain, matched = compare(shown, views)
+        picture, haze = from_half_way(first, camera, middle)
+        light = float(picture.mean() / views[0].target.rgb.mean())
+        rows.append(Row(number, camera.name, plain, matched, haze, light))
         half_way.append(to_bytes(picture))
-    every = [_in_step(pictures.train(frame)) for frame in frames]
-    training = [compare(shown, [of_frame[i] for of_frame in every])[1] for i in range(len(every[0]))]
-    return Judged(rows, float(np.mean(training)), half_way)
+        last.append((to_bytes(views[-1].target.rgb), to_bytes(cpu.render(shown[-1], camera).rgb)))
+    every = zip(*(pictures.train(frame) for frame in frames), strict=True)
+    training = [compare(shown_to(model, views), views)[1] for views in every]
+    return Judged(rows, float(np.mean(training)), half_way, last)
 
 
-def _in_step(views: Sequence[View]) -> list[View]:
-    return [view for view in views if not view.after]
+def shown_to(model: Model, views: Sequence[View]) -> list[Gaussians]:
+    """What a camera sees of a model at the times of its pictures, one of each frame."""
+    return [
+        frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
+        for frame, view in enumerate(views)
+    ]
 
 
 def open_pictures(scene: MultiviewScene, model: Model) -> Pictures:

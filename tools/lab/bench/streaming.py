@@ -34,6 +34,10 @@ COLUMNS = {
     "scene": ("scene", ""), "policy": ("policy", ""), "psnr": ("PSNR, dB", ".2f"), "low": ("5th percentile", ".2f"),
     "regret": ("regret, dB", ".2f"), "stalled": ("waiting", ".2%"), "stalled_all": ("on all links", ".1%"),
 }  # fmt: skip
+BRIEF = {
+    "policy": ("policy", ""), "psnr": ("PSNR on screen, dB", ".1f"), "stalled": ("waiting", ".1%"),
+    "regret": ("below the best possible, dB", ".1f"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +107,8 @@ def page(options: Options, rows: Sequence[Row]) -> Page:
         (4 * len(scenes), 3.2),
     )
     section = Section(" ".join(filter(None, words)), pictures=[picture], tables=[Table("streaming", rows, COLUMNS)])
-    return Page([section], how_of(options, rows))
+    first = [row for row in rows if row["scene"] == rows[0]["scene"]]
+    return Page([section], how_of(options, rows), brief=[Table("brief", first, BRIEF)])
 
 
 def how_of(options: Options, rows: Sequence[Row]) -> str:

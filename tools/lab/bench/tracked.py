@@ -17,13 +17,12 @@ import numpy as np
 from airgs_codec import EncodeSettings, encode, open_package
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.render import Camera, read_cameras, render
-from airgs_codec.scene.beside import exact_number
+from airgs_codec.render import Camera, render
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
-from tools.lab.rd.subject import read_truth
+from tools.lab import Lab, Page, Row, Section, Table, seconds_of, setting
+from tools.lab.rd.subject import Measured, read_truth
 
 MOVED, GONE, SPLIT = 0.1, 0.05, 0.05  # of a Gaussian's size; shares of rows
 APART, SMALLER = 0.3, 1.3  # halves of a split row: their distance, and by how much they are smaller
@@ -35,22 +34,17 @@ COLUMNS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class Options(Measured):
     """What is disturbed."""
 
-    sequence: Path = required("a sequence")
-    views: Path = required("its cameras, of which the held-out ones measure, or all if none is held out")
-    fps: str = setting("", "frames a second, where the sequence does not say")
     frames: int = setting(30, "frames, the first ones")
     as_it_is: bool = setting(False, "code it as it comes")
 
 
 def run(options: Options, lab: Lab) -> Page:
     """Code it in both ways, and measure."""
-    fps = exact_number(options.fps) if options.fps else None
-    clean = open_sequence(options.sequence, views=options.views, fps=fps)
+    clean, cameras = options.open()
     clean = replace(clean, paths=clean.paths[: options.frames], headers=clean.headers[: options.frames])
-    cameras = [c for c in read_cameras(options.views) if c.held_out] or read_cameras(options.views)
     given = clean if options.as_it_is else disturbed(clean, lab.folder / "disturbed")
     look = looks(clean, cameras, options.views)
     rows: list[Row] = [{"coded": GIVEN, "kb": None, "seconds": None} | look(given.read)]

@@ -56,7 +56,7 @@ QUESTIONS = (
     Question(
         "horizon", "How many segments ahead should a plan look?", selector.horizons, selector.UNIT, f"{CPU} a choice",
         0.1, default=("horizon", str(HORIZON_SEGMENTS)), more=True,
-        why="QoE is of the median session, which does not show how long others wait",
+        why="it waits least, which QoE counts for little",
     ),
     Question(
         "policies", "Which policy should choose?", selector.policies, selector.UNIT, f"{CPU} a choice", 0.1,

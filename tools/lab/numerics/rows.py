@@ -40,7 +40,7 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measurement: medians of repeated runs, with their quartiles."""
+    """One measurement: medians of repeated runs with their quartiles; or errors as means with their standard errors."""
 
     question: str
     scene: str
@@ -50,7 +50,7 @@ class Row:
     seconds_low: float  # lower quartile
     seconds_high: float  # upper quartile
     error: float  # in `unit`
-    error_low: float
+    error_low: float  # lower quartile, or a standard error below
     error_high: float
     unit: str
     wall: float  # seconds by the clock on the wall, median
@@ -58,17 +58,29 @@ class Row:
     note: str = ""  # what stands beside its point
 
     @staticmethod
-    def of(place: Place, took: Sequence[Took], errors: Sequence[float], unit: str, note: str = "") -> Row:
+    def of(place: Place, took: Sequence[Took], errors: Sequence[float], unit: str) -> Row:
         """The row of some runs, at least one; `errors` are of runs, too."""
+        return Row.by(place, took, quartiles(errors), unit)
+
+    @staticmethod
+    def by(place: Place, took: Sequence[Took], error: tuple[float, float, float], unit: str, note: str = "") -> Row:
+        """The row of some runs, with an error and its lower and upper end."""
         spread = quartiles([t.cpu for t in took])
         wall = quartiles([t.wall for t in took])[0]
-        return Row(*place, *spread, *quartiles(errors), unit, wall, len(took), note)
+        return Row(*place, *spread, *error, unit, wall, len(took), note)
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
     """Median, lower and upper quartile."""
     low, middle, high = np.percentile(np.asarray(values, np.float64), [25, 50, 75])
     return float(middle), float(low), float(high)
+
+
+def average(values: Sequence[float]) -> tuple[float, float, float]:
+    """Mean, a standard error below and above it; of one value it alone."""
+    mean = float(np.mean(values))
+    error = float(np.std(values, ddof=1)) / len(values) ** 0.5 if len(values) > 1 else 0.0
+    return mean, mean - error, mean + error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,7 +23,7 @@ from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace, markov_trace
-from tools.lab.numerics.rows import Bench, Place, Point, Row
+from tools.lab.numerics.rows import Bench, Place, Point, Row, average
 from tools.lab.timing import Took, seconds_of
 
 AMPLE, SCARCE = "ample links", "scarce links"
@@ -94,7 +94,7 @@ def _looking(segments: int, links: Links, link: Link) -> Policy:
 
 
 def sessions(links: Links, place: Place, share: float, make: Maker) -> list[Row]:
-    """What single choices take, the QoE of every session, and how much of the time they wait on average."""
+    """What single choices take, and how good sessions are and how much of the time they wait on average."""
     rules = SessionSettings(loops=max(1, round(PLAY_S / links.offers.duration_s)))
     took: list[Took] = []
     experience, waits = [], []
@@ -103,7 +103,7 @@ def sessions(links: Links, place: Place, share: float, make: Maker) -> list[Row]
         assert metrics.qoe is not None
         experience.append(metrics.qoe)
         waits.append(metrics.stall_ratio)
-    return [Row.of(place, took, experience, UNIT, f"{100 * float(np.mean(waits)):.1f} % waiting")]
+    return [Row.by(place, took, average(experience), UNIT, f"{100 * float(np.mean(waits)):.1f} % waiting")]
 
 
 def watched(policy: Policy, took: list[Took]) -> Policy:

@@ -13,21 +13,17 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from airgs_codec.render import read_cameras
-from airgs_codec.scene.beside import exact_number
-from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Picture, Section, Table, required, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, rows_of, setting
 from tools.lab.page import Row
-from tools.lab.rd.coders import OURS, layout_trials, our_trials
+from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.points import RdPoint, bd_rate, curves, kb_at
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
-from tools.lab.rd.subject import Subject, Trial, open_subject
+from tools.lab.rd.subject import Measured, Subject, Trial, open_subject
 from tools.lab.rd.written import written_trials
 
 if TYPE_CHECKING:
@@ -43,15 +39,13 @@ COLUMNS = {
     "format": ("format", ""), "kb": ("kB a frame", ".1f"), "psnr": ("PSNR, dB", ".1f"),
     "times": ("times airgs at that PSNR", ".1f"), "variant": ("its variant", ""),
 }  # fmt: skip
+BRIEF = 6  # formats that the README shows: ours and the nearest
 
 
 @dataclass(frozen=True, slots=True)
-class Options:
+class Options(Measured):
     """What is coded, and by what."""
 
-    sequence: Path = required("a sequence")
-    views: Path = required("its cameras, of which the held-out ones measure")
-    fps: str = setting("", "frames a second, where the sequence does not say")
     frames: int = setting(6, "frames measured")
     targets: tuple[float, ...] = setting((47.0, 45.5, 44.0, 42.5, 41.0, 39.5), "PSNR of our packages, dB")
     at: float = setting(43.0, "dB at which bytes are compared")
@@ -62,9 +56,7 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     """Every coder at every setting."""
-    fps = exact_number(options.fps) if options.fps else None
-    sequence = open_sequence(options.sequence, views=options.views, fps=fps)
-    cameras = [c for c in read_cameras(options.views) if c.held_out]
+    sequence, cameras = options.open()
     subject = open_subject(sequence, cameras, options.frames, options.views)
     points = list(measure(subject, trials(options), lab))
     name = options.sequence.resolve().name
@@ -77,7 +69,10 @@ def run(options: Options, lab: Lab) -> Page:
     )
     table = Table(f"rd-{name}", rows, COLUMNS)
     data = [Table(f"rd-{name}-points", _with_ours(points))]
-    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=[table])], how, data=data)
+    brief = [
+        Table("brief", [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF], dict(list(COLUMNS.items())[:3]))
+    ]
+    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=[table])], how, data=data, brief=brief)
 
 
 def trials(options: Options) -> Iterator[Trial]:

@@ -13,12 +13,28 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.media.image import read_picture, to_floats
 from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera, read_cameras, render
+from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.gaussians import Gaussians, morton_order
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tools.lab.options import required, setting
 from tools.lab.rd.points import RdPoint
 
 Pictures = dict[int, list[np.ndarray]]  # frame -> (H, W, 3) of each camera, 0..1
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Options of what is coded and measured."""
+
+    sequence: Path = required("a sequence")
+    views: Path = required("its cameras, of which the held-out ones measure, or all if none is held out")
+    fps: str = setting("", "frames a second, where the sequence does not say")
+
+    def open(self) -> tuple[GaussianSequence, list[Camera]]:
+        """The sequence, and the cameras that measure. Raises AirgsError."""
+        fps, cameras = exact_number(self.fps) if self.fps else None, read_cameras(self.views)
+        return open_sequence(self.sequence, views=self.views, fps=fps), [c for c in cameras if c.held_out] or cameras
 
 
 @dataclass(frozen=True, slots=True, eq=False)

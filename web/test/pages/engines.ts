@@ -1,7 +1,7 @@
 // Pictures of one frame from several cameras, drawn by spark or PlayCanvas through the adapters of examples/, for
 // tools/lab/bench/engines.py to compare, and how long the adapters take to hand a frame over.
 //
-//     ?scene=FOLDER&engine=spark|playcanvas&variant=NAME      in FOLDER views.json, and rows.bin, float32 arrays
+//     ?scene=FOLDER&engine=spark|playcanvas&variant=default|tuned      in FOLDER views.json, and rows.bin
 import { SparkRenderer } from "@sparkjsdev/spark";
 import * as pc from "playcanvas";
 import * as THREE from "three";
@@ -71,16 +71,9 @@ function canvasOf(size: number): HTMLCanvasElement {
   return canvas;
 }
 
-/** How spark is set: as it comes; as the adapter sets it, with its own splats packed; as the adapter sets it. */
-const SPARK_VARIANTS: Record<string, object> = {
-  default: {},
-  packed: { ...SPARK_SETTINGS, accumExtSplats: false },
-  tuned: SPARK_SETTINGS,
-};
-
-function sparkEngine(scene: Scene, variant: string): Engine {
+function sparkEngine(scene: Scene, tuned: boolean): Engine {
   const renderer = new THREE.WebGLRenderer({ canvas: canvasOf(scene.size), antialias: false });
-  const spark = new SparkRenderer({ renderer, ...SPARK_VARIANTS[variant] });
+  const spark = new SparkRenderer({ renderer, ...(tuned ? SPARK_SETTINGS : {}) });
   const splats = new SparkSplats();
   const world = new THREE.Scene();
   world.add(spark, splats);
@@ -100,18 +93,17 @@ function sparkEngine(scene: Scene, variant: string): Engine {
   return { show: (gaussians) => splats.show(gaussians), picture };
 }
 
-function playCanvasEngine(scene: Scene, variant: string): Engine {
+function playCanvasEngine(scene: Scene, tuned: boolean): Engine {
   const canvas = canvasOf(scene.size);
   const app = new pc.Application(canvas, { graphicsDeviceOptions: { antialias: false } });
   app.autoRender = false;
   app.setCanvasFillMode(pc.FILLMODE_NONE, scene.size, scene.size);
   app.setCanvasResolution(pc.RESOLUTION_FIXED, scene.size, scene.size);
   app.start();
-  if (variant !== "default" && !tuneGsplat(app)) throw new Error("the kernel of PlayCanvas is another one");
-  if (variant === "engine kernel") app.scene.gsplat.material.getShaderChunks().clear();
+  if (tuned && !tuneGsplat(app)) throw new Error("the kernel of PlayCanvas is another one");
   const camera = new pc.Entity("camera");
   camera.addComponent("camera", { clearColor: pc.Color.BLACK, fov: scene.fov_y, nearClip: scene.near, farClip: 1e4 });
-  if (variant !== "default") camera.camera!.toneMapping = pc.TONEMAP_NONE;
+  if (tuned) camera.camera!.toneMapping = pc.TONEMAP_NONE;
   app.root.addChild(camera);
   const splats = new PlayCanvasSplats(app);
   app.root.addChild(splats.entity);
@@ -143,8 +135,8 @@ const base64 = (bytes: Uint8Array) => {
 
 async function main() {
   const { scene, gaussians } = await read(query.get("scene")!);
-  const variant = query.get("variant")!;
-  const engine = query.get("engine") === "spark" ? sparkEngine(scene, variant) : playCanvasEngine(scene, variant);
+  const tuned = query.get("variant") === "tuned";
+  const engine = query.get("engine") === "spark" ? sparkEngine(scene, tuned) : playCanvasEngine(scene, tuned);
   engine.show(gaussians);
   const pictures: string[] = [];
   for (const view of scene.views) pictures.push(base64(await engine.picture(view)));

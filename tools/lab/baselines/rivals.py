@@ -1,0 +1,127 @@
+"""What the four methods beside ours are: their settings here and in their papers, and the two layouts of V^3.
+
+V^3's script for scales and opacities that are activated is the one that its README names; the other codes them as they
+are stored. Both code the rows of every scene in Morton order at the preset of x264 that airgs uses; PSNR compares with
+pictures of the original Gaussians from the held-out cameras, pooled over cameras and frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from airgs_codec.render import read_cameras
+from airgs_codec.scene.sequence import open_sequence
+from tools.lab import Lab, Page, Row, Section, Table, listed, required, setting
+from tools.lab.baselines.fourdgs import Fourdgs
+from tools.lab.baselines.naive3dgs import Naive3dgs
+from tools.lab.baselines.stream3dgs import StreamSettings
+from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, RATES
+from tools.lab.baselines.v3 import V3Settings
+from tools.lab.made import name_of
+from tools.lab.rd.coders import PRESETS, layout_trials, v3_name
+from tools.lab.rd.experiment import measure
+from tools.lab.rd.layouts import V3_FORMS
+from tools.lab.rd.points import RdPoint
+from tools.lab.rd.subject import Trial, open_subject
+
+SETTINGS = {"method": ("method", ""), "what": ("setting", ""), "here": ("here", ""), "paper": ("in the paper", "")}
+COLUMNS = {"scene": ("scene", ""), "qp": ("QP", "d")} | {
+    f"{form}_{unit}": (f"{form}, {words}", ".1f") for form in V3_FORMS for unit, words in (("db", "dB"), ("kb", "kB"))
+}
+CLOSE = 0.1  # dB that are no difference
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What V^3's layouts code."""
+
+    scenes: tuple[str, ...] = required("sequences with their cameras, SCENE=VIEWS")
+    qps: tuple[int, ...] = setting((6, 14, 22), "some of those at which they are compared with airgs")
+    frames: int = setting(6, "frames measured")
+
+
+def run(options: Options, lab: Lab) -> Page:
+    """Both layouts on all scenes. Raises AirgsError."""
+    rows: list[Row] = []
+    for scene in options.scenes:
+        place, _, views = scene.partition("=")
+        cameras = [camera for camera in read_cameras(Path(views)) if camera.held_out]
+        subject = open_subject(open_sequence(place, views=views), cameras, options.frames, Path(views))
+        rows += rows_of(name_of(scene), options.qps, list(measure(subject, trials(options.qps), lab)))
+    return page(rows)
+
+
+def trials(qps: Sequence[int]) -> Iterator[Trial]:
+    """V^3's layouts at our preset."""
+    coders = [v3_name(form, PRESETS[-1]) for form in V3_FORMS]
+    return (one for one in layout_trials() if one.coder in coders and one.setting in [f"qp {qp}" for qp in qps])
+
+
+def rows_of(scene: str, qps: Sequence[int], points: Sequence[RdPoint]) -> list[Row]:
+    """A row for each QP."""
+    found = {(point.coder, point.setting): point for point in points}
+    rows: list[Row] = []
+    for qp in qps:
+        row: Row = {"scene": scene, "qp": qp}
+        for form in V3_FORMS:
+            point = found[v3_name(form, PRESETS[-1]), f"qp {qp}"]
+            row |= {f"{form}_db": point.psnr, f"{form}_kb": point.kb_per_frame}
+        rows.append(row)
+    return rows
+
+
+def page(rows: Sequence[Row]) -> Page:
+    """Return settings and layouts."""
+    settings = [
+        {"method": method, "what": what, "here": shown(here), "paper": shown(paper)}
+        for method, what, here, paper in settings_of()
+        if here != paper
+    ]
+    sections = [
+        Section("", tables=[Table("rivals", settings, SETTINGS)]),
+        Section(verdict(rows), "Which of V³'s two layouts?", tables=[Table("v3-layouts", rows, COLUMNS)]),
+    ]
+    return Page(sections)
+
+
+def settings_of() -> list[tuple[str, str, float, float | str]]:
+    """Method, setting, its value here and in the paper; the page shows those that differ."""
+    naive, four, stream, v3 = Naive3dgs(), Fourdgs(), StreamSettings(), V3Settings()
+    return [
+        ("naive 3DGS", "iterations a frame", naive.iterations, ITERATIONS),
+        ("naive 3DGS", "gradient from which Gaussians are added", naive.gradient, GRADIENT),
+        ("naive 3DGS", "factor on learning rates", naive.rate, RATES.factor),
+        ("4DGS", "iterations in all", four.iterations, 17_000),
+        ("4DGS", "gradient from which Gaussians are added", four.gradient, GRADIENT),
+        ("3DGStream", "iterations of the cache, a frame", stream.iterations, 150),
+        ("3DGStream", "iterations of what is added, a frame", stream.added_iterations, 100),
+        ("3DGStream", "levels of the hash grid", stream.cache.levels, 16),
+        ("3DGStream", "entries of a level", 2**stream.cache.log2_table, 2**15),
+        ("3DGStream", "share of 1 - SSIM in the loss", stream.first.ssim_weight, 0.2),
+        ("3DGStream", "Gaussians that a frame adds, at most", stream.most_added, "all"),
+        ("V³", "iterations of a keyframe", v3.key_iterations + v3.finetune_iterations, 16_000),
+        ("V³", "iterations of the hash grid, a frame", v3.field_iterations, 800),
+        ("V³", "iterations of the attributes, a frame", v3.frame_iterations, 2_000),
+        ("V³", "frames of a group", v3.group_frames, 20),
+        ("V³", "Gaussians of a keyframe, at most", v3.rows, "all"),
+    ]
+
+
+def shown(value: float | str) -> str:
+    """Return a setting as a cell."""
+    return value if isinstance(value, str) else f"{value:,}" if isinstance(value, int) else f"{value:g}"
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Which layout is better on which scenes, and by how much at most."""
+    best: dict[str, list[str]] = {}
+    for scene in dict.fromkeys(row["scene"] for row in rows):
+        gains = [row[f"{V3_FORMS[1]}_db"] - row[f"{V3_FORMS[0]}_db"] for row in rows if row["scene"] == scene]
+        low, high = min(gains), max(gains)
+        form = V3_FORMS[1] if low >= -CLOSE else V3_FORMS[0] if high <= CLOSE else ""
+        most = max(abs(low), abs(high))
+        best.setdefault(form, []).append(f"{scene} (by up to {most:.1f} dB)" if form else scene)
+    words = [f"{f'the {form} one' if form else 'now one, now the other'} on {listed(best[form])}" for form in best]
+    return f"At equal QP the better layout is {listed(words)}."
