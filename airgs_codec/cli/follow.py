@@ -70,7 +70,7 @@ def _as_json(published: PublishedGroup) -> dict[str, object]:
         "frames": [group.start, group.stop],
         "bytes": _bytes(published),
         "gaussians": group.count,
-        "kept": _kept(published),
+        "keeps": group.keeps,
         **seconds,
         "rows": published.notes,
     }
@@ -80,17 +80,12 @@ def _as_words(published: PublishedGroup) -> str:
     group = published.group
     quality = [level.psnr[0] for segment in group.segments for level in segment.levels[:1] if level.psnr]
     shown = f", {min(quality):.1f} dB at least" if quality else ""
-    shown += f", {_kept(published) / group.count:.0%} kept from group {group.keeps}" if group.keeps else ""
+    shown += f", key by its difference to group {group.keeps}" if group.keeps else ""
     size = _bytes(published) / (group.stop - group.start) / 1e3
     return (
         f"group {published.number}: frames {group.start}-{group.stop - 1}, {size:.1f} kB/frame on the top rung{shown}, "
         f"published {published.waited_s[1]:.1f} s after its last frame"
     )
-
-
-def _kept(published: PublishedGroup) -> int:
-    """Gaussians that are those of an earlier group."""
-    return sum(unit.kept for unit in published.group.units)
 
 
 def _bytes(published: PublishedGroup) -> int:

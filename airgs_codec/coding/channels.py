@@ -26,6 +26,7 @@ from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid,
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
+_CHANGING = ("means", "quaternions", "log_scales", "opacity", "colours")
 WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
 LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
 # Decoded opacities stay inside [2^-20, 1 - 2^-20]: outside, the logit of a stored .ply is infinite.
@@ -53,11 +54,6 @@ class Canonical:
         """Some of its rows; of a slice nothing is copied."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
 
-    def kept(self, rows: NDArray[np.intp], depths: NDArray[np.uint8]) -> Canonical:
-        """Some of its rows as a later group keeps them, with their depths there."""
-        taken = {f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name not in ("depths", "transform")}
-        return replace(self, **taken, depths=depths)
-
     def to_gaussians(self) -> Gaussians:
         """The canonical space as a frame: what is shown where no state says otherwise."""
         return _to_gaussians(self.means, self.quaternions, self.log_scales, self.opacity, self.colours)
@@ -81,19 +77,6 @@ def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -
     """The rows of several canonical spaces as those of one group, whose (C, C) KLT `transform` is."""
     names = [f.name for f in fields(Canonical) if f.name != "transform"]
     return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
-
-
-def recolour(
-    channels: NDArray[np.floating],
-    of: tuple[NDArray[np.float64], KeySteps],
-    into: tuple[NDArray[np.float64], KeySteps],
-) -> NDArray[np.float64]:
-    """(7 + C, N) key channels of a group as those of another; of both the (C, C) KLT and the steps are given."""
-    out = channels.astype(np.float64)
-    scales = [colour_steps(steps.sh_dc, steps.sh_rest, len(transform)) for transform, steps in (of, into)]
-    colour = from_klt(out[KEY.slice(COLOUR)].T, of[0]) * scales[0]
-    out[KEY.slice(COLOUR)] = to_klt(colour / scales[1], into[0]).T
-    return out
 
 
 def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps) -> NDArray[np.float64]:
@@ -120,7 +103,7 @@ def dequantise_key(
 
     `coarser` is that of the key quality; the codes of the sidecar may be those of finer cells.
     """
-    return dequantise_parts(_parts_of(channels), sidecar, transform, grid, steps, coarser)
+    return dequantise_parts(parts_of(channels), sidecar, transform, grid, steps, coarser)
 
 
 def dequantise_parts(
@@ -149,6 +132,28 @@ def dequantise_parts(
 
     for_chunks(fill, count, WIDTH)
     return Canonical(means, units, quaternions, log_scales, opacity, colour, sidecar.depths, transform)
+
+
+def add_difference(
+    base: Canonical, read: Callable[[slice], NDArray[np.float32]], steps: StateSteps, depths: NDArray[np.uint8]
+) -> Canonical:
+    """The canonical space that differs from `base` by (10 + C, N) channels, which `read` gives for some of the rows.
+
+    `depths` (N,) are its own.
+    """
+    out = replace(base, depths=depths, **{name: np.empty_like(getattr(base, name)) for name in _CHANGING})
+    of = base.transform.astype(np.float32), colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
+
+    def fill(rows: slice) -> None:
+        channels, before = read(rows), base.part(rows)
+        out.means[rows] = before.means + (channels[_MEANS] * before.motion_units).T
+        out.log_scales[rows] = before.log_scales + channels[_SCALES].T
+        out.quaternions[rows] = multiply(to_quaternions(channels[_ROTATION]), before.quaternions)
+        out.opacity[rows] = before.opacity + channels[_OPACITY][0]
+        out.colours[rows] = before.colours + klt_colours(channels[_COLOUR], of[0], of[1].astype(np.float32)).T
+
+    for_chunks(fill, len(depths), WIDTH)
+    return out
 
 
 def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
@@ -217,7 +222,7 @@ class StateApplier:
 
     def apply(self, channels: NDArray[np.float32]) -> Gaussians:
         """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows."""
-        return self.apply_parts(_parts_of(channels))
+        return self.apply_parts(parts_of(channels))
 
     def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
         """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
@@ -260,7 +265,7 @@ class StateApplier:
             out["sh_dc"][some] = out["colours"][some, :3]
 
 
-def _parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:
+def parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:
     """Return what gives the channels of some of the rows."""
     return lambda rows: channels[:, rows]
 

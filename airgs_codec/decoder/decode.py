@@ -20,14 +20,21 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import argument
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes, read_values
-from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_parts, join_canonical, no_rows
+from airgs_codec.coding.channels import (
+    Canonical,
+    StateApplier,
+    add_difference,
+    dequantise_parts,
+    join_canonical,
+    no_rows,
+)
 from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import decode_ahead, open_segment
-from airgs_codec.package.layout import COLOUR, KEY, STATE
+from airgs_codec.package.layout import COLOUR, STATE, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
@@ -58,10 +65,10 @@ def decode(
 ) -> Gaussians:
     """One frame, from 0, of an open package or the one at a path, at a level and key quality given by id or index.
 
-    Decodes nothing but the key units of the frame's group, those of the group whose rows it keeps, and its segment up
-    to the frame. While the package is open, key units of some groups stay decoded, and the escapes of one segment. The
-    result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for a frame, level or
-    key quality that the package does not have, FormatError for a broken package.
+    Decodes nothing but the key units of the frame's group, those of the group that they are differences to, and its
+    segment up to the frame. While the package is open, key units of some groups stay decoded, and the escapes of one
+    segment. The result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for a
+    frame, level or key quality that the package does not have, FormatError for a broken package.
     """
     package = argument("package", package, Package, OPENED, open_package)
     m = package.manifest
@@ -136,7 +143,7 @@ def _tiles(package: Package, tiles: Iterable[int] | None) -> list[int]:
 def decode_canonical(
     package: Package, group: int, quality: int, tiers: int | None = None, tiles: Iterable[int] | None = None
 ) -> Canonical:
-    """The canonical space of a group, with the rows that it keeps, in file order.
+    """The canonical space of a group, in file order.
 
     It is that of the first `tiers` key tiers of some `tiles` (default: all of all), which may have no rows. Raises
     ConfigError for tiers that the package does not have, FormatError for a broken package.
@@ -145,60 +152,61 @@ def decode_canonical(
     if tiers is not None and not 1 <= tiers <= m.tiers:
         raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
     units = [tile * m.tiers + t for tile in _tiles(package, tiles) for t in range(m.tiers)[:tiers]]
-    parts = [part for k in units if g.units[k].count for part in _decode_unit(package, group, k, quality)]
+    parts = [_decode_unit(package, group, k, quality) for k in units if g.units[k].count]
     transform = unpack_matrix(g.colour_transform, m.colour_channels)
     return join_canonical(parts, transform) if parts else no_rows(transform)
 
 
-def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Iterator[Canonical]:
-    """The rows of a key unit, which has some: those that it keeps, then the others."""
+def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Canonical:
+    """The rows of a key unit, which has some."""
     m, g = package.manifest, package.manifest.groups[group]
+    base, units = m.base_of(group), key_units(package, group, unit, quality)
     shown, sidecar = _read_key(package, group, unit, quality)
-    base, kept = m.base_of(group), sidecar.kept
-    if base is not None and len(kept.rows):
-        transform = unpack_matrix(m.groups[base].colour_transform, m.colour_channels)
-        yield join_canonical(list(_decode_unit(package, base, unit, quality)), transform).kept(kept.rows, kept.depths)
-    if shown is not None:
-        steps = KEY.steps(g.key_steps, m.colour_channels) * (m.qualities[quality].factor * g.units[unit].factor)
-        transform, units = unpack_matrix(g.colour_transform, m.colour_channels), code_units(steps, m.key_gain)
 
-        def values(rows: slice) -> NDArray[np.float32]:
-            return read_values(shown[0], g.units[unit].qualities[quality], shown[1], rows, units)
+    def values(rows: slice) -> NDArray[np.float32]:
+        if shown is None:
+            return np.zeros((len(units), rows.stop - rows.start), np.float32)
+        return read_values(shown[0], g.units[unit].qualities[quality], shown[1], rows, units)
 
-        yield dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
+    if base is not None:
+        return add_difference(_decode_unit(package, base, unit, quality), values, g.difference_steps, sidecar.depths)
+    transform = unpack_matrix(g.colour_transform, m.colour_channels)
+    return dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
+
+
+def key_units(package: Package, group: int, unit: int, quality: int) -> NDArray[np.float32]:
+    """Return the value of a code of each channel of the picture of a key unit."""
+    m, g = package.manifest, package.manifest.groups[group]
+    factor = m.qualities[quality].factor * g.units[unit].factor
+    return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
 
 
 def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(KEY.width(C), n) codes of the rows of a key unit that are not kept, and its sidecar in that quality.
-
-    Raises FormatError.
-    """
+    """(channels, n) codes of a key unit, n = 0 without a picture, and its sidecar in that quality. FormatError."""
+    atlas = package.manifest.groups[group].units[unit].qualities[quality]
     shown, sidecar = _read_key(package, group, unit, quality)
-    if shown is None:
-        return np.empty((KEY.width(package.manifest.colour_channels), 0), np.int32), sidecar
-    return read_codes(shown[0], package.manifest.groups[group].units[unit].qualities[quality], shown[1]), sidecar
+    codes = np.empty((len(atlas.centres), 0), np.int32) if shown is None else read_codes(shown[0], atlas, shown[1])
+    return codes, sidecar
 
 
 def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_Shown | None, KeySidecar]:
-    """The picture of a key unit, None where every row is kept, and its sidecar, as in `decode_key`.
+    """The picture of a key unit, None where it has none, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
     """
     m, g = package.manifest, package.manifest.groups[group]
-    entry, base = g.units[unit], m.base_of(group)
+    entry, differs, coarsest = g.units[unit], g.keeps is not None, m.qualities[-1].coarser
     sidecar_path, *media_paths = m.key_files(group, unit, quality)
-    grid, coarser, coarsest = g.grid, m.qualities[quality].coarser, m.qualities[-1].coarser
-    kept = entry.kept, 0 if base is None else m.groups[base].units[unit].count
-    count, data = entry.count - entry.kept, package.read(sidecar_path)
+    shape = package.read(sidecar_path), entry.count, g.grid, coarsest, sidecar_path, differs
     if not media_paths:
-        return None, unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
+        return None, unpack_key_sidecar(*shape)
     (media,), atlas = media_paths, entry.qualities[quality]
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, iter(pictures), None)
-        shared = unpack_key_sidecar(data, count, grid, coarsest, sidecar_path, kept)
-        reader = ColumnReader(columns, media)
-        sidecar = read_detail(reader, shared, grid, coarser, coarsest)
+        shared = unpack_key_sidecar(*shape)
+        reader = ColumnReader(columns, media)  # a difference has no detail of positions
+        sidecar = shared if differs else read_detail(reader, shared, g.grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
         picture = coming.result()

@@ -1,7 +1,7 @@
 """A whole sequence by jobs of one group each, in this process or on a farm: the files and the tables of a package.
 
-Which groups reuse rows of which is settled between the keys and the states: a group reuses rows of the last one before
-it that reuses none, or becomes the one that later groups may reuse rows of.
+Which keys are differences is settled between the keys and the states: a group differs from the last one before it that
+is coded by itself, or becomes the one that later groups may differ from.
 """
 
 from __future__ import annotations
@@ -10,18 +10,22 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from airgs_codec._settings import available_cores
-from airgs_codec.analysis.importance import ExpectedError
+from airgs_codec.analysis.importance import ExpectedError, WrittenRows
 from airgs_codec.encoder.calibrate import Calibration
 from airgs_codec.encoder.measure import Measured, Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import (
     BANDS,
     CALIBRATION,
+    DIFFERENCE,
     KEY,
+    MORE,
     NOTHING,
     POSTER,
     QUALITY,
-    REUSE,
+    ROWS,
     STATES,
     SURVEY,
     CodedKey,
@@ -33,8 +37,9 @@ from airgs_codec.encoder.pipeline import (
 from airgs_codec.encoder.plan import split_segments
 from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
+from airgs_codec.encoder.survey import join_surveys
 from airgs_codec.encoder.tables import Provenance, build_manifest
-from airgs_codec.jobs.job import Job
+from airgs_codec.jobs.job import Job, digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.layout import INIT_NAME, POSTER_NAME
@@ -129,7 +134,7 @@ class Encoded:
     manifest: Manifest  # without measured quality
     shared: Mapping[str, bytes]  # files that are no group's
     files: Sequence[Job]  # for each group: its `GroupFiles`
-    base: Job  # the key whose rows a next group may reuse
+    base: Job  # the key that a next group may differ from
     work: Work
 
     def group(self, number: int) -> GroupFiles:
@@ -139,7 +144,7 @@ class Encoded:
         return found
 
     def base_key(self) -> CodedKey:
-        """Give the group whose rows a next group may reuse."""
+        """Give the group that a next one may differ from."""
         key = self.work.result(self.base)
         assert isinstance(key, CodedKey)
         return key
@@ -162,28 +167,29 @@ class Measuring:
 def encode_sequence(
     prepared: PreparedSequence, settings: EncodeSettings, work: Work, measuring: Measuring | None = None
 ) -> Encoded:
-    """Do all that a package needs but its quality, and of that what is measured in any case, window by window.
+    """Do all that a package needs but its quality, and of that what is measured in any case, window by window: first
+    survey all groups, then code them.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
     """
     segments = [len(split_segments(span, settings.segment_s, prepared.sequence.fps)) for span in prepared.spans]
     firsts = list(itertools.accumulate(segments, initial=0))
-    bases: list[int | None] = []
+    keys = _Keys(prepared, settings, work)
     files: list[Job] = []
     tables: list[Group] = []
     poster = _draw_poster(prepared, work)
-    for window in prepared.windows:
+    for window in prepared.windows:  # a base has rows that later groups need
         work.run([prepared.job(SURVEY, g) for g in window])
-        work.run([prepared.job(KEY, g, settings) for g in window])
-        bases += _choose_bases(prepared, bases, window, settings, work)
+        work.run([prepared.job(ROWS, g, settings) for g in window])
+    for window in prepared.windows:
+        keys.extend(window)
         for g in window:
-            given = {**_coded(prepared, g, bases[g], settings), "first_segment": Read(firsts[g], firsts[g])}
+            given = {"coded": made_by(keys.jobs[g]), "first_segment": Read(firsts[g], firsts[g])}
             files.append(prepared.job(STATES, g, settings, given))
         work.run(files[window.start :])
         tables += [work.result(one).table for one in files[window.start :]]
-        base = max(g for g, of in enumerate(bases) if of is None)
         manifest, shared = _package_of(prepared, settings, tables, poster)
-        encoded = Encoded(manifest, shared, tuple(files), prepared.job(KEY, base, settings), work)
+        encoded = Encoded(manifest, shared, tuple(files), keys.base, work)
         if measuring and measuring.rounds.count and len(prepared.windows) > 1:
             work.run(_quality_jobs(encoded, measuring.original, Round(0, measuring.rounds.count), window, firsts[-1]))
     return encoded
@@ -206,39 +212,59 @@ def _draw_poster(prepared: PreparedSequence, work: Work) -> bytes:
     return bytes(work.result(job))
 
 
-def _coded(prepared: PreparedSequence, group: int, base: int | None, settings: EncodeSettings) -> dict[str, Read]:
-    """The key of a group that its states are over, and the key whose rows it reuses."""
-    if base is None:
-        return {"coded": made_by(prepared.job(KEY, group, settings)), "base": NOTHING}
-    of = made_by(prepared.job(KEY, base, settings))
-    return {"coded": made_by(prepared.job(REUSE, group, settings, {"base": of})), "base": of}
+class _Keys:
+    """The keys of groups, window by window: each by itself, or as what differs from the last one that is."""
 
+    def __init__(self, prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> None:
+        self._prepared, self._settings, self._work = prepared, settings, work
+        self.jobs: list[Job] = []  # of each group so far
 
-def _choose_bases(
-    prepared: PreparedSequence, before: Sequence[int | None], window: range, settings: EncodeSettings, work: Work
-) -> list[int | None]:
-    """Choose for each group of a window the earlier one whose rows it reuses; None where it reuses none.
+    def extend(self, window: range) -> None:
+        """Code the keys of more groups.
 
-    `before`: what was chosen for the groups before them. Groups that might reuse rows of the same one are tried at the
-    same time, ever more while they do.
-    """
-    if settings.keys != KEPT:
-        return [None] * len(window)
-    bases = list(before) or [None]
-    base, together = max(g for g, of in enumerate(bases) if of is None), 1
-    while len(bases) < window.stop:
-        tried = range(len(bases), min(window.stop, len(bases) + together))
-        of = made_by(prepared.job(KEY, base, settings))
-        jobs = [prepared.job(REUSE, g, settings, {"base": of}) for g in tried]
-        work.run(jobs)
-        together *= 2
-        for g, tried_job in zip(tried, jobs, strict=True):
-            reuses = work.result(tried_job) is not None
-            bases.append(base if reuses else None)
-            if not reuses:
-                base, together = g, 1
+        Groups that might differ from the same one are tried at the same time, ever more while they do.
+        """
+        if self._settings.keys != KEPT:
+            self.jobs += [self._prepared.job(KEY, g, self._settings) for g in window]
+            self._work.run(self.jobs[window.start :])
+            self.base = self.jobs[-1]
+            return
+        together = 1
+        while len(self.jobs) < window.stop:
+            tried = range(len(self.jobs), min(window.stop, len(self.jobs) + together))
+            jobs = [self._difference(g) for g in tried] if self.jobs else []
+            self._work.run(jobs)
+            self.jobs += itertools.takewhile(lambda job: self._work.result(job) is not None, jobs)
+            together *= 2
+            if len(self.jobs) < tried.stop:
+                self.base, together = self._alone(range(len(self.jobs), len(self._prepared))), 1
+                self.jobs.append(self.base)
+                self._work.run([self.base])
+
+    def _difference(self, group: int) -> Job:
+        return self._prepared.job(DIFFERENCE, group, self._settings, {"base": made_by(self.base)})
+
+    def _alone(self, groups: range) -> Job:
+        """The key of the first of some groups by itself, with the rows that those need which may differ from it."""
+        prepared, result, first = self._prepared, self._work.result, groups[0]
+        count, breaks = prepared.sequence.count(prepared.spans[first].start), prepared.sequence.breaks
+        written: WrittenRows = result(prepared.job(ROWS, first, self._settings))
+        rows, surveys = written.rows, list[Job]()
+        for g in groups:
+            start = prepared.spans[g].start
+            union = np.union1d(rows, result(prepared.job(ROWS, g, self._settings)).rows)
+            parted = any(prepared.spans[first].start < at <= start for at in breaks)
+            if parted or prepared.sequence.count(start) != count or len(union) > (1 + MORE) * len(written.rows):
                 break
-    return bases[window.start :]
+            rows, surveys = union, [*surveys, prepared.job(SURVEY, g)]
+        if len(surveys) == 1:
+            return prepared.job(KEY, first, self._settings)
+        names = [job.entry for job in surveys]
+        given = {
+            "survey": Read(join_surveys([result(job) for job in surveys]), names),
+            "written": Read(replace(written, rows=rows), digest(rows)),
+        }
+        return prepared.job(KEY, first, self._settings, given)
 
 
 def measure_quality(encoded: Encoded, measuring: Measuring) -> Measured:
@@ -276,13 +302,11 @@ def _quality_jobs(
 
 
 def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequence[Group]) -> Provenance:
-    """Say where a package comes from, with a line on the groups that reuse rows, if any do."""
-    views, reusing = prepared.views, [group for group in groups if group.keeps is not None]
+    """Say where a package comes from, with a line on the groups that are differences, if any are."""
+    views, differing = prepared.views, sum(group.keeps is not None for group in groups)
     decisions = [*views.notes, *prepared.notes]
-    if reusing:
-        share = sum(unit.kept for group in reusing for unit in group.units) / sum(group.count for group in reusing)
-        words = f"groups keep {share:.0%} of their Gaussians from an earlier one"
-        decisions.append(f"{len(reusing)} of {len(groups)} {words}")
+    if differing:
+        decisions.append(f"{differing} of {len(groups)} groups are coded as what differs from an earlier one")
     return Provenance(
         settings,
         views.region,

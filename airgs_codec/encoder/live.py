@@ -14,7 +14,17 @@ from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
-from airgs_codec.encoder.pipeline import KEY, QUALITY, REUSE, STATES, SURVEY, CodedKey, GroupFiles, PreparedSequence
+from airgs_codec.encoder.pipeline import (
+    DIFFERENCE,
+    KEY,
+    QUALITY,
+    ROWS,
+    STATES,
+    SURVEY,
+    CodedKey,
+    GroupFiles,
+    PreparedSequence,
+)
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
 from airgs_codec.encoder.publish import finish
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
@@ -52,7 +62,7 @@ class _Publisher:
     views: ViewPlan
     sh_degree: int  # bands above it are not worth their bytes
     rounds: Rounds  # of pictures that measure a segment
-    bases: list[tuple[CodedKey, GroupFiles]]  # one: the next group may reuse rows of it
+    bases: list[tuple[CodedKey, GroupFiles]]  # one: the next group may differ from it
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
         """Encode, measure and publish one more group, by the steps of `pipeline` one after the other."""
@@ -62,20 +72,19 @@ class _Publisher:
             "span": GroupSpan(len(m.groups), start, stop),
             "views": self.views,
             "settings": self.settings,
-            "fps": sequence.fps,
             "base": base,
             "first_segment": len(m.segments),
         }
         SURVEY.do(known)
-        key = KEY.do(known)
-        reused = REUSE.do(known) if self.settings.keys == KEPT else None
-        known |= {"coded": reused or key, "base": base if reused else None}
+        ROWS.do(known)
+        difference = DIFFERENCE.do(known) if self.settings.keys == KEPT else None
+        known["coded"] = difference or KEY.do(known)
         group = STATES.do(known)
-        if reused is None:
-            self.bases[:] = [(key, group)]
+        if difference is None:
+            self.bases[:] = [(known["coded"], group)]
         for path, data in group.files.items():
             write_file(self.package.files, path, data)
-        self.package.add(self._measured(sequence, known, base_files if reused else None))
+        self.package.add(self._measured(sequence, known, base_files if difference else None))
 
     def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
         """The table of a group whose files are known, with its quality where that is measured."""

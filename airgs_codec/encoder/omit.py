@@ -18,7 +18,7 @@ from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
-from airgs_codec.encoder.plan import CODED_HERE, GroupLayout
+from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Pictures, Survey
 from airgs_codec.media.metrics import Picture, psnr
@@ -164,31 +164,28 @@ class KeyOmissions:
     @staticmethod
     def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
         """Estimate the cost of every channel."""
-        coded = layout.base_rows == CODED_HERE
-        centres = np.median(values[:, coded], axis=1) if coded.any() else np.zeros(len(values))
-        weights, factors = layout.key_weights()[:, coded], np.array(layout.factors)[layout.units[coded]]
-        steps = layout.row_steps()[:, coded]
-        apart = (values[:, coded] - centres[:, None]) / steps
-        sizes, guesses = estimate_cost(apart[None], np.zeros(len(centres)), weights * factors**2)
+        centres = np.median(values, axis=1)
+        apart = (values - centres[:, None]) / layout.row_steps()
+        weights = layout.key_weights() * np.array(layout.factors)[layout.units] ** 2
+        sizes, guesses = estimate_cost(apart[None], np.zeros(len(centres)), weights)
         return KeyOmissions(layout, values, centres, sizes / layout.span.frames, guesses)
 
     def gaussians(self) -> LeftOut | None:
         """Note the Gaussians that are not written, with the bytes of as many of the written ones, keys alone."""
         written = len(self.layout.rows)
         missing = self.layout.count - written
-        size = float(self.sizes.sum()) / max(1, int((self.layout.base_rows == CODED_HERE).sum())) * missing
+        size = float(self.sizes.sum()) / written * missing
         return note_omission("gaussians", missing, self.layout.removal_error, size)
 
     def planes(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
-        """(7 + C,) channels that every row that is coded here may take from the channel's median."""
-        coded = self.layout.base_rows == CODED_HERE
-        if price == 0 or not coded.any():
+        """(7 + C,) channels that every row may take from the channel's median."""
+        if price == 0:
             return np.zeros(len(self.sizes), bool), None
         pictures = self.layout.pictures
         whole = draw_ahead(self._show(self.values), pictures)
 
         def error(omitted: NDArray[np.bool_]) -> float:
-            without = self._show(np.where(omitted[:, None] & coded, self.centres[:, None], self.values))
+            without = self._show(np.where(omitted[:, None], self.centres[:, None], self.values))
             return pooled_error(list(compare(whole, without, pictures, Picture.mse)))
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)

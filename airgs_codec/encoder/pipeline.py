@@ -1,4 +1,4 @@
-"""The steps by which a sequence is encoded, declared once: survey -> key -> reused rows -> states -> quality.
+"""The steps by which a sequence is encoded, declared once: survey -> rows -> key -> differences -> states -> quality.
 
 A step is a function of values, with nothing held between calls, and `STEPS` says what each reads and makes. Whoever
 drives them only says where values come from: `PreparedSequence` makes a job of a step and a group, which an engine does
@@ -19,17 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.analysis.importance import WrittenRows
+from airgs_codec.coding.channels import Canonical
 from airgs_codec.encoder.calibrate import Calibration, calibrate
-from airgs_codec.encoder.keys import (
-    BaseGroup,
-    CodedKeys,
-    DecodedKeys,
-    code_keys,
-    decode_base,
-    encode_keys,
-    key_bytes,
-    lay_out_reused,
-)
+from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_keys, encode_keys, key_bytes, lay_out_again
 from airgs_codec.encoder.measure import AskedPictures, RoundErrors, measure_round
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
@@ -46,10 +39,12 @@ from airgs_codec.places.place import Memory
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.camera import with_pixels
-from airgs_codec.scene.frames import turn_least
+from airgs_codec.scene.frames import Repaired, turn_least
 from airgs_codec.scene.gaussians import SH_REST
 from airgs_codec.scene.sequence import GaussianSequence
 
+WORTH = 0.25  # share of a key's bytes that coding it as a difference must save
+MORE = 0.25  # share of its rows that a group may have more than it needs, for those that differ from it
 POSTER_SIDE = 640  # pixels of the longer side
 POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
@@ -61,15 +56,8 @@ class CodedKey:
     layout: GroupLayout
     keys: CodedKeys
     pictures: Sequence[Sequence[Representation]]  # unit x key quality
-    decoded: Sequence[DecodedKeys]  # for each key quality
+    decoded: Sequence[Canonical]  # for each key quality
     bytes: int  # of all its key units and sidecars
-
-    @property
-    def base(self) -> BaseGroup:
-        """Return what a viewer of it knows, where it reuses no rows itself."""
-        return BaseGroup(
-            self.layout, [part.channels for part in self.decoded], [part.space for part in self.decoded], self.bytes
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,49 +77,49 @@ def choose_bands(
     return omit_bands(sequence, survey, calibration.apply(settings))
 
 
-def code_key(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> CodedKey:
+def choose_rows(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> WrittenRows:
+    """Give the rows that pictures of a group need. Raises SceneError."""
+    return keep_rows(_load(sequence, survey).frames, survey, settings)
+
+
+def _load(sequence: GaussianSequence, survey: Survey) -> Repaired:
+    return turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
+
+
+def code_key(sequence: GaussianSequence, survey: Survey, written: WrittenRows, settings: EncodeSettings) -> CodedKey:
     """Code the key of a group by itself.
 
     Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
     """
-    loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
-    layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings), settings, sequence.fps)
-    keys = code_keys(layout, settings)
-    return _decoded(layout, keys, encode_keys(layout, keys, Clock.of(sequence.fps), settings), settings, None)
+    layout = lay_out(_load(sequence, survey), survey, written, settings, sequence.fps)
+    return _coded(layout, settings, sequence.fps, ())
 
 
-def reuse_rows(fresh: CodedKey, of: CodedKey, settings: EncodeSettings, fps: Fraction) -> CodedKey | None:
-    """Code the key of a group that reuses rows of an earlier one, `of`; None where that saves too little.
+def code_difference(
+    sequence: GaussianSequence, survey: Survey, written: WrittenRows, of: CodedKey, settings: EncodeSettings
+) -> CodedKey | None:
+    """Code the key of a group as what differs from an earlier one, `of`.
 
-    `fresh` is the group's key by itself. Raises CodecError when the video encoder fails.
+    None where that saves too little, or where pictures need rows that the other does not have: more of those that are
+    `written` than may be left out. Raises CodecError when the video encoder fails.
     """
-    base = of.base
-    layout = lay_out_reused(fresh.layout, base, settings)
-    if layout is None:
-        return None
-    keys = code_keys(layout, settings)
+    layout = lay_out_again(_load(sequence, survey), survey, written, of.layout, settings, sequence.fps)
+    coded = layout and _coded(layout, settings, sequence.fps, of.decoded)
+    alone = of.bytes * len(written.rows) / len(of.layout.rows)
+    return coded if coded and coded.bytes <= (1 - WORTH) * alone else None
+
+
+def _coded(layout: GroupLayout, settings: EncodeSettings, fps: Fraction, base: Sequence[Canonical]) -> CodedKey:
+    """The coded key of a group; `base`: the canonical spaces that it is a difference to, if it is one."""
+    keys = code_keys(layout, settings, base)
     pictures = encode_keys(layout, keys, Clock.of(fps), settings)
-    if key_bytes(layout, keys, pictures, base.layout) > base.worth_bytes(len(layout.rows)):
-        return None
-    return _decoded(layout, keys, pictures, settings, base)
+    spaces: Sequence[Canonical | None] = base or [None] * len(settings.key_factors)
+    decoded = [decode_keys(layout, keys, pictures, settings, q, space) for q, space in enumerate(spaces)]
+    return CodedKey(layout, keys, pictures, decoded, key_bytes(layout, keys, pictures))
 
 
-def _decoded(
-    layout: GroupLayout,
-    keys: CodedKeys,
-    pictures: Sequence[Sequence[Representation]],
-    settings: EncodeSettings,
-    base: BaseGroup | None,
-) -> CodedKey:
-    spaces = [None] * len(settings.key_factors) if base is None else base.spaces
-    decoded = [decode_base(layout, keys, pictures, settings, q, space) for q, space in enumerate(spaces)]
-    return CodedKey(layout, keys, pictures, decoded, key_bytes(layout, keys, pictures, base.layout if base else None))
-
-
-def code_group(
-    sequence: GaussianSequence, key: CodedKey, of: CodedKey | None, settings: EncodeSettings, first_segment: int
-) -> GroupFiles:
-    """Make the files and the table of a group whose key is coded; `of` is the group whose rows it reuses, if any.
+def code_group(sequence: GaussianSequence, key: CodedKey, settings: EncodeSettings, first_segment: int) -> GroupFiles:
+    """Make the files and the table of a group whose key is coded.
 
     `first_segment`: how many segments the groups before it have.
 
@@ -140,11 +128,10 @@ def code_group(
     layout = key.layout
     frames = turn_least(sequence.load(range(layout.span.start, layout.span.stop))).frames
     with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
-        states = code_states(layout, [part.space for part in key.decoded], frames, settings, Path(scratch))
+        states = code_states(layout, key.decoded, frames, settings, Path(scratch))
         pictures = encode_states(layout, states, Clock.of(sequence.fps), settings)
-        base = None if of is None else of.base
         boxes = [find_box(frames, layout.rows[layout.tile_rows(tile)]) for tile in range(layout.tiles)]
-        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment, base)
+        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment)
         table, files = finish_group(coded)
     return GroupFiles(table, files, layout.rows, states.depths)
 
@@ -157,7 +144,7 @@ def measure_files(
     own: GroupFiles,
     base: GroupFiles | None,
 ) -> RoundErrors:
-    """Measure a round of pictures of a group, from its files and those of the group whose rows it reuses.
+    """Measure a round of pictures of a group, from its files and those of the group that it differs from.
 
     `tables`: those of the package.
     """
@@ -222,12 +209,13 @@ class Step:
 SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
 CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
 BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "settings"), "bands")
-KEY = Step("keys", code_key, ("sequence", "survey", "settings"), "key")
-REUSE = Step("reused rows", reuse_rows, ("key", "base", "settings", "fps"), "reused")
-STATES = Step("states", code_group, ("sequence", "coded", "base", "settings", "first_segment"), "files")
+ROWS = Step("rows", choose_rows, ("sequence", "survey", "settings"), "written")
+KEY = Step("keys", code_key, ("sequence", "survey", "written", "settings"), "key")
+DIFFERENCE = Step("differences", code_difference, ("sequence", "survey", "written", "base", "settings"), "difference")
+STATES = Step("states", code_group, ("sequence", "coded", "settings", "first_segment"), "files")
 QUALITY = Step("quality", measure_files, ("sequence", "renderer", "tables", "asked", "files", "base_files"), "errors")
 POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
-STEPS = {step.makes: step for step in (SURVEY, CALIBRATION, BANDS, KEY, REUSE, STATES, QUALITY, POSTER)}
+STEPS = {step.makes: step for step in (SURVEY, CALIBRATION, BANDS, ROWS, KEY, DIFFERENCE, STATES, QUALITY, POSTER)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +266,6 @@ class PreparedSequence:
             "span": Read(span, span),
             "views": Read(self.views, self._seen),
             "renderer": Read(self.views.renderer, self.views.renderer),
-            "fps": Read(self.sequence.fps, self.sequence.fps),
             **({"settings": chosen(settings)} if settings else {}),
             **given,
         }

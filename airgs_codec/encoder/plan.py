@@ -23,8 +23,8 @@ from airgs_codec.coding.motion import channel_weights, classify_motion, share_cl
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Survey
-from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import KEY_ATTRIBUTES, STATIC, Grid, KeySteps, StateSteps, unpack_matrix
+from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.tables import STATIC, Grid, KeySteps, StateSteps, difference_steps, unpack_matrix
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
@@ -32,7 +32,6 @@ from airgs_codec.scene.gaussians import Gaussians, mean_frame
 INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
 MOST_FACTOR = 3.0  # of a tier on key steps, times the least of any
 MOTION_FRAMES = 4  # that tell whether rows move together
-CODED_HERE = -1  # in place of a row of an earlier group
 
 
 def assign_tiers(usage: NDArray[np.float64], shares: Sequence[float] = DEFAULT_TIERS) -> NDArray[np.uint8]:
@@ -182,8 +181,9 @@ class GroupLayout:
     key_steps: KeySteps
     state_steps: StateSteps
     transform: NDArray[np.float64]  # (C, C) KLT of the colours, as stored
-    base_rows: NDArray[np.intp]  # (N,) rows of an earlier group, in file order, that are reused; CODED_HERE: none
     renderer: Renderer
+    keeps: int | None = None  # the number, from 1, of the group that its keys are differences to
+    before: Gaussians | None = None  # N rows: the canonical frame of that group
 
     @property
     def colours(self) -> int:
@@ -207,21 +207,10 @@ class GroupLayout:
         low, high = np.searchsorted(self.units, [first, stop])
         return slice(int(low), int(high))
 
-    def reused_rows(self, unit: int) -> slice:
-        """Rows of a unit that are reused: the first ones."""
-        rows = self.unit_rows(unit)
-        return slice(rows.start, rows.start + int((self.base_rows[rows] != CODED_HERE).sum()))
-
-    def coded_rows(self, unit: int) -> slice:
-        """Rows of a unit that are coded here."""
-        return slice(self.reused_rows(unit).stop, self.unit_rows(unit).stop)
-
-    def take(self, order: NDArray[np.intp]) -> GroupLayout:
-        """Put rows into another order."""
-        names = ("rows", "units", "codes", "classes", "base_rows")
-        arrays = {name: getattr(self, name)[order] for name in names}
-        parts = {name: getattr(self, name).take(order) for name in ("key", "usage", "sensitivity")}
-        return replace(self, **arrays, **parts)
+    @property
+    def difference_steps(self) -> StateSteps:
+        """Steps of what differs from another group."""
+        return difference_steps(self.key_steps, self.grid)
 
     def state_weights(self, rows: slice = slice(None)) -> NDArray[np.float64]:
         """(10 + C, n) what a squared step in a state channel of some rows adds to the squared error of pictures."""
@@ -231,14 +220,12 @@ class GroupLayout:
 
     def key_weights(self) -> NDArray[np.float64]:
         """(7 + C, N) the same for the channels of a key, which has no means."""
-        steps = StateSteps(1.0, *(getattr(self.key_steps, name) for name in KEY_ATTRIBUTES))
-        return channel_weights(self.classes, self.sensitivity.by_attribute(), steps, self.transform)[
-            STATE.slice("means").stop :
-        ]
+        weights = channel_weights(self.classes, self.sensitivity.by_attribute(), self.difference_steps, self.transform)
+        return weights[STATE.slice("means").stop :]
 
-    def unit_steps(self, unit: int) -> NDArray[np.float64]:
-        """(7 + C,) steps of the key channels of a unit at quality factor 1."""
-        return KEY.steps(self.key_steps, self.colours) * self.factors[unit]
+    def unit_steps(self, unit: int, layout: Layout = KEY) -> NDArray[np.float64]:
+        """(c,) steps of the channels of the picture of a unit at quality factor 1; that of a difference is a STATE."""
+        return layout.steps(self.difference_steps, self.colours) * self.factors[unit]
 
     def row_steps(self) -> NDArray[np.float64]:
         """(7 + C, N) the same of every row."""
@@ -254,7 +241,7 @@ class GroupLayout:
         return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8]) -> KeySidecar:
-        """Some rows, none as reused, with the finest positions, and of (N,) depths those of the rows."""
+        """Some rows with the finest positions, and of (N,) depths those of the rows."""
         return KeySidecar(self.codes[rows], self.classes[rows], depths[rows])
 
 
@@ -300,7 +287,6 @@ def lay_out(
         key_steps=steps.key,
         state_steps=steps.state,
         transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
-        base_rows=np.full(len(rows), CODED_HERE),
         renderer=survey.renderer,
     )
     factors = tier_factors(layout.key_weights().sum(axis=0), layout.tier_of_rows, layout.tiers)

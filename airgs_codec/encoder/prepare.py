@@ -22,10 +22,10 @@ from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, classify_motion
 from airgs_codec.coding.quantize import scale_steps
 from airgs_codec.encoder.calibrate import balance, measure_step_slopes
-from airgs_codec.encoder.pipeline import PreparedSequence, Read, Step, chosen, seen
-from airgs_codec.encoder.plan import rank_updates, split_segments
+from airgs_codec.encoder.pipeline import MORE, WORTH, PreparedSequence, Read, Step, chosen, seen
+from airgs_codec.encoder.plan import MOTION_FRAMES, rank_updates, split_segments
 from airgs_codec.encoder.sample import CalibrationSample, at_equal_error, block_rows
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, ShownPictures, ViewPlan, plan_views
 from airgs_codec.jobs.engines import InProcess
 from airgs_codec.jobs.job import digest
@@ -42,6 +42,8 @@ WORSE = 2  # lengths in turn that cost more than a longer one, after which short
 SEGMENTS = 2  # of a group, evenly spaced, whose states are coded
 WITHHELD = (0.0, 0.4)  # shares of the updates, tried
 BLOCKS, FEWER_BLOCKS = 40, 12  # of rows that are coded, and of those that tell steps
+TOGETHER = 100  # times the errors of single rows is about what many that are left out make: they all darken pictures
+TABLE = 1500  # bytes that the table of a group takes, about
 CHUNK = 16  # frames that are looked at by one call
 HELD_SHARE = 8  # one byte in so many of the memory may hold frames: the arrays of a group take several times its own
 
@@ -57,7 +59,8 @@ class Ordered:
 def hold_frames(sequence: GaussianSequence) -> GaussianSequence:
     """The sequence with memory for frames that are read, until it is closed; processes read on their own.
 
-    Each is read once where it has room for all of them, else twice: to name it, and while its group is encoded.
+    Each is read once where it has room for all of them, else three times: to name it, while its group is surveyed and
+    while it is encoded.
     """
     return sequence if sequence.held is not None else replace(sequence, held=HeldFrames(held_bytes()))
 
@@ -132,12 +135,13 @@ class LengthCost:
 def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: EncodeSettings) -> list[LengthCost]:
     """The cost of each group length that was tried, best first; empty where there is nothing to choose.
 
-    That is where keyframes are named, and in a scene shorter than two of the shortest groups. Lengths are tried about
-    the middle of the longest run of frames with one number of rows, from the longest on, until WORSE in turn cost more.
+    That is where keyframes are named, and in a scene shorter than two of the shortest groups. Lengths are tried
+    in the middle of the longest run of frames with one number of rows, from the longest on, until WORSE in turn cost
+    more; all groups of the run but one differ from that as one in its middle differs from one at its start.
     """
     if sequence.keyframes is not None:
         return []
-    start, stop = max(count_runs(sequence), key=lambda run: run[1] - run[0])
+    whole = start, stop = max(count_runs(sequence), key=lambda run: run[1] - run[0])
     middle = (start + stop) // 2
     start, stop = max(start, middle - LONGEST // 2), min(stop, middle + LONGEST // 2)
     lengths = sorted({-(-(stop - start) // parts) for parts in PARTS if stop - start >= parts * SHORTEST})
@@ -149,7 +153,7 @@ def compare_lengths(sequence: GaussianSequence, views: ViewPlan, settings: Encod
     costs: list[LengthCost] = []
     with ThreadPoolExecutor(settings.threads) as pool:
         for length in reversed(lengths):
-            costs.append(trial.cost(length, pool))
+            costs.append(trial.cost(length, -(-(whole[1] - whole[0]) // length), pool))
             if min(cost.score for cost in costs) < min(cost.score for cost in costs[-WORSE:]):
                 break
     return sorted(costs, key=lambda cost: cost.score)
@@ -178,7 +182,8 @@ class _Trial:
         seen = [run[0] + i for i in evenly_spaced(run[1] - run[0], PICTURES)]
         windows = [_window(run, length) for length in lengths]
         coded = [n for window in windows for part in _segments(window, sequence, settings) for n in part]
-        numbers = sorted({*seen, *coded})
+        others = [run[0] + i for length in lengths for i in evenly_spaced(length, MOTION_FRAMES)]
+        numbers = sorted({*seen, *coded, *others})
         frames = turn_least(sequence.load(numbers)).frames
         share = min(1.0, (PICTURE_PIXELS / (views.deciding[0].width * views.deciding[0].height)) ** 0.5)
         cameras = [resized(camera, share) for camera in views.deciding]
@@ -189,7 +194,8 @@ class _Trial:
     def balanced(self, length: int) -> _Trial:
         """The trial at the steps that groups of so many frames ask for, by fewer rows."""
         steps, threads = self.settings.steps, self.settings.threads
-        sample = self._sample(_window(self.run, length), FEWER_BLOCKS)
+        window = _window(self.run, length)
+        sample = self._sample(window, FEWER_BLOCKS, self._needed(self._inside(window)))
         base = sample.code_key(steps, 1.0)[1]
         coded = next(self._segments(sample, length, base))[0]
         settings = replace(
@@ -197,16 +203,27 @@ class _Trial:
         )
         return replace(self, settings=settings)
 
-    def cost(self, length: int, pool: ThreadPoolExecutor) -> LengthCost:
-        """Estimate the cost of groups of so many frames, with trial encodes on the threads of a pool."""
-        steps, sample = self.settings.steps, self._sample(_window(self.run, length), BLOCKS)
+    def cost(self, length: int, groups: int, pool: ThreadPoolExecutor) -> LengthCost:
+        """Estimate the cost of so many groups of so many frames, with trial encodes on the threads of a pool."""
+        steps, window = self.settings.steps, _window(self.run, length)
+        other = self._inside(GroupSpan(0, self.run[0], self.run[0] + length))
+        rows = self._needed(self._inside(window))
+        joined = np.union1d(rows, self._needed(other))
+        differ = groups > 1 and self.settings.keys == KEPT and len(joined) <= (1 + MORE) * len(rows)
+        sample = self._sample(window, BLOCKS, joined if differ else rows)
         key_bytes, base = sample.code_key(steps, 1.0)
+        if differ:
+            size = sample.code_difference(steps, base, mean_frame(other).take(sample.index)) / length
+            size = size if size <= (1 - WORTH) * key_bytes else key_bytes
+            key_bytes = (key_bytes + (groups - 1) * size) / groups
         costs = []
         for coded, states, scores in self._segments(sample, length, base):
             trials = [pool.submit(coded.cost_of, states, steps, scores, share) for share in WITHHELD]
             costs.append([trial.result() for trial in trials])
         totals: list[list[float]] = np.mean(costs, axis=0).tolist()  # bytes and error of each share
-        return min((LengthCost(length, key_bytes + b, e) for b, e in totals), key=lambda cost: cost.score)
+        return min(
+            (LengthCost(length, key_bytes + TABLE / length + b, e) for b, e in totals), key=lambda cost: cost.score
+        )
 
     def _segments(
         self, sample: CalibrationSample, length: int, base: Canonical
@@ -221,10 +238,9 @@ class _Trial:
             scores, moving = rank_updates(states[1:], states[1:] - states[0], weights)
             yield replace(coded, moving=moving), states, scores
 
-    def _sample(self, window: GroupSpan, blocks: int) -> CalibrationSample:
-        """Blocks of the rows that a group needs, in file order; `index` counts input rows."""
-        inside = self.frames[bisect_left(self.numbers, window.start) : bisect_left(self.numbers, window.stop)]
-        canonical, rows = mean_frame(inside), self._needed(inside)
+    def _sample(self, window: GroupSpan, blocks: int, rows: NDArray[np.intp]) -> CalibrationSample:
+        """Blocks of the rows of a group, in file order; `index` counts input rows."""
+        canonical = mean_frame(self._inside(window))
         sensitivity, key = self.sensitivity.take(rows), canonical.take(rows)
         classes = classify_motion(sensitivity.means, key)
         order = np.argsort(grid_codes(key.means, classes, fit_grid(key.means, classes, self.settings.steps.grid)))
@@ -242,18 +258,22 @@ class _Trial:
             segment_frames=1,
         )
 
+    def _inside(self, window: GroupSpan) -> Sequence[Gaussians]:
+        """Frames of a group."""
+        return self.frames[bisect_left(self.numbers, window.start) : bisect_left(self.numbers, window.stop)]
+
     def _needed(self, inside: Sequence[Gaussians]) -> NDArray[np.intp]:
-        """Rows of some frames but those that together may be left out, by the first-order error of each."""
+        """Rows of some frames but those that may be left out, by TOGETHER times the first-order error of each."""
         errors = self.sensitivity.opacity * mean_square_alpha(inside)
         order = np.argsort(errors, kind="stable")
-        allowed = self.settings.steps.rows**2 if self.trusted and not self.settings.keep_all else 0.0
+        allowed = self.settings.steps.rows**2 / TOGETHER if self.trusted and not self.settings.keep_all else 0.0
         dropped = int(np.searchsorted(np.cumsum(errors[order]), allowed, side="right"))
         return np.sort(order[min(dropped, len(order) - 1) :]) if allowed else np.arange(len(order))
 
 
 def _window(run: tuple[int, int], length: int) -> GroupSpan:
-    """The group of so many frames about the middle of a run."""
-    start = run[0] + (run[1] - run[0] - length) // 2
+    """A group of so many frames from the middle of a run on, or as near to it as there is room."""
+    start = min((run[0] + run[1]) // 2, run[1] - length)
     return GroupSpan(0, start, start + length)
 
 

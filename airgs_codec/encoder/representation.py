@@ -119,6 +119,7 @@ class ErrorModel:
     units: NDArray[np.float64]  # (channels,) s, what a code counts
     largest: NDArray[np.float64]  # (channels,) largest |value|
     constant: NDArray[np.float64]  # (channels,) error of the channels without a plane, 0 of the others
+    held: NDArray[np.float64]  # (channels,) largest difference of a value to the one that is coded in its place
 
     @staticmethod
     def of(low: NDArray[np.float64], high: NDArray[np.float64], atlas: Atlas, units: NDArray[np.float64]) -> ErrorModel:
@@ -126,7 +127,7 @@ class ErrorModel:
         centres = np.array(atlas.centres, np.float64) * units
         constant = np.maximum(np.abs(low - centres), np.abs(high - centres))
         constant[atlas.planes] = 0
-        return ErrorModel(units, np.maximum(np.abs(low), np.abs(high)), constant)
+        return ErrorModel(units, np.maximum(np.abs(low), np.abs(high)), constant, np.zeros_like(units))
 
     def bound(self, atlas: Atlas, differences: Sequence[NDArray[np.uint8]], layout: Layout) -> list[float]:
         """Largest error of each attribute of `layout`.
@@ -137,20 +138,10 @@ class ErrorModel:
         off = np.zeros(len(atlas.planes))
         for picture in differences:
             off = np.maximum(off, extract(picture, atlas).max(axis=1))
-        errors[atlas.planes] = (0.5 + off) * self.units[atlas.planes]
-        return _by_attribute(errors + ROUNDING * self.largest, layout)
-
-
-def _by_attribute(errors: NDArray[np.float64], layout: Layout) -> list[float]:
-    """The largest error of each attribute, of (channels,) errors."""
-    places = layout.attribute_index(len(errors))
-    return [_round_up(errors[places == k].max()) for k in range(int(places.max()) + 1)]
-
-
-def widen(atlas: Atlas, errors: NDArray[np.float64], layout: Layout) -> Atlas:
-    """The atlas with bounds that also hold for (channels,) errors of rows that it does not carry."""
-    bounds = _by_attribute(errors, layout)
-    return replace(atlas, max_error=[max(pair) for pair in zip(atlas.max_error, bounds, strict=True)])
+        errors[atlas.planes] = np.maximum(self.units / 2, self.held)[atlas.planes] + off * self.units[atlas.planes]
+        errors += ROUNDING * self.largest
+        places = layout.attribute_index(len(errors))
+        return [_round_up(errors[places == k].max()) for k in range(int(places.max()) + 1)]
 
 
 def _round_up(error: float) -> float:
@@ -162,7 +153,7 @@ def _round_up(error: float) -> float:
 def with_bounds(
     atlas: Atlas, error: ErrorModel | None, differences: Sequence[NDArray[np.uint8]], layout: Layout
 ) -> Atlas:
-    """The atlas with its `max_error`; zeros where nothing of it is sent, so that there is no error to speak of."""
-    if error is None or not differences:
+    """The atlas with its `max_error`; zeros where there is no error to speak of."""
+    if error is None:
         return replace(atlas, max_error=[0.0] * len(layout.attributes))
     return replace(atlas, max_error=error.bound(atlas, differences, layout))

@@ -33,7 +33,7 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import KeySteps, unpack_matrix
+from airgs_codec.package.tables import KeySteps, difference_steps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 BLOCK_ROWS = 256  # a block of an atlas
@@ -110,6 +110,14 @@ class CalibrationSample:
             size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still), grid))
         base = dequantise_key(channels, KeySidecar(codes, self.classes, still), transform, grid, steps.key)
         return self.row_ratio * size / self.group_frames, base
+
+    def code_difference(self, steps: StepSettings, base: Canonical, other: Gaussians) -> float:
+        """Bytes of the key of another group with n rows of these, `other`, as what differs from a decoded one."""
+        grid = fit_grid(self.key.means, self.classes, steps.grid)
+        of = difference_steps(steps.key, grid)
+        values = state_channels([other], base, of)
+        sizes, _ = encode_and_decode(values, STATE.steps(of, base.colours.shape[1]), key_codec(PRESET))
+        return self.row_ratio * sizes[0]
 
     def _code_key_channels(
         self, steps: KeySteps, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]

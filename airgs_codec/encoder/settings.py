@@ -148,8 +148,8 @@ class EncodeSettings:
     )
     keys: str = setting(
         KEPT,
-        "what viewers know of an earlier group: rows that are still as they were are not coded again (kept), or every "
-        "group is coded by itself (apart)",
+        "keys of groups: what differs from an earlier group, where that is smaller (kept), or every group is coded by "
+        "itself (apart)",
         choices=KEYS,
     )
     margin: float | None = setting(

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,6 +193,22 @@ class Survey:
     def score(self, name: str) -> NDArray[np.float64]:
         """(N,) one of `usage.MEASURES`: what ranks rows for key tiers."""
         return self.importance if name == "importance" else self.usage.measure(name)
+
+
+def join_surveys(surveys: Sequence[Survey]) -> Survey:
+    """The first of some surveys of groups that have the same rows, with the most that any says of each row."""
+
+    def most(*columns: NDArray | None) -> NDArray | None:
+        there = [column for column in columns if column is not None]
+        return np.max(there, axis=0) if there else None
+
+    def joined(parts: Sequence[Usage] | Sequence[Sensitivity]) -> dict[str, Any]:
+        return {f.name: most(*(getattr(part, f.name) for part in parts)) for f in fields(parts[0])}
+
+    usage, sensitivity = Usage(**joined([s.usage for s in surveys])), [s.sensitivity for s in surveys]
+    ranked = np.max([s.importance for s in surveys], axis=0)
+    parts = {"usage": usage, "sensitivity": Sensitivity(**joined(sensitivity)), "importance": ranked}
+    return replace(surveys[0], **parts, removals={})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
 from airgs_codec.coding.sidecar import pack_key_sidecar
-from airgs_codec.encoder.keys import BaseGroup, CodedKeys, key_sidecar, reused_errors
+from airgs_codec.encoder.keys import CodedKeys, key_sidecar
 from airgs_codec.encoder.plan import GroupLayout
-from airgs_codec.encoder.representation import Clock, ErrorModel, Representation, widen, with_bounds
+from airgs_codec.encoder.representation import Clock, ErrorModel, Representation, with_bounds
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import CodedStates
 from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
@@ -55,12 +55,6 @@ class CodedGroup:
     state_pictures: Sequence[Sequence[Representation]]  # L x P
     boxes: Sequence[tuple[list[float], list[float]]]  # of each tile two corners
     first_segment: int  # how many segments the groups before it have
-    base: BaseGroup | None  # whose rows it reuses, if it reuses any
-
-    @property
-    def reuses(self) -> GroupLayout | None:
-        """The group whose rows it reuses."""
-        return self.base.layout if self.base else None
 
     @property
     def number(self) -> int:
@@ -93,7 +87,7 @@ def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
         rows, place = layout.unit_rows(unit), group.place(unit)
         if rows.start == rows.stop:
             continue
-        sidecar = key_sidecar(layout, unit, group.states.depths, group.reuses)
+        sidecar = key_sidecar(layout, unit, group.states.depths)
         yield key_sidecar_path(*place, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
         for q, (atlas, representation) in enumerate(zip(keys.units[unit], pictures, strict=True)):
             if not atlas.atlas.rows:
@@ -191,16 +185,14 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         segments=_segment_tables(group, files),
         left_out=[*group.keys.left_out, *states.left_out],
         repairs=list(layout.notes),
-        keeps=group.reuses.span.index + 1 if group.reuses else None,
+        keeps=layout.keeps,
     )
 
 
 def _tile_table(group: CodedGroup, files: Files, tile: int) -> GroupTile:
     tiers = group.layout.tiers
-    levels = [
-        _bounded(parts[tile].atlas, parts[tile].error, representations[tile], STATE)
-        for parts, representations in zip(group.states.levels, group.state_pictures, strict=True)
-    ]
+    found = [(parts[tile], of[tile]) for parts, of in zip(group.states.levels, group.state_pictures, strict=True)]
+    levels = [_bounded(part.atlas, part.error if of.gops else None, of, STATE) for part, of in found]
     units = range(tile * tiers, (tile + 1) * tiers)
     return GroupTile(*group.boxes[tile], [_unit_table(group, files, unit) for unit in units], levels)
 
@@ -208,14 +200,11 @@ def _tile_table(group: CodedGroup, files: Files, tile: int) -> GroupTile:
 def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
     parts, pictures, layout = group.keys.units[unit], group.key_pictures[unit], group.layout
     place = group.place(unit)
-    atlases = [_bounded(part.atlas, part.error, shown, KEY) for part, shown in zip(parts, pictures, strict=True)]
-    rows, reused = (span.stop - span.start for span in (layout.unit_rows(unit), layout.reused_rows(unit)))
-    if reused and group.base:
-        errors = (reused_errors(layout, group.base, unit, quality) for quality in range(len(atlases)))
-        atlases = [widen(atlas, error, KEY) for atlas, error in zip(atlases, errors, strict=True)]
+    channels, rows = KEY if layout.keeps is None else STATE, layout.unit_rows(unit)
+    atlases = [_bounded(part.atlas, part.error, shown, channels) for part, shown in zip(parts, pictures, strict=True)]
     media = [files.get(key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
     sidecar = files.get(key_sidecar_path(*place, group.number), NO_FILE)
-    return GroupTier(rows, reused, layout.factors[unit], sidecar, atlases, media)
+    return GroupTier(rows.stop - rows.start, layout.factors[unit], sidecar, atlases, media)
 
 
 def _bounded(

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from airgs_codec.analysis.rows import AUTO, restore_rows
-from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, key_channels, recolour, state_channels
-from airgs_codec.coding.quantize import from_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state
+from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
+from airgs_codec.coding.quantize import from_codes, scale_codes
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state, key_units
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
+from airgs_codec.package.layout import STATE, Layout, key_layout, tile_folder
 from airgs_codec.package.package import Package
-from airgs_codec.package.tables import STATIC, Group, unpack_matrix
+from airgs_codec.package.tables import STATIC, Group
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence
@@ -101,31 +101,24 @@ def _keys(
     package: Package, index: int, group: Group, base: Canonical, original: Gaussians, sure: NDArray[np.bool_]
 ) -> Iterator[Measured]:
     m = package.manifest
-    values = key_channels(original, base.transform, group.key_steps)
-    first = 0
-    for k, unit in enumerate(group.units):
-        part = slice(first, first + unit.count)
-        first += unit.count
-        tile, tier = divmod(k, m.tiers)
-        for q, quality in enumerate(m.qualities):
+    layout, keeps, known = key_layout(group), m.base_of(index), sure
+    for q, quality in enumerate(m.qualities):
+        if keeps is None:
+            values = key_channels(original, base.transform, group.key_steps)
+        else:
+            kept = decode_canonical(package, keeps, q)
+            values, drawn = frame_channels(original, kept, group.difference_steps)
+            known = sure & drawn  # others differ by nothing
+        first = 0
+        for k, unit in enumerate(group.units):
+            part = slice(first, first + unit.count)
+            first += unit.count
             if unit.count:
-                errors = np.abs(values[:, part] - _decode_unit(package, index, k, q))
+                coded = scale_codes(decode_key(package, index, k, q)[0], key_units(package, index, k, q))
+                errors = np.abs(values[:, part] - (coded if coded.size else 0))
+                tile, tier = divmod(k, m.tiers)
                 where = f"group {index} key {tile_folder(tile, m.tiles)}T{tier} {quality.id}"
-                yield from _measured(where, KEY, unit.qualities[q].max_error, errors, sure[part])
-
-
-def _decode_unit(package: Package, index: int, unit: int, quality: int) -> NDArray[np.floating]:
-    """(7 + C, n) key channels of all rows of a unit, those of kept rows as the channels of this group."""
-    m = package.manifest
-    group, base = m.groups[index], m.base_of(index)
-    codes, sidecar = decode_key(package, index, unit, quality)
-    steps = KEY.steps(group.key_steps, m.colour_channels) * (m.qualities[quality].factor * group.units[unit].factor)
-    coded = from_codes(codes, steps, m.key_gain)
-    if base is None or not len(sidecar.kept.rows):
-        return coded
-    other, mine = ((unpack_matrix(g.colour_transform, m.colour_channels), g.key_steps) for g in (m.groups[base], group))
-    kept = recolour(_decode_unit(package, base, unit, quality)[:, sidecar.kept.rows], other, mine)
-    return np.concatenate([kept, coded], axis=1)
+                yield from _measured(where, layout, unit.qualities[q].max_error, errors, known[part])
 
 
 def _states(

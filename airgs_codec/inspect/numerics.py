@@ -17,8 +17,8 @@ from airgs_codec.coding.channels import OPACITY_MARGIN, Canonical
 from airgs_codec.coding.escapes import LIMIT
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.motion import motion_units
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_state
-from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_state, key_units
+from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas, Group
 from airgs_codec.scene.frames import DROPPED, ZERO
@@ -67,7 +67,7 @@ def format_numerics(found: list[Touched]) -> str:
 def _group(package: Package, number: int) -> Iterator[Touched]:
     """All that a group touches."""
     group, base = package.manifest.groups[number], decode_canonical(package, number, 0)
-    errors = _bounds([unit.qualities[0] for unit in group.units], KEY)
+    errors = _bounds([unit.qualities[0] for unit in group.units], key_layout(group))
     found = [*_sizes(base, errors), *_places(base, group), *_looks(base, errors), *_repairs(group)]
     if len(base.means):
         found += [*_key_codes(package, number, errors), *_motion(package, number)]
@@ -113,7 +113,7 @@ def _places(base: Canonical, group: Group) -> Iterator[_Found]:
         return
     away = np.abs(base.means).max(axis=1)
     extent = float(np.ptp(base.means, axis=0).max())
-    own = np.concatenate([np.arange(unit.count) >= unit.kept for unit in group.units])  # others: told of their base
+    own = np.full(len(away), group.keeps is None)  # others: told of their base
     where = f"coordinates up to {away.max():.3g} in an extent of {extent:.3g} units"
     classes = np.rint(np.log2(base.motion_units)).astype(np.int16)
     half = group.grid.step * np.exp2(cell_bits(classes, group.grid, 0)) / 2
@@ -162,16 +162,16 @@ def _key_codes(package: Package, number: int, errors: dict[str, float]) -> Itera
     """Steps beside the ranges of values, and codes that take escapes, attribute by attribute."""
     m = package.manifest
     group = m.groups[number]
-    steps = KEY.steps(group.key_steps, m.colour_channels) * m.qualities[0].factor / m.key_gain
-    ranges, past = np.zeros(len(steps)), _Past.none(KEY)
+    layout = key_layout(group)
+    ranges, past = np.zeros(layout.width(m.colour_channels)), _Past.none(layout)
     for k, unit in enumerate(group.units):
-        codes = decode_key(package, number, k, 0)[0] if unit.count > unit.kept else np.empty(0, np.int32)
+        codes = decode_key(package, number, k, 0)[0] if unit.count else np.empty(0, np.int32)
         if codes.size:
-            ranges = np.maximum(ranges, np.ptp(codes.astype(np.float64), axis=1) * steps * unit.factor)
-            past = past.with_rows(KEY, np.abs(codes - np.array(unit.qualities[0].centres)[:, None]))
-    for name in KEY.attributes:
-        wide, error = float(ranges[KEY.slice(name)].max()), errors[name]
-        if wide > 0 and error >= COARSE * wide:
+            ranges = np.maximum(ranges, np.ptp(codes.astype(np.float64), axis=1) * key_units(package, number, k, 0))
+            past = past.with_rows(layout, np.abs(codes - np.array(unit.qualities[0].centres)[:, None]))
+    for name in layout.attributes:
+        wide, error = float(ranges[layout.slice(name)].max()), errors[name]
+        if group.keeps is None and wide > 0 and error >= COARSE * wide:
             value = f"{name} over a range of {wide:.3g}"
             yield "coarse steps", group.count, error / wide, value, f"bounded by {error:.3g}, {error / wide:.2g} of it"
     yield from past.found("codes past 8 bits", "")

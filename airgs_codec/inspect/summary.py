@@ -36,7 +36,7 @@ class GroupSummary:
     unused: int  # Gaussians that no view uses: not written
     segments: int
     grid_bits: int
-    kept: int  # rows written that are those of an earlier group
+    keeps: int | None  # the earlier group, from 1, that its key is a difference to
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +164,7 @@ def _sound(m: Manifest) -> SoundSummary | None:
 
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
-    kept = sum(unit.kept for unit in g.units)
-    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, kept)
+    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, g.keeps)
 
 
 def _tile(m: Manifest, tile: int) -> TileSummary:

@@ -15,7 +15,7 @@ from airgs_codec.coding.atlas import extract
 from airgs_codec.decoder.decode import expect_size
 from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary, span
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.layout import KEY, STATE, Layout
+from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import world_words
 from airgs_codec.package.tables import Atlas
@@ -96,12 +96,12 @@ def _head(s: Summary) -> list[str]:
 
 def _groups(s: Summary) -> list[str]:
     rows = [
-        [str(i), f"{g.frames[0]}-{g.frames[1] - 1}", str(g.gaussians), str(g.kept), str(g.static), str(g.segments)]
+        [str(i), f"{g.frames[0]}-{g.frames[1] - 1}", *map(str, (g.gaussians, g.keeps or "", g.static, g.segments))]
         for i, g in enumerate(s.groups)
     ]
     if len(rows) > MOST_GROUPS:
         rows = [*rows[: MOST_GROUPS - 2], ["…"] * 6, rows[-1]]
-    return table(["group", "frames", "Gaussians", "kept", "static", "segments"], rows)
+    return table(["group", "frames", "Gaussians", "keeps", "static", "segments"], rows)
 
 
 def _tiles(s: Summary) -> list[str]:
@@ -185,10 +185,11 @@ def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
         for k, unit in enumerate(group.units):
             yield "means", unit.sidecar.bytes
             for media in m.key_files(g, k, 0)[1:]:
-                fine = min(3 * m.qualities[-1].coarser * (unit.count - unit.kept) / 8, unit.pictures[0].bytes)
+                detail = 0 if group.keeps else 3 * m.qualities[-1].coarser * unit.count / 8
+                fine = min(detail, unit.pictures[0].bytes)
                 yield "means", fine
                 samples = _samples(package, media, unit.qualities[0])
-                yield from _shares(unit.pictures[0].bytes - fine, unit.qualities[0], samples, KEY)
+                yield from _shares(unit.pictures[0].bytes - fine, unit.qualities[0], samples, key_layout(group))
 
 
 def _of_states(package: Package) -> Iterator[tuple[str, float]]:

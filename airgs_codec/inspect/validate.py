@@ -98,7 +98,7 @@ def _check_mpd(package: Package) -> None:
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
-    """Every page and the table of every group can be read, and the group whose rows it keeps has them."""
+    """Every page and the table of every group can be read, and the group that its keys are differences to fits."""
     m = package.manifest
     for number in m.groups.places.sweep():
         if isinstance(number, FormatError):

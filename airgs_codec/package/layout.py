@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.package.tables import KeySteps, StateSteps
+from airgs_codec.package.tables import Group, KeySteps, StateSteps
 
 JSON_NAME = "airgs.json"
 MPD_NAME = "manifest.mpd"
@@ -193,3 +193,8 @@ KEY = Layout(
     ),
 )
 STATE = Layout("state", (ChannelRun("means", _XYZ, "motion units"), *KEY.runs))
+
+
+def key_layout(group: Group) -> Layout:
+    """The channels of the key pictures of a group: those of a state where they are differences to another group."""
+    return KEY if group.keeps is None else STATE

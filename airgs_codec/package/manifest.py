@@ -26,7 +26,7 @@ from airgs_codec.package.layout import (
     tile_folder,
 )
 from airgs_codec.package.parse import build_index, pack_group
-from airgs_codec.package.references import check_kept
+from airgs_codec.package.references import check_base
 from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
 
 if TYPE_CHECKING:  # decoding compares no pictures
@@ -133,22 +133,22 @@ class Manifest(Header):
         return [tile * self.tiers + tier for tile in (range(self.tiles) if tiles is None else tiles) for tier in tiers]
 
     def key_files(self, group: int, unit: int, quality: int) -> list[str]:
-        """Sidecar and picture of one key unit; no picture when all its rows are kept, nothing when it has none."""
+        """Sidecar and picture of one key unit; no picture of an atlas without rows, nothing of a unit without."""
         tile, tier = divmod(unit, self.tiers)
         entry, folder = self.groups[group].tiles[tile].tiers[tier], tile_folder(tile, self.tiles)
-        sidecar = [key_sidecar_path(folder, tier, group + 1)] if entry.count else []
-        return sidecar + [key_media_path(folder, tier, quality, group + 1)] * (entry.count > entry.kept)
+        files = [key_sidecar_path(folder, tier, group + 1), key_media_path(folder, tier, quality, group + 1)]
+        return files[: (entry.count > 0) + (entry.count > 0 and entry.qualities[quality].rows > 0)]
 
     def base_of(self, group: int) -> int | None:
         """The group whose rows a group keeps, counted from 0 as well; None where it keeps none.
 
-        Raises FormatError: bad_value where that group has not so many rows or keeps some itself, and what reading its
+        Raises FormatError: bad_value where that group is laid out otherwise or keeps some itself, and what reading its
         table raises.
         """
         table = self.groups[group]
         if table.keeps is None:
             return None
-        check_kept(table, self.groups[table.keeps - 1], group_path(group + 1))
+        check_base(table, self.groups[table.keeps - 1], group_path(group + 1))
         return table.keeps - 1
 
     def state_files(self, segment: int, level: int, tiles: Iterable[int] | None = None) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
-from airgs_codec.package.layout import JSON_NAME, KEY, STATE, Layout
+from airgs_codec.package.layout import JSON_NAME, STATE, Layout, key_layout
 from airgs_codec.package.tables import (
     BLOCK,
     DIGEST,
@@ -99,19 +99,22 @@ def _check_sound(m: Header, group: Group, where: str) -> None:
 
 
 def check_keeps(group: Group, number: int, where: str) -> None:
-    """Raise FormatError (bad_value) unless a group, counted from 0, keeps rows of one before it, or none."""
-    if group.keeps is None:
-        _check_bounds(where, ((f"{name}.kept", tier.kept, 0, 0) for name, tier in _units(group)))
-    elif group.keeps > number:
+    """Raise FormatError (bad_value) unless a group, counted from 0, keeps the rows of one before it, or none."""
+    if group.keeps is not None and group.keeps > number:
         raise _bad(f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
 
 
-def check_kept(group: Group, base: Group, where: str) -> None:
-    """Raise FormatError (bad_value) unless `base`, the group that a group keeps rows of, has them and keeps none."""
+def check_base(group: Group, base: Group, where: str) -> None:
+    """Raise FormatError (bad_value) unless `base`, whose rows a group keeps, keeps none and is laid out alike."""
     if base.keeps is not None:
         raise _bad(f"{where}.keeps", f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}")
-    pairs = zip(_units(group), base.units, strict=True)
-    _check_bounds(where, ((f"{name}.kept", tier.kept, 0, other.count) for (name, tier), other in pairs))
+    if _laid_out(group) != _laid_out(base):
+        raise _bad(f"{where}.keeps", f"expected a group of equal units, grid, key_steps and colours, got {group.keeps}")
+
+
+def _laid_out(group: Group) -> tuple[object, ...]:
+    """All that is equal in a group and its base."""
+    return group.grid, group.key_steps, group.colour_transform, [(unit.count, unit.factor) for unit in group.units]
 
 
 def _units(group: Group) -> Iterator[tuple[str, GroupTier]]:
@@ -223,13 +226,15 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     yield "sum of tier counts", sum(tier.count for tier in group.units), group.count, group.count
     first = sum(tier.count for tile in group.tiles for tier in tile.tiers[:fewest])
     yield f"rows of the first {fewest} tiers", first, 1, group.count
+    layout = key_layout(group)
+    if group.keeps is not None:
+        yield "grid.step", group.difference_steps.means, 1 / MOST_NUMBER, MOST_NUMBER
     for name, tier in _units(group):
-        yield f"{name}.kept", tier.kept, 0, tier.count
         for q, atlas in enumerate(tier.qualities):
-            where, coded = f"{name}.qualities[{q}]", tier.count - tier.kept
-            yield f"{where}.rows", atlas.rows, coded, coded
-            yield f"len({where}.planes)", len(atlas.planes), min(1, coded), KEY.width(m.colour_channels)
-            yield from _atlas_bounds(where, atlas, KEY, m.colour_channels)
+            where, same = f"{name}.qualities[{q}]", group.keeps is not None and not atlas.rows
+            yield f"{where}.rows", atlas.rows, 0 if same else tier.count, tier.count
+            yield f"len({where}.planes)", len(atlas.planes), min(1, atlas.rows), layout.width(m.colour_channels)
+            yield from _atlas_bounds(where, atlas, layout, m.colour_channels)
     for p, tile in enumerate(group.tiles):
         yield from _tile_bounds(m, tile, f"tiles[{p}]")
     for j in range(len(m.levels)):
@@ -267,7 +272,7 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
 def _check_tier(where: str, tier: GroupTier) -> None:
     _check_file(f"{where}.sidecar", tier.sidecar, tier.count > 0)
     for q, entry in enumerate(tier.pictures):
-        _check_file(f"{where}.pictures[{q}]", entry, tier.count > tier.kept)
+        _check_file(f"{where}.pictures[{q}]", entry, tier.qualities[q].rows > 0)
 
 
 def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.scene.gaussians import SH_REST
 
-VERSION = 4
+VERSION = 5
 
 MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 100_000_000  # 38 days at 30 frames a second
@@ -249,6 +249,11 @@ class StateSteps:
     sh_rest: Step
 
 
+def difference_steps(key: KeySteps, grid: Grid) -> StateSteps:
+    """The steps of keys that are differences to those of another group: of means the finest cells in motion units."""
+    return StateSteps(grid.step * 2.0**-grid.finest, *(getattr(key, name) for name in KEY_ATTRIBUTES))
+
+
 @dataclass(frozen=True, slots=True)
 class Atlas:
     """How one group's rows lie in the pictures of a key quality or a level."""
@@ -285,11 +290,10 @@ class GroupTier:
     """A unit: one key tier of one tile of one group."""
 
     count: Count  # rows; a tier without rows has no files
-    kept: Count  # rows of `count`, the first ones, that are rows of the same unit of the group `keeps`
-    factor: Factor  # on the key steps of the rows that are not kept, beside that of the key quality
+    factor: Factor  # on the key steps, beside that of the key quality
     sidecar: FileEntry  # shared by all its qualities
-    qualities: list[Atlas]  # of the rows that are not kept
-    pictures: list[FileEntry]  # the picture in each quality; none where all rows are kept
+    qualities: list[Atlas]  # of no rows where nothing differs from the group `keeps`
+    pictures: list[FileEntry]  # the picture in each quality; none of no rows
 
 
 @dataclass(frozen=True, slots=True)
@@ -360,13 +364,18 @@ class Group:
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
-    keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, whose rows this one keeps
+    keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, that keys are differences to
     sound: FileEntry | None = None  # of its frames; None in a package without sound
 
     @property
     def units(self) -> list[GroupTier]:
         """The key tiers of the first tile, then those of the next."""
         return [tier for tile in self.tiles for tier in tile.tiers]
+
+    @property
+    def difference_steps(self) -> StateSteps:
+        """Quantiser steps at factor 1 of keys that are differences."""
+        return difference_steps(self.key_steps, self.grid)
 
 
 @dataclass(frozen=True, slots=True)

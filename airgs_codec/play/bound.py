@@ -8,8 +8,8 @@ is the integral of the trace. Any player that shows its slots at those deadlines
 its linear relaxation, is no less than what the player reached. Slots need not be fetched in order: deadlines and
 releases ascend together, and then the order of deadlines is as good as any.
 
-Where a group keeps rows of another one, the base, the key units of the base are fetched for it as well, but for those
-that an earlier slot of the same loop over the sequence had.
+Where the keys of a group are differences to another one, the base, the key units of the base are fetched for it as
+well, but for those that an earlier slot of the same loop over the sequence had.
 
 S slots, R rungs, Q key qualities, K key units. Sizes are kB inside the programme, or larger units where segments are
 gigabytes, so that its numbers are of one order.
@@ -95,7 +95,7 @@ def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
 class _Programme:
     """Variables and constraints. Slot k has R shares of rungs, Q K shares of keys that are decoded, and F_k in units.
 
-    Where any group keeps rows, Q K shares of keys of the base that are decoded come before F_k.
+    Where any group has a base, Q K shares of keys of the base that are decoded come before F_k.
     """
 
     def __init__(self, horizon: Horizon) -> None:

@@ -78,7 +78,7 @@ class TableStore:
         self._paths = {path for path in self._paths if not is_past(path, before.group, [before.root])}
 
     def _next(self, segment: int) -> str | None:
-        """The first missing of what leads to a segment, and then to the group whose rows its group keeps."""
+        """The first missing of what leads to a segment, and then to the group that its keys are differences to."""
         manifest = self.offers.manifest
         if self._complete.get(segment) is manifest:
             return None

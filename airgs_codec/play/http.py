@@ -300,15 +300,15 @@ class RemoteTables:
         self._files[path] = data
         try:
             if what == "group":
-                self._check_kept(c.manifest, numbers[0] - 1)
+                self._check_base(c.manifest, numbers[0] - 1)
             else:
                 c.manifest.groups.places.check_page(numbers[0], numbers[1] - 1)
         except FormatError:
             del self._files[path]
             raise
 
-    def _check_kept(self, m: Manifest, group: int) -> None:
-        """Read a table, and check it with those that came before: one may keep rows of the other. FormatError."""
+    def _check_base(self, m: Manifest, group: int) -> None:
+        """Read a table, and check it with those that came before: one may differ from the other. FormatError."""
         keeps = m.groups[group].keeps
         for number in self._keepers.get(group, ()):
             m.base_of(number)

@@ -69,9 +69,7 @@ class RungOffer:
     gaussians: int  # that a picture shows
     allowed: bool  # whether the budget has as many
     saved: float  # share of the first level's state that its level saves
-    units: tuple[
-        UnitOffer, ...
-    ]  # sound, then of every key tier that of the group and that of the base where rows are kept
+    units: tuple[UnitOffer, ...]  # sound, then of every key tier that of the group and that of the base, if any
     state: tuple[str, ...]  # files
     state_bytes: int  # on the wire
 
@@ -85,14 +83,14 @@ class SegmentOffer:
     stop: int
     seconds: float  # of play
     group: int
-    base: int | None  # the group whose rows the group keeps
+    base: int | None  # the group that the keys of the group are differences to
     starts_group: bool
     tiles: Sequence[GroupTile]  # all of the group
     rungs: tuple[RungOffer, ...]
 
     @property
     def root(self) -> int:
-        """The group that keeps no rows of another: the base, or the segment's own."""
+        """The group whose keys are no differences: the base, or the segment's own."""
         return self.group if self.base is None else self.base
 
     @cached_property
@@ -234,10 +232,8 @@ class Offers:
         if m.sound:
             sound = m.sound_files(group)
             units.append(UnitOffer((group, 0, m.units), tuple(sound), self._wire(sound)))
-        table = m.groups[group].units
         for number in m.units_of(level, None if tiles is None else sorted(tiles)):
-            of = [group] if base is None or not table[number].kept else [group, base]
-            for g in of:
+            for g in [group] if base is None else [group, base]:
                 files = m.key_files(g, number, quality)
                 units.append(UnitOffer((g, quality, number), tuple(files), self._wire(files)))
         return tuple(units)

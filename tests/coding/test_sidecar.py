@@ -1,7 +1,5 @@
 """Positions of key units are exact in every key quality; what is refused is in the vectors (tests/vectors)."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,14 +8,7 @@ from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding.grid import cell_bits, coarse_codes
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
-from airgs_codec.coding.sidecar import (
-    Kept,
-    KeySidecar,
-    detail_columns,
-    pack_key_sidecar,
-    read_detail,
-    unpack_key_sidecar,
-)
+from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar, read_detail, unpack_key_sidecar
 from airgs_codec.errors import FormatError
 from airgs_codec.package.tables import Grid
 
@@ -55,20 +46,14 @@ def test_key_sidecars_are_exact(data):
 
 
 GRID = Grid([0.0, 0.0, 0.0], 1.0, 2, 0)
-OTHERS = KeySidecar(np.array([8, 63], np.uint64), np.array([1, 0], np.int16), np.array([255, 1], np.uint8))
-NO_OTHERS = KeySidecar(np.empty(0, np.uint64), np.empty(0, np.int16), np.empty(0, np.uint8))
 
 
-@pytest.mark.parametrize("others", [OTHERS, NO_OTHERS], ids=["with others", "all kept"])
-@pytest.mark.parametrize("rows", [[0, 1, 2, 3], [2], [0, 3]], ids=str)
-def test_kept_rows_stand_in_front(others, rows):
-    kept = Kept(np.array(rows), np.resize(np.array([255, 0, 3], np.uint8), len(rows)))
-    packed = pack_key_sidecar(replace(others, kept=kept), GRID)
-    read = unpack_key_sidecar(packed, len(others.codes), GRID, 0, "x", (len(rows), 4))
-    np.testing.assert_array_equal(read.kept.rows, kept.rows)
-    np.testing.assert_array_equal(read.kept.depths, kept.depths)
-    for name in ("codes", "classes", "depths"):
-        np.testing.assert_array_equal(getattr(read, name), getattr(others, name))
+@given(npst.arrays(np.uint8, st.integers(1, 40)))
+def test_depths_alone_are_exact(depths):
+    packed = pack_key_sidecar(KeySidecar(np.empty(0, np.uint64), np.empty(0, np.int16), depths), GRID)
+    read = unpack_key_sidecar(packed, len(depths), GRID, 0, "x", True)
+    np.testing.assert_array_equal(read.depths, depths)
+    assert not len(read.codes) and not len(read.classes)
 
 
 def test_codes_that_add_up_past_the_grid_are_refused():

@@ -32,7 +32,7 @@ def test_a_tile_without_rows_decodes_to_none(package):
 def _without_first(group):
     first = group.tiles[0]
     files = [NO_FILE] * len(first.tiers[0].pictures)
-    tiers = [replace(tier, count=0, kept=0, sidecar=NO_FILE, pictures=files) for tier in first.tiers]
+    tiers = [replace(tier, count=0, sidecar=NO_FILE, pictures=files) for tier in first.tiers]
     segments = [replace(s, levels=[_without_file(level) for level in s.levels]) for s in group.segments]
     count = group.count - sum(tier.count for tier in first.tiers)
     tiles = [replace(first, tiers=tiers), *group.tiles[1:]]

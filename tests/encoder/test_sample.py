@@ -67,4 +67,4 @@ def test_the_package_says_what_was_chosen_and_groups_follow(tmp_path):
     assert chosen.decisions[0].startswith(f"groups of {FRAMES} frames, the cheapest on a sample")
     asked = encode(sequence, tmp_path / "asked", replace(settings, group_frames=15)).manifest
     assert [group.stop - group.start for group in asked.groups] == [15, 15, 10]
-    assert asked.decisions == ["2 of 3 groups keep 100% of their Gaussians from an earlier one"]  # it stands still
+    assert asked.decisions == ["2 of 3 groups are coded as what differs from an earlier one"]  # it stands still

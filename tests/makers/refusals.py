@@ -2,9 +2,9 @@
 
     python -m tests.makers.refusals
 
-A case is a package of manifests/valid with changes: `moving`, or `paged` for what concerns a page, `kept` for kept
-rows, `tiled` for tiles. Its name begins with the reason; where a reader finds it is what `validate` says. How cases are
-written is told in manifests/invalid/README.md.
+A case is a package of manifests/valid with changes: `moving`, or `paged` for what concerns a page, `kept` for
+differences, `tiled` for tiles. Its name begins with the reason; where a reader finds it is what `validate` says. How
+cases are written is told in manifests/invalid/README.md.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
+from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.media.mp4 import box, read_boxes, read_segment, sound_segment, with_own_box
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME
@@ -65,21 +65,10 @@ def without_moving_rows(files: Files) -> Files:
     return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
 
 
-def kept_sidecar(index: int, depth: int) -> Mutation:
-    """A sidecar of the second group whose first kept row has this index, and all of them this depth."""
-
-    def mutate(files: Files) -> Files:
-        tier = parse_table(files[KEPT_TABLE])["tiles"][0]["tiers"][0]
-        others, kept = tier["count"] - tier["kept"], tier["kept"]
-        reader = ColumnReader(files[KEPT_SIDECAR], KEPT_SIDECAR)
-        gaps, _ = (reader.column(kept, 1) for _ in range(2))
-        rest = [
-            (reader.column(count, order), order) for count, order in ((1, 0), (others, 1), (others, 0), (others, 1))
-        ]
-        columns = [(np.array([index, *gaps[1:]]), 1), (np.full(kept, depth + 1), 1), *(rest if others else [])]
-        return files | {KEPT_SIDECAR: encode_columns(columns)}
-
-    return mutate
+def kept_sidecar(files: Files) -> Files:
+    """Give all rows of the second group, which keeps those of the first, the depth 255."""
+    count = parse_table(files[KEPT_TABLE])["tiles"][0]["tiers"][0]["count"]
+    return files | {KEPT_SIDECAR: encode_columns([(np.full(count, 256), 1)])}
 
 
 def flip(data: bytes) -> bytes:
@@ -185,11 +174,15 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
     "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
     "bad_value-keeps-chain": in_table(set_value(("keeps",), 2, LAST_TABLE)),
-    "bad_value-keeps-none": in_table(drop_value(("keeps",), KEPT_TABLE)),
-    "bad_value-kept": in_table(set_value(("tiles", 0, "tiers", 0, "kept"), 1 << 24, KEPT_TABLE)),
-    "missing_field-kept": in_table(drop_value(("tiles", 0, "tiers", 0, "kept"), KEPT_TABLE)),
-    "bad_sidecar-kept": (kept_sidecar(1 << 20, 0), honest),
-    "bad_sidecar-kept-depth": (kept_sidecar(0, 255), honest),
+    "bad_value-keeps-grid": in_table(set_value(("grid", "step"), 0.5, KEPT_TABLE)),
+    "bad_value-keeps-steps": in_table(set_value(("key_steps", "opacity"), 0.5, KEPT_TABLE)),
+    "bad_value-keeps-transform": in_table(set_value(("colour_transform",), "AAAAAAAAAAAAAAAAAAAAAAAA", KEPT_TABLE)),
+    "bad_value-keeps-finest": in_table(set_value(("grid", "finest"), 148, KEPT_TABLE)),
+    "bad_value-keeps-factor": in_table(set_value(("tiles", 0, "tiers", 0, "factor"), 2.5, KEPT_TABLE)),
+    "bad_value-keeps-rows": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "rows"), 1, KEPT_TABLE)),
+    "missing_entry-keeps": in_table(set_value(("tiles", 0, "tiers", 0, "pictures", 0), NONE, KEPT_TABLE)),
+    "bad_sidecar-kept": (kept_sidecar, honest),
+    "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEY_SIDECAR]}, honest),
     "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
     "missing_entry": in_table(
         set_value(("tiles", 0, "tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)

@@ -1,4 +1,4 @@
-"""Sessions over packages whose groups keep rows of an earlier one: what must be fetched for that, and no more."""
+"""Sessions over packages of keys that are differences: what must be fetched for that, and no more."""
 
 import itertools
 from dataclasses import replace
@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.package.references import check_group, check_kept
+from airgs_codec.errors import FormatError
+from airgs_codec.package.references import check_base, check_group
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Request, SimulatedDownloader
+from airgs_codec.play.downloader import Arrival, BatchKind, Request, SimulatedDownloader
 from airgs_codec.play.fetcher import UnitStore
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
-from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
@@ -29,21 +29,26 @@ RULES = SessionSettings(
 )
 
 
-def keeping(m, number=2, of=1, kept=(8, 10)):
-    """The manifest with a group that keeps rows; a tier that keeps all 10 of its rows has no pictures."""
+def keeping(m, number=2, of=1, pictures=(True, False)):
+    """The manifest with a group whose keys are differences; a tier of which nothing differs has no pictures."""
     groups = list(m.groups)
     group = groups[number - 1]
     tiers = [
         replace(
             tier,
-            kept=count,
-            qualities=[replace(a, rows=10 - count, planes=a.planes if count < 10 else []) for a in tier.qualities],
-            pictures=tier.pictures if count < 10 else [NO_FILE] * len(tier.pictures),
+            qualities=[_difference(atlas, there) for atlas in tier.qualities],
+            pictures=tier.pictures if there else [NO_FILE] * len(tier.pictures),
         )
-        for tier, count in zip(group.units, kept, strict=True)
+        for tier, there in zip(group.units, pictures, strict=True)
     ]
     groups[number - 1] = replace(with_tiers(group, tiers), keeps=of)
     return replace(m, groups=in_groups(groups))
+
+
+def _difference(atlas, there):
+    centres, errors = [0, 0, 0, *atlas.centres], [0.0, *atlas.max_error]
+    rows, planes = (atlas.rows, atlas.planes) if there else (0, [])
+    return replace(atlas, rows=rows, planes=planes, centres=centres, max_error=errors)
 
 
 def link(*rates):
@@ -57,7 +62,9 @@ def play(m, policy="fixed:0", over=None, faults=None, **options):
 def test_the_manifest_is_one():
     m = keeping(tiny_manifest())
     check_group(m, m.groups.places.entry(1), m.groups[1], "group")
-    check_kept(m.groups[1], m.groups[0], "group")
+    check_base(m.groups[1], m.groups[0], "group")
+    with pytest.raises(FormatError, match="centres"):
+        check_group(m, m.groups.places.entry(1), replace(m.groups[1], keeps=None), "group")
 
 
 def test_who_has_the_base_fetches_only_what_is_new():
@@ -78,19 +85,13 @@ def test_the_page_of_the_base_is_fetched_first():
     """Group 66 is in airgs.json, its base on the first page."""
     group = {"table": 90, "sidecars": [30], "pictures": [[500, 300]]}
     group |= {"segments": [{"frames": 10, "bytes": [700], "psnr": [[40.0, 38.0]]}]}
-    groups = [group] * 65 + [group | {"keeps": 3, "kept": [5], "sidecars": [20], "pictures": [[70, 60]]}]
+    groups = [group] * 65 + [group | {"keeps": 3, "sidecars": [20], "pictures": [[70, 60]]}]
     numbers = {"frame_rate": [10, 1], "page_bytes": 4000, "header_bytes": 0, "root_bytes": 1000, "groups": groups}
     numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
     offers = offers_of(numbers)
     offers.first = 65
     log = simulate(offers, link(8e4), "fixed:0", RULES)
     assert [f.bytes for f in log.fetches] == [1000, 90, 4000, 90, 20 + 70 + 30 + 500 + 700]
-
-
-def test_a_tier_that_keeps_nothing_needs_nothing_of_the_base():
-    offers = Offers(keeping(tiny_manifest(), kept=(0, 4)), 0, 1000, first=1)
-    log = simulate(offers, link(8e4), "fixed:0", RULES)
-    assert [f.bytes for f in log.fetches if f.kind == "group"] == [4000 + 200 + 1000 + 100 + 2100]
 
 
 def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
@@ -113,7 +114,7 @@ def test_each_loop_fetches_the_base_again():
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [6300, 5300, 6300, 5300]
 
 
-def test_two_groups_after_each_other_keep_rows_of_one():
+def test_two_groups_after_each_other_differ_from_one():
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10))), 3)
     offers = Offers(m, 0, 1000, first=1)
     log = simulate(offers, link(8e4), "fixed:0", RULES)
@@ -138,10 +139,10 @@ def test_the_programme_pays_for_a_base_once():
     assert held is not None and held.quality == pytest.approx(40.0)
 
 
-@given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.sampled_from([(8, 10), (0, 4), (3, 0)]))
+@given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.tuples(st.booleans(), st.booleans()))
 @settings(max_examples=20)
-def test_no_session_beats_the_bound(rates, kept):
-    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, kept), 4, 1, kept)
+def test_no_session_beats_the_bound(rates, pictures):
+    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, pictures), 4, 1, pictures)
     for policy, loops in itertools.product(("throughput", "robust-mpc", "oracle-lp", "fixed:Q1+L1"), (1, 2)):
         log = play(m, policy, link(*rates), loops=loops, replace=True, abandon=True)
         best = session_bound(log)
@@ -149,7 +150,7 @@ def test_no_session_beats_the_bound(rates, kept):
 
 
 def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
-    """Sessions over groups that keep rows of different tiers, with any policy."""
+    """Sessions over groups that differ in some tiers or none, with any policy."""
     arrived = []
     add = UnitStore.add
 
@@ -163,30 +164,16 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
         m, base = tiny_manifest(groups=(10,) * 5), 1
         for number in range(2, 6):
             base = base if chance.random() < 0.75 else number
-            kept = [(8, 10), (0, 4), (3, 0), (10, 10)][chance.integers(4)]
-            m = m if base == number else keeping(m, number, base, kept)
+            pictures = [(True, False), (True, True), (False, True), (False, False)][chance.integers(4)]
+            m = m if base == number else keeping(m, number, base, pictures)
         arrived.clear()
         log = play(m, policy, link(*chance.uniform(1e4, 1.5e5, 4)), replace=True, abandon=True)
         for shown in log.shown:
             (quality, level), group = log.offers.rungs[shown.rung], m.group_of(shown.segment)
             for tier in range(m.levels[level].tiers):
-                kept = m.groups[group].units[tier].kept
-                needed = m.key_files(group, tier, quality) + (
-                    m.key_files(m.base_of(group), tier, quality) if kept else []
-                )
+                base = m.base_of(group)
+                needed = m.key_files(group, tier, quality) + m.key_files(group if base is None else base, tier, quality)
                 assert set(needed) <= set(arrived)
-
-
-def test_a_base_unit_is_fetched_once_whichever_tiers_were_needed_first():
-    """Group 2 keeps rows of the second tier alone; group 3, of both tiers, needs the first one more."""
-    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10)), 2, 1, (0, 4)), 3, 1, (3, 4))
-    c = Offers(m, 0, 1000, first=1)
-    events = run(c, SimulatedDownloader(link(8e4), c), make_policy("fixed:0", c), RULES)
-    second, third = (
-        e.arrival.request.batch.keys for e in events if isinstance(e, Arrived) and e.arrival.request.batch.keys
-    )
-    assert [path for path in second if "1." in path] == ["key/T1/1.bin", "key/T1/Q0/1.m4s"]
-    assert [path for path in third if "1." in path] == ["key/T0/1.bin", "key/T0/Q0/1.m4s"]
 
 
 def test_a_second_tier_that_came_before_the_first_is_not_fetched_again():
@@ -222,8 +209,7 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
         for number in range(2, 6):
             base = int(chance.integers(1, number))
             if m.groups[base - 1].keeps is None and chance.random() < 0.7:
-                kept = [(8, 10), (0, 4), (3, 0), (10, 10), (2, 3)][chance.integers(5)]
-                m = keeping(m, number, base, kept)
+                m = keeping(m, number, base, [(True, False), (True, True), (False, False)][chance.integers(3)])
         guessed.clear()
         c = Offers(m, 0, 1000, first=int(chance.integers(3)))
         downloader = SimulatedDownloader(link(8e4), c)

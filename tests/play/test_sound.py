@@ -78,7 +78,7 @@ def heard(samples, second):
 def test_what_is_heard_goes_with_the_ticks_of_a_session_and_stalls_are_silent(chirping):
     """The link gives out for a while, and the sequence is played twice."""
     package = open_package(chirping)
-    log = simulate(package, Trace.open("const:0.4"), "fixed:0", SessionSettings(loops=2, buffer_s=0.5))
+    log = simulate(package, Trace.open("const:0.3"), "fixed:0", SessionSettings(loops=2, buffer_s=0.5))
     ticks, samples = log.screen_ticks, sound_of(package, log)
     assert log.metrics.stall_s > 0.2 and samples.shape == (round(len(ticks) / FPS * 48_000), 1)
     numbers = [package.manifest.segments[log.shown[entry].segment].start + frame for entry, frame in ticks]

@@ -242,8 +242,7 @@ def test_the_report_shows_tiles(tmp_path):
 def test_a_group_that_keeps_rows_needs_the_units_of_the_same_tiles():
     m = tiled_manifest(2)
     first, second = m.groups
-    tiles = [replace(t, tiers=[replace(k, kept=5) for k in t.tiers]) for t in second.tiles]
-    keeping = replace(m, groups=type(m.groups).of([first, replace(second, tiles=tiles, keeps=1)]))
+    keeping = replace(m, groups=type(m.groups).of([first, replace(second, keeps=1)]))
     batch = Offers(keeping, 0).offer(2, frozenset({1})).missing(0, NONE)
     assert len(batch.keys) == 2 * 2 * 2 and len(batch.state) == 1
     of_second = {path for unit in (2, 3) for group in (0, 1) for path in keeping.key_files(group, unit, 0)}

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import gzip
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, plane_starts, row_places
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
+from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package
@@ -127,35 +127,31 @@ class _Writer:
             "means": self.blob.add(base.means.astype(np.float32)),
             "units": self.blob.add(base.motion_units),
             "depths": self.blob.add(base.depths),
-            "parts": [
-                part | {"tier": t} for t, unit in enumerate(units) if unit.count for part in self._tier(group, t)
-            ],
+            "parts": [self._tier(group, t) | {"tier": t} for t, unit in enumerate(units) if unit.count],
         }
 
-    def _tier(self, group: int, tier: int) -> Iterator[Json]:
-        """Pictures of a tier that has rows: those of the rows that it keeps, then its own."""
-        m = self.package.manifest
-        sidecar, *pictures = m.key_files(group, tier, self.rung.quality)
-        base, unit, grid = m.base_of(group), m.groups[group].units[tier], m.groups[group].grid
-        kept = unit.kept, 0 if base is None else m.groups[base].units[tier].count
-        rows, coarsest = unit.count - unit.kept, m.qualities[-1].coarser
-        shared = unpack_key_sidecar(self.package.read(sidecar), rows, grid, coarsest, sidecar, kept)
-        if base is not None and unit.kept:
-            *_, picture = self._tier(base, tier)
-            yield picture | {"kept": self.blob.add(shared.kept.rows.astype(np.uint32))}
-        for media in pictures:
-            yield self._key(group, tier, media, shared) | {"kept": None}
+    def _tier(self, group: int, tier: int) -> Json:
+        """The picture of a tier that has rows, of the base where there is one, with that of the difference to it."""
+        base = self.package.manifest.base_of(group)
+        difference = None if base is None else self._key(group, tier)
+        picture = self._key(group if base is None else base, tier)
+        return (picture or {}) | {"difference": difference}
 
-    def _key(self, group: int, tier: int, media: str, shared: KeySidecar) -> Json:
-        m = self.package.manifest
-        unit, grid, quality = m.groups[group].units[tier], m.groups[group].grid, self.rung.quality
-        coarsest = m.qualities[-1].coarser
+    def _key(self, group: int, tier: int) -> Json | None:
+        """The picture of a tier; None where it has none."""
+        m, quality = self.package.manifest, self.rung.quality
+        sidecar, *pictures = m.key_files(group, tier, quality)
+        table, coarsest = m.groups[group], m.qualities[-1].coarser
+        if not pictures:
+            return None
+        (media,), unit, differs = pictures, table.units[tier], table.keeps is not None
+        shared = unpack_key_sidecar(self.package.read(sidecar), unit.count, table.grid, coarsest, sidecar, differs)
         atlas = unit.qualities[quality]
-        columns, pictures = open_segment(self.package.read(media), media, atlas.pages)
+        columns, shown = open_segment(self.package.read(media), media, atlas.pages)
         reader = ColumnReader(columns, media)
-        read_detail(reader, shared, grid, m.qualities[quality].coarser, coarsest)
+        read_detail(reader, shared, table.grid, coarsest if differs else m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
-        return self._picture(next(iter(pictures)), atlas, jumps, 0)
+        return self._picture(next(iter(shown)), atlas, jumps, 0)
 
     def _states(self, index: int) -> list[Json]:
         """Every frame of a segment; none where there is nothing to fetch."""

@@ -28,10 +28,6 @@ def digests(package: Package) -> dict[str, str]:
                 out[f"{name} Q{q}"] = digest(codes)
                 out[f"{name} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
                 out[f"{name} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
-                if unit.kept:
-                    kept = sidecar.kept
-                    out[f"{name} kept"] = sha256(kept.rows.astype("<u4").tobytes()).hexdigest()
-                    out[f"{name} kept depths"] = sha256(kept.depths.tobytes()).hexdigest()
     for s, segment in enumerate(m.segments):
         for j, p in np.ndindex(len(m.levels), m.tiles):
             if m.state_files(s, j, [p]):

@@ -76,7 +76,7 @@ def tiny_manifest(
 
     units = [
         mf.GroupTier(
-            10, 0, 1.0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
+            10, 1.0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
         )
         for row in key_bytes
     ]

@@ -35,8 +35,7 @@ def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
 
 
 def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
-    keeps = {"keeps": group.keeps, "kept": [tier.kept for tier in group.units]} if group.keeps else {}
-    return keeps | {
+    return ({"keeps": group.keeps} if group.keeps else {}) | {
         "table": table_bytes,
         "sidecars": [tier.sidecar.bytes for tier in group.units],
         "pictures": [[file.bytes for file in tier.pictures] for tier in group.units],
@@ -83,16 +82,15 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
         ]
         segments.append(mf.Segment(start, start + numbers["frames"], levels))
         start += numbers["frames"]
-    kept = part.get("kept", [0] * len(part["sidecars"]))
     tiers = [
         replace(
             some.units[0],
-            count=count + ROWS * (pictures[0] > 0),
-            kept=count,
+            count=ROWS * (sidecar > 0),
             sidecar=_file(sidecar),
-            pictures=[_file(b) for b in pictures],
+            qualities=[replace(some.units[0].qualities[0], rows=ROWS * (size > 0)) for size in pictures],
+            pictures=[_file(size) for size in pictures],
         )
-        for sidecar, pictures, count in zip(part["sidecars"], part["pictures"], kept, strict=True)
+        for sidecar, pictures in zip(part["sidecars"], part["pictures"], strict=True)
     ]
     tiles = [replace(some.tiles[0], tiers=tiers)]
     group = replace(some, start=span[0], stop=span[1], tiles=tiles, segments=segments, keeps=part.get("keeps"))

@@ -124,8 +124,7 @@ export class FrameReader {
   async #tile(segment: number, level: number, of: CanonicalName, last: DecodedTile | undefined): Promise<DecodedTile> {
     const { tables } = this.media;
     const canonical = last?.canonical ?? (await this.media.canonical(of));
-    const [table, other] = [tables.group(of.group), tables.baseTable(of.group)];
-    const base = last?.base ?? canonicalGaussians(tables.root, table, canonical, other);
+    const base = last?.base ?? canonicalGaussians(tables.root, tables.group(of.group), canonical);
     const frames: (StateFrame | null)[] = [];
     await this.media.segment(segment, level, of, (t, frame) => {
       frames[t] = frame;

@@ -160,20 +160,22 @@ def _key_rows(t: Tables, package: Package, unit: tuple[int, int, int]) -> list[t
     """The canonical value, the motion class and the depth of every row of a (group, tier, quality)."""
     group, tier, quality = unit
     codes, sidecar = decode_key(package, group, tier, quality)
-    named = t.root["qualities"][quality]
+    named, depths, base = t.root["qualities"][quality], sidecar.depths.tolist(), t.base_of(group)
     grid = package.manifest.groups[group].grid
-    means = grid_means(sidecar.codes, sidecar.classes, grid, named["coarser"]).tolist()
     table = t.groups[group]
     factor = named["factor"] * table["tiles"][0]["tiers"][tier]["factor"]
+    if base is not None:
+        steps = table["key_steps"] | {"means": table["grid"]["step"] * 2.0 ** -table["grid"]["finest"]}
+        change = Coding(steps, factor, t.root["key_gain"], _transform(t, group))
+        there = [(row, motion) for row, motion, _ in _key_rows(t, package, (base, tier, quality))]
+        if codes.size:
+            pairs = zip(there, codes.T.tolist(), strict=True)
+            there = [(state_row(row, line, change, motion), motion) for (row, motion), line in pairs]
+        return [(*one, depth) for one, depth in zip(there, depths, strict=True)]
+    means = grid_means(sidecar.codes, sidecar.classes, grid, named["coarser"]).tolist()
     key = Coding(table["key_steps"], factor, t.root["key_gain"], _transform(t, group))
     rows = [key_row(line, key, mean) for line, mean in zip(codes.T.tolist(), means, strict=True)]
-    coded = list(zip(rows, sidecar.classes.tolist(), sidecar.depths.tolist(), strict=True))
-    base, kept = t.base_of(group), sidecar.kept
-    if base is None or not len(kept.rows):
-        return coded
-    there = _key_rows(t, package, (base, tier, quality))
-    places = zip(kept.rows.tolist(), kept.depths.tolist(), strict=True)
-    return [(*there[place][:2], depth) for place, depth in places] + coded
+    return list(zip(rows, sidecar.classes.tolist(), depths, strict=True))
 
 
 def _float32(values: Sequence[Any]) -> bytes:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.coding.sidecar import Kept, KeySidecar, detail_columns, pack_key_sidecar
+from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar
 from airgs_codec.package.tables import Grid
 from tests.makers.vectors.text import Table, binary, wide
 
@@ -149,50 +149,26 @@ def _refused() -> list[dict[str, Any]]:
     ]
 
 
-SMALL = Grid([0.0, 0.0, 0.0], 1.0, 4, 0)
-Columns = list[tuple[list[int], int]]
-
-
 def _kept() -> list[dict[str, Any]]:
-    """Sidecars of tiers that keep rows of 300, beside others or without any."""
-    none: list[int] = []
-    drawn = sorted(np.random.default_rng(5).permutation(300)[:40].tolist())
-    cases: list[tuple[str, list[int], list[int], list[int]]] = [  # name, places, depths, codes of the others
-        ("all rows are kept", [0, 1, 299], [STATIC, 0, 7], none),
-        ("one row is kept beside others", [12], [3], [8, 8, 63]),
-        ("many rows are kept", drawn, [i % 5 for i in range(40)], [5, 4000]),
+    """Sidecars of tiers whose keys are differences."""
+    cases = [("one row", [STATIC]), ("three rows", [STATIC, 0, 254]), ("many rows", [i % 5 for i in range(40)])]
+    return [
+        {"name": name, "rows": len(d), "data": binary(pack_key_sidecar(_sidecar([], [], d), ANY)), "depths": d}
+        for name, d in cases
     ]
-    return [_kept_case(name, Kept(np.array(p), np.array(d, np.uint8)), c) for name, p, d, c in cases]
-
-
-def _kept_case(name: str, kept: Kept, codes: list[int]) -> dict[str, Any]:
-    others = _sidecar(codes, [0] * len(codes), [1] * len(codes))
-    return {
-        "name": name,
-        "grid": _grid(SMALL),
-        "kept": len(kept.rows),
-        "there": 300,
-        "rows": len(codes),
-        "data": binary(pack_key_sidecar(replace(others, kept=kept), SMALL)),
-        "places": kept.rows.tolist(),
-        "depths": kept.depths.tolist(),
-        "codes": wide(codes),
-        "classes": others.classes.tolist(),
-        "others": others.depths.tolist(),
-    }
 
 
 def _kept_refused() -> list[dict[str, Any]]:
-    """Two kept rows of five, and no others."""
+    """Two rows."""
 
-    def case(name: str, columns: Columns) -> dict[str, Any]:
-        data = binary(encode_columns([(np.array(v, np.int64), o) for v, o in columns]))
-        return {"name": name, "grid": _grid(SMALL), "kept": 2, "there": 5, "rows": 0, "data": data}
+    def case(name: str, *columns: list[int]) -> dict[str, Any]:
+        return {"name": name, "rows": 2, "data": binary(encode_columns([(np.array(v, np.int64), 1) for v in columns]))}
 
     return [
-        case("a place past the tier", [([0, 4], 1), ([0, 0], 1)]),
-        case("places that add up to more than 63 bits", [([2**62, 2**62], 1), ([0, 0], 1)]),
-        case("a depth of 255 and one of a kept row", [([0, 0], 1), ([0, 256], 1)]),
-        case("no depths", [([0, 0], 1)]),
-        case("other rows where all are kept", [([0, 0], 1), ([0, 0], 1), ([128], 0)]),
+        case("a depth of 255 and one", [0, 256]),
+        case("a depth too few", [1]),
+        case("another column", [0, 1], [128]),
     ]
+
+
+ANY = Grid([0.0, 0.0, 0.0], 1.0, 4, 0)

@@ -76,24 +76,22 @@ def drawn_package(rng: np.random.Generator) -> Numbers:
     return _numbers("drawn", [24, 1], levels, groups)
 
 
-KEEPING = {  # group -> the number of its base; of each tier how many rows it keeps, and what is left of its pictures
-    1: (1, (50, 7, 0), (0.2, 0.3, 1.0)),
-    3: (3, (9, 0, 4), (0.4, 1.0, 0.5)),
-    4: (3, (60, 30, 10), (0.0, 0.1, 0.0)),
+KEEPING = {  # group -> the number of its base; of each tier what its pictures are to those of the base
+    1: (1, (0.2, 0.3, 0.1)),
+    3: (3, (0.4, 0.6, 0.5)),
+    4: (3, (0.0, 0.1, 0.0)),
 }
 
 
 def kept_package(rng: np.random.Generator) -> Numbers:
-    """Five groups, some of which keep rows of one before: of some tiers all, of others none."""
+    """Five groups, some of which are differences to one before, of which some tiers have no pictures."""
     first, second = drawn_package(rng), drawn_package(rng)
     groups = [*first["groups"], *second["groups"][:2]]
-    for number, (base, rows, shares) in KEEPING.items():
-        group = groups[number]
-        kept = [count if groups[base - 1]["sidecars"][tier] else 0 for tier, count in enumerate(rows)]
-        left = [share if count else 1.0 for share, count in zip(shares, kept, strict=True)]
-        sidecars = [40 + size // 4 if count else size for size, count in zip(group["sidecars"], kept, strict=True)]
-        pictures = [[int(size * share) for size in of] for of, share in zip(group["pictures"], left, strict=True)]
-        groups[number] = group | {"keeps": base, "kept": kept, "sidecars": sidecars, "pictures": pictures}
+    for number, (base, shares) in KEEPING.items():
+        of = groups[base - 1]
+        sidecars = [size and 40 + size // 4 for size in of["sidecars"]]
+        pictures = [[int(size * share) for size in sizes] for sizes, share in zip(of["pictures"], shares, strict=True)]
+        groups[number] = groups[number] | {"keeps": base, "sidecars": sidecars, "pictures": pictures}
     return {**first, "name": "kept", "groups": groups}
 
 

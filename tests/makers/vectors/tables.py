@@ -67,12 +67,12 @@ class Tables:
         return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiles"][0]["tiers"][tier]["count"] else None
 
     def picture(self, group: int, tier: int, quality: int) -> str | None:
-        """The picture of a key tier; None where all of its rows are kept or it has none."""
+        """The picture of a key tier; None where it has none."""
         unit = self.groups[group]["tiles"][0]["tiers"][tier]
-        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if unit["count"] > unit["kept"] else None
+        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if unit["qualities"][quality]["rows"] else None
 
     def base_of(self, group: int) -> int | None:
-        """The group, counted from 0 as well, whose rows it keeps; None where it keeps none."""
+        """The group, counted from 0 as well, that its keys are differences to; None where they are none."""
         keeps: int | None = self.groups[group].get("keeps")
         return None if keeps is None else keeps - 1
 
@@ -91,7 +91,7 @@ class Tables:
             found.append(list(self.group_paths())[base])
         for tier in range(tiers):
             found += [self.sidecar(group, tier), self.picture(group, tier, quality)]
-            if base is not None and self.groups[group]["tiles"][0]["tiers"][tier]["kept"]:
+            if base is not None:
                 found += [self.sidecar(base, tier), self.picture(base, tier, quality)]
         found.append(self.state(group, self.segment_at(frame), level))
         return [path for path in found if path]

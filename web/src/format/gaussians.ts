@@ -3,8 +3,8 @@
 import { KEY_AT, OPACITY_MARGIN, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
 import { atlasSamples, basesAfter, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
-import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "./steps.ts";
-import type { Canonical, Gaussians, Group, Root } from "./types.ts";
+import { colourChannels, colourMatrix, colourSteps, differenceSteps, keySteps, stateSteps } from "./steps.ts";
+import type { Canonical, Gaussians, Group, KeyPart, Root } from "./types.ts";
 import { levelRows } from "./units.ts";
 
 /** What codes of a key or of a state count in. */
@@ -23,16 +23,11 @@ function codingOf(root: Root, group: Group, steps: Float32Array, scales: { sh_dc
   return { steps, colours };
 }
 
-/** The canonical space of a tile; α is not limited yet. `base` is the table of the group whose rows it keeps, if any.
+/** The canonical space of a tile; α is not limited yet.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
-export function canonicalGaussians(
-  root: Root,
-  group: Group,
-  canonical: Canonical,
-  base: Group | null = null,
-): Gaussians {
+export function canonicalGaussians(root: Root, group: Group, canonical: Canonical): Gaussians {
   const { means } = canonical;
   const rows = means.length / 3;
   const gaussians = {
@@ -43,23 +38,26 @@ export function canonicalGaussians(
     colours: new Float32Array(colourChannels(root.sh_degree) * rows),
   };
   let first = 0;
-  for (const { atlas, factor, kept, luma, bases } of canonical.parts) {
-    const codes = readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
-    const table = kept ? base! : group;
-    const steps = keySteps(root, table, canonical.quality).map((step) => step * factor);
-    const coding = codingOf(root, table, steps, table.key_steps);
-    setKey(gaussians, first, kept ? codesOf(codes, atlas.rows, kept) : codes, coding);
-    first += kept ? kept.length : atlas.rows;
+  const codesOf = ({ atlas, luma, bases }: KeyPart) => readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
+  const coding = (steps: Float32Array, factor: number) =>
+    codingOf(
+      root,
+      group,
+      steps.map((step) => step * factor),
+      group.key_steps,
+    );
+  for (const part of canonical.parts) {
+    const { atlas, factor, difference } = part;
+    setKey(gaussians, first, codesOf(part), coding(keySteps(root, group, canonical.quality), factor));
+    if (difference) {
+      const steps = differenceSteps(root, group, canonical.quality).fill(0, 0, 3); // means have it already
+      const rows = Uint32Array.from({ length: atlas.rows }, (_, i) => first + i);
+      addState(gaussians, rows, canonical.units, codesOf(difference), coding(steps, factor));
+    }
+    first += atlas.rows;
   }
   expectFinite(gaussians, "canonical space");
   return gaussians;
-}
-
-function codesOf(codes: Int32Array, rows: number, some: Uint32Array): Int32Array {
-  const picked = new Int32Array((codes.length / rows) * some.length);
-  let at = 0;
-  for (let first = 0; first < codes.length; first += rows) for (const row of some) picked[at++] = codes[first + row]!;
-  return picked;
 }
 
 /** Writes n rows from `first` on: what (7 + C · n) key codes decode to. */

@@ -17,7 +17,7 @@ import {
   tileFolder,
 } from "./paths.ts";
 import { Recent } from "./recent.ts";
-import { checkGroup, checkKept, checkPage } from "./references.ts";
+import { checkBase, checkGroup, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.ts";
 
 const MOST_TABLES = 1024; // tables of groups
@@ -70,7 +70,7 @@ export class Tables {
     const others = new Map(this.#groups.entries()).set(number, table);
     for (const [n, one] of others) {
       const base = others.get((one.keeps ?? 0) - 1);
-      if (base && (one === table || base === table)) checkKept(one, base, groupPath(n + 1));
+      if (base && (one === table || base === table)) checkBase(one, base, groupPath(n + 1));
     }
     return this.#groups.set(number, table);
   }
@@ -136,35 +136,25 @@ export class Tables {
     return this.index.entry(group).firstSegment + segments.findIndex((segment) => frame < segment.stop);
   }
 
-  /** The base of a group, whose rows it keeps; null: it keeps none. Throws what `group` does. */
+  /** The base of a group, whose rows it keeps; null: it has none. Throws what `group` does. */
   base(group: number): number | null {
     const { keeps } = this.group(group);
     return keeps ? keeps - 1 : null;
   }
 
-  /** Sidecar and picture of a key unit: none of one without rows, no picture where all of them are kept. */
+  /** Sidecar and picture of a key unit: none of one without rows, no picture where nothing differs from the base. */
   keyFiles(group: number, unit: number, quality: number): string[] {
-    const { count, kept } = this.#unit(group, unit);
+    const { count, qualities } = this.#unit(group, unit);
     const tier = unit % this.root.tiers;
     const folder = tileFolder((unit - tier) / this.root.tiers, this.root.tiles);
     const files = [keySidecarPath(folder, tier, group + 1), keyMediaPath(folder, tier, quality, group + 1)];
-    return files.slice(0, Number(count > 0) + Number(count > kept));
+    return files.slice(0, Number(count > 0) + Number(qualities[quality]!.rows > 0));
   }
 
-  /** The table of the base of a group; null: it keeps no rows. Throws what `group` does. */
-  baseTable(group: number): Group | null {
-    const base = this.base(group);
-    return base === null ? null : this.group(base);
-  }
-
-  /** The files of the base's key unit whose rows a key unit keeps; empty when it keeps none. */
-  keptFiles(group: number, unit: number, quality: number): string[] {
-    const base = this.#unit(group, unit).kept ? this.base(group) : null;
-    return base === null ? [] : this.keyFiles(base, unit, quality);
-  }
-
+  /** Sidecars and pictures of key units, and those of the base. */
   keysOf(group: number, quality: number, units: readonly number[]): string[] {
-    return units.flatMap((unit) => [...this.keyFiles(group, unit, quality), ...this.keptFiles(group, unit, quality)]);
+    const groups = [group, this.base(group) ?? []].flat();
+    return units.flatMap((unit) => groups.flatMap((of) => this.keyFiles(of, unit, quality)));
   }
 
   /** The files of a segment of some tiles, by default of all; none of a tile with nothing to fetch. */

@@ -137,7 +137,7 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
   for (const { name, tier } of unitsOf(group)) {
     place.file(`${name}.sidecar`, tier.sidecar, tier.count > 0);
     for (const [q, picture] of tier.pictures.entries())
-      place.file(`${name}.pictures[${q}]`, picture, tier.count > tier.kept);
+      place.file(`${name}.pictures[${q}]`, picture, tier.qualities[q]!.rows > 0);
   }
   let stop = group.start;
   group.segments.forEach((segment, s) => {
@@ -150,15 +150,18 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
   place.exactly("stop of the segments", stop, group.stop);
 }
 
-/** Checks that the rows which a group keeps are there: `base`, the group that it names, has rows of its own alone. */
-export function checkKept(group: Group, base: Group, where: string): void {
-  const place = new Place(where);
-  if (base.keeps) throw bad(`${where}.keeps`, `expected a group that keeps none, got ${group.keeps}`);
-  const others = unitsOf(base);
-  unitsOf(group).forEach(({ name, tier }, k) => {
-    place.within(`${name}.kept`, tier.kept, 0, others[k]!.tier.count);
-  });
+/** Checks that `base`, the group whose rows a group keeps, keeps none and is laid out alike. */
+export function checkBase(group: Group, base: Group, where: string): void {
+  if (!base.keeps && laidOut(group) === laidOut(base)) return;
+  throw bad(`${where}.keeps`, `expected a base laid out alike, got ${group.keeps}`);
 }
+
+/** All that is equal in a group and its base, whatever the order of fields is. */
+const laidOut = (group: Group) =>
+  JSON.stringify(group, [
+    ...["grid", "origin", "step", "bits", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
+    ...["colour_transform", "tiles", "tiers", "count", "factor"],
+  ]);
 
 /** The key units of a group, and where each stands in its table. */
 const unitsOf = ({ tiles }: Group): { name: string; tier: Tier }[] =>
@@ -190,14 +193,14 @@ function checkCounts(root: Root, group: Group, place: Place): void {
 
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
+  if (group.keeps) place.within("grid.step", group.grid.step * 2 ** -group.grid.finest, 1e-30, 1e30);
+  const [first, attributes] = group.keeps ? [STATE_AT.colour, STATE_ATTRIBUTES] : [KEY_AT.colour, KEY_ATTRIBUTES];
   for (const { name, tier } of unitsOf(group)) {
-    place.within(`${name}.kept`, tier.kept, 0, group.keeps ? tier.count : 0);
-    const rows = tier.count - tier.kept;
     for (const [q, atlas] of tier.qualities.entries()) {
       const at = `${name}.qualities[${q}]`;
-      place.exactly(`${at}.rows`, atlas.rows, rows);
-      if (rows) place.within(`planes of ${at}`, atlas.planes.length, 1, atlas.centres.length);
-      checkAtlas(new Place(`${place.where}.${at}`), atlas, KEY_AT.colour + colours, KEY_ATTRIBUTES.length);
+      if (!group.keeps || atlas.rows) place.exactly(`${at}.rows`, atlas.rows, tier.count);
+      if (atlas.rows) place.within(`planes of ${at}`, atlas.planes.length, 1, atlas.centres.length);
+      checkAtlas(new Place(`${place.where}.${at}`), atlas, first + colours, attributes.length);
     }
   }
   group.tiles.forEach((tile, p) => {

@@ -3,23 +3,20 @@ import { LEAST_CLASS, MOST_CLASS, STATIC } from "../generated/constants.ts";
 import { type ColumnReader, ColumnReader as Reader, type Wide } from "./rangecoder.ts";
 import type { Grid } from "./types.ts";
 
-/** The rows of a tier as a sidecar and the detail of a quality give them: K kept ones, then M others. */
+/** The N rows of a tier as a sidecar and the detail of a quality give them, M of them with their places. */
 export interface TierRows {
-  /** (K) which rows of the same tier of the base are kept, ascending. */
-  kept: Uint32Array;
   /** (M) Morton codes of the corners of cells. */
   codes: Wide;
   /** (M) motion classes, LEAST_CLASS … MOST_CLASS. */
   classes: Int16Array;
-  /** (K + M) deepest level that carries a row; STATIC: none. */
+  /** (N) deepest level that carries a row; STATIC: none. */
   depths: Uint8Array;
 }
 
-/** How many rows a tier has, how many of them are kept, and of how many: N = K + M, K, and those of the base. */
+/** N and M: M is 0 where keys are differences, else N. */
 export interface TierCounts {
   count: number;
-  kept: number;
-  base: number;
+  placed: number;
 }
 
 /** b of a row: its cell is 2^b steps of the grid wide. `coarser` is that of a key quality. */
@@ -31,41 +28,28 @@ export function cellBits(motionClass: number, grid: Grid, coarser: number): numb
 /** A sidecar, with codes of the last quality, `coarsest` its `coarser`. Throws FormatError(bad_sidecar). */
 export function readSidecar(
   data: Uint8Array,
-  { count, kept, base }: TierCounts,
+  { count, placed }: TierCounts,
   grid: Grid,
   coarsest: number,
   where: string,
 ): TierRows {
   const reader = new Reader(data, where);
   const depths = new Uint8Array(count);
-  const rows = reader.column(kept, 1);
-  readDepths(reader, depths.subarray(0, kept));
-  let next = 0;
-  for (let i = 0; i < kept; i++) {
-    next += rows[i]!;
-    if (next >= base) throw reader.refuse(`expected kept rows among ${base}`);
-    rows[i] = next++;
-  }
-  const others = count - kept;
-  const least = others ? reader.column(1, 0)[0]! + LEAST_CLASS : 0;
-  const above = reader.column(others, 1);
-  const codes = reader.wide(others, 0);
-  readDepths(reader, depths.subarray(kept));
+  const least = placed ? reader.column(1, 0)[0]! + LEAST_CLASS : 0;
+  const above = reader.column(placed, 1);
+  const codes = reader.wide(placed, 0);
+  const carried = reader.column(count, 1);
+  if (carried.some((depth) => depth > STATIC)) throw reader.refuse(`expected depths up to ${STATIC}`);
+  depths.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
   reader.close();
-  const classes = new Int16Array(others);
-  for (let i = 0; i < others; i++) {
+  const classes = new Int16Array(placed);
+  for (let i = 0; i < placed; i++) {
     const motionClass = least + above[i]!;
     if (motionClass > MOST_CLASS) throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
     classes[i] = motionClass;
   }
   if (!sumGaps(codes, classes, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * grid.bits} bits`);
-  return { kept: rows, codes, classes, depths };
-}
-
-function readDepths(reader: ColumnReader, into: Uint8Array): void {
-  const carried = reader.column(into.length, 1);
-  if (carried.some((depth) => depth > STATIC)) throw reader.refuse(`expected depths up to ${STATIC}`);
-  into.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
+  return { codes, classes, depths };
 }
 
 /** Turns gaps between neighbours into Morton codes. False when a code does not fit the grid. */

@@ -12,6 +12,13 @@ export function keySteps(root: Root, group: Group, quality: number): Float32Arra
   return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 
+/** (10 + C) the same of keys that are differences; of a mean in motion units of its row. */
+export function differenceSteps(root: Root, group: Group, quality: number): Float32Array {
+  const { step, finest } = group.grid;
+  const steps = STATE_CHANNELS.map((name) => (name === "means" ? step * 2 ** -finest : group.key_steps[name]));
+  return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
+}
+
 /** (10 + C) value of a code of each state channel; of a mean in motion units of its row. */
 export function stateSteps(root: Root, group: Group, level: number): Float32Array {
   const steps = STATE_CHANNELS.map((attribute) => group.state_steps[attribute]);

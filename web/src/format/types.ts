@@ -41,17 +41,17 @@ export interface BaseChanges {
   bases: Int32Array;
 }
 
-/** The key pictures of a tier, or those of a tier of the base whose rows are kept: FORMAT.md, section 3. */
+/** The key picture of a tier, of the base where there is one. */
 export interface KeyPart {
   atlas: Atlas;
   /** On the key steps of its group, beside that of the key quality. */
   factor: number;
-  /** Which rows of the base's atlas are kept, ascending; null: all rows of an atlas of the group itself. */
-  kept: Uint32Array | null;
   /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */
   luma: Uint8Array;
   /** Samples with another base than 0; null: none. */
   bases: BaseChanges | null;
+  /** What the group differs by; null: by nothing but means. */
+  difference: KeyPart | null;
 }
 
 /** A canonical space by what it is made of; group and tile count from 0. */
@@ -71,7 +71,7 @@ export interface Canonical extends CanonicalName {
   units: Float32Array;
   /** (N) deepest level that carries a row's updates; 255: static. */
   depths: Uint8Array;
-  /** In the order of rows: of each tier first what is kept, then its own. */
+  /** In the order of rows. */
   parts: KeyPart[];
 }
 

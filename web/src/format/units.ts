@@ -13,26 +13,25 @@ import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 /** What a unit without a picture has of one. */
 const NONE: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
 
-/** A key unit but for its picture. K rows of the tier are kept, M are its own. */
+/** A key unit but for its picture. N rows; where keys are differences, M = 0 have a place, else M = N. */
 export interface KeyUnit {
   atlas: Atlas;
   /** On the key steps, beside that of the key quality. */
   factor: number;
-  /** (K) rows of the same unit of the base. */
-  kept: Uint32Array;
   /** (3M) canonical means, world units. */
   means: Float32Array;
   /** (M) motion units, world units. */
   units: Float32Array;
-  /** (K + M) */
+  /** (N) */
   depths: Uint8Array;
-  /** The file of its picture; each page of it, none where all rows are kept. */
+  /** The file of its picture; each page of it, none where there is none. */
   where: string;
   pages: Sample[][];
   /** Of each of these. */
   checksums: Uint32Array;
-  /** Samples with another base than 0; null: none. */
-  bases: BaseChanges | null;
+  /** Bases of its samples, and which are other than 0; null: none. */
+  bases: Bases;
+  changes: BaseChanges | null;
 }
 
 /** Which key unit: group and tile count from 0. */
@@ -44,44 +43,43 @@ export interface KeyPlace {
 }
 
 /** A key unit of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
- * `base` is the table of the group whose rows it keeps, if it keeps any.
  *
  * Throws FormatError (bad_sidecar, bad_picture, bad_value).
  */
 export function readKeyUnit(
   root: Root,
   table: Group,
-  base: Group | null,
   { group, tile, tier, quality }: KeyPlace,
   sidecar: Uint8Array,
   media: Uint8Array | null,
 ): KeyUnit {
   const folder = tileFolder(tile, root.tiles);
   const where = keyMediaPath(folder, tier, quality, group + 1);
-  const { count, kept, factor, qualities } = table.tiles[tile]!.tiers[tier]!;
+  const { count, factor, qualities } = table.tiles[tile]!.tiers[tier]!;
   const atlas = qualities[quality]!;
-  const coarser = root.qualities[quality]!.coarser;
   const coarsest = root.qualities.at(-1)!.coarser;
-  const counts = { count, kept, base: base?.tiles[tile]?.tiers[tier]?.count ?? 0 };
+  const coarser = table.keeps ? coarsest : root.qualities[quality]!.coarser; // a difference has no detail of positions
+  const counts = { count, placed: table.keeps ? 0 : count };
   const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(folder, tier, group + 1));
   const { checksums, columns, samples } = media ? readMedia(media, where) : NONE;
   const reader = new ColumnReader(columns, where);
   const rows = readDetail(reader, shared, table.grid, coarser, coarsest);
   const escapes = readEscapes(reader, 1, atlas.planes.length, atlas.rows);
   reader.close();
+  const bases = new Bases(escapes, atlas);
   const means = new Float32Array(canonicalMeans(rows, table.grid, coarser));
   if (!means.every(Number.isFinite)) throw new FormatError("bad_value", where, "means decode to numbers not finite");
   return {
     atlas,
     factor,
-    kept: shared.kept,
     means,
     units: motionUnits(rows.classes),
     depths: rows.depths,
     where,
     pages: media ? pageSamples(samples, atlas, 1, where) : [],
     checksums,
-    bases: new Bases(escapes, atlas).next(0),
+    bases,
+    changes: bases.next(0),
   };
 }
 
@@ -162,14 +160,15 @@ export function readEscapes(reader: ColumnReader, frames: number, planes: number
 export class Bases {
   /** Bases by now, of samples that ever had another than 0: by plane · N + row. */
   readonly now = new Map<number, number>();
-  #offsets: Uint32Array;
+  /** Place of each row in a plane. */
+  readonly offsets: Uint32Array;
   #at = 0;
 
   constructor(
     readonly escapes: Escapes,
     readonly atlas: Atlas,
   ) {
-    this.#offsets = rowOffsets(atlas);
+    this.offsets = rowOffsets(atlas);
   }
 
   /** The changes that come with picture `t`; null: none. */
@@ -186,7 +185,7 @@ export class Bases {
       const sample = index[e]! % area;
       const base = ((this.now.get(sample) ?? 0) + jumps[e]!) | 0;
       this.now.set(sample, base);
-      texels[e - first] = planeCorner(this.atlas, Math.floor(sample / rows)) + this.#offsets[sample % rows]!;
+      texels[e - first] = planeCorner(this.atlas, Math.floor(sample / rows)) + this.offsets[sample % rows]!;
       bases[e - first] = base;
     }
     return { texels, bases };

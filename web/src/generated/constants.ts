@@ -1,7 +1,7 @@
 // Made by python -m tools.typescript from airgs_codec: the modules named below say what each is.
 
 // airgs_codec.package.tables
-export const VERSION = 4;
+export const VERSION = 5;
 export const PAGE = 64;
 export const DIGEST = 32;
 export const BLOCK = 16;

@@ -102,7 +102,7 @@ export class Media {
   async locate(frame: number, signal: AbortSignal): Promise<number> {
     for (;;) {
       try {
-        this.tables.baseTable(this.tables.index.groupAt("frames", frame));
+        this.tables.keysOf(this.tables.index.groupAt("frames", frame), 0, [0]); // asks for that of the base, too
         return this.tables.segmentAt(frame);
       } catch (error) {
         if (!(error instanceof MissingTableError)) throw error;

@@ -13,7 +13,7 @@ import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, Opened, Poster, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
-import { decodeCanonical, decodeStates, type Positions, type ReadFile, readPositions } from "./tiles.ts";
+import { decodeCanonical, decodeStates, type Positions, type ReadFile } from "./tiles.ts";
 
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
 const MOST_SPACES = 4; // of each tile, whose positions stay for the segments over them
@@ -101,12 +101,12 @@ export class Engine {
     return (await this.#gather([path], signal))(path).slice();
   }
 
-  async canonical(name: CanonicalName, { signal }: Context<never>): Promise<Canonical> {
+  async canonical(name: CanonicalName, { signal }: Pick<Context<never>, "signal">): Promise<Canonical> {
     const read = await this.#gather(this.#keysOf(name), signal);
     const found = await decodeCanonical(this.tables, read, name, this.#keys, { signal });
     const { means, units, depths } = found;
-    this.#spaces.set(nameOf(name), { means, units, depths });
-    return { ...found, means: means.slice(), units: units.slice(), depths: depths.slice() };
+    this.#spaces.set(nameOf(name), { means: means.slice(), units: units.slice(), depths: depths.slice() });
+    return found;
   }
 
   /** A segment of a tile; those that are asked for at once are decoded side by side. */
@@ -123,9 +123,8 @@ export class Engine {
       for (let t = 0; t < stop - start; t++) emit({ t, frame: null });
       return stop - start;
     }
-    const known = this.#spaces.get(nameOf(of));
-    const read = await this.#gather(known ? [where] : [where, ...this.#keysOf(of)], signal);
-    const positions = known ?? this.#spaces.set(nameOf(of), readPositions(this.tables, read, of));
+    const positions = this.#spaces.get(nameOf(of)) ?? (await this.canonical(of, { signal }));
+    const read = await this.#gather([where], signal);
     const file = { ...of, segment: index, level, positions, bytes: read(where), where };
     const give = (t: number, frame: StateFrame) => {
       this.#ahead.give(id, index, t, frame.luma.length + frame.means.byteLength);

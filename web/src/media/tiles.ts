@@ -1,18 +1,11 @@
 // What is decoded of tiles: canonical spaces (sidecars and key files, those of a base too) and segments over them (state
 // files). N rows of a tile, n of a level.
-import { planeCorner, rowOffsets } from "../format/atlas.ts";
+import { planeCorner } from "../format/atlas.ts";
+import { concat } from "../format/concat.ts";
 import type { Tables } from "../format/package.ts";
-import { stateSteps } from "../format/steps.ts";
+import { differenceSteps, stateSteps } from "../format/steps.ts";
 import type { Canonical, CanonicalName, KeyPart, StateFrame } from "../format/types.ts";
-import {
-  type Bases,
-  checkCount,
-  type KeyPlace,
-  type KeyUnit,
-  levelRows,
-  readKeyUnit,
-  readStateUnit,
-} from "../format/units.ts";
+import { type Bases, checkCount, type KeyUnit, levelRows, readKeyUnit, readStateUnit } from "../format/units.ts";
 import { ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import type { DecodeOptions } from "./decoder.ts";
 import type { PictureDecoder } from "./pictures.ts";
@@ -22,17 +15,6 @@ export type Positions = Pick<Canonical, "means" | "units" | "depths">;
 /** Gives the bytes of a file. Throws FormatError(missing_file). */
 export type ReadFile = (path: string) => Uint8Array;
 
-/** Rows of a unit that follow each other in a space. */
-interface Run {
-  unit: KeyUnit;
-  kept: Uint32Array | null;
-}
-
-/** The positions of the rows of a canonical space. Throws FormatError. */
-export function readPositions(tables: Tables, read: ReadFile, name: CanonicalName): Positions {
-  return joinPositions(readTiers(tables, read, name));
-}
-
 /** A canonical space, luma included. Throws FormatError. */
 export async function decodeCanonical(
   tables: Tables,
@@ -41,62 +23,47 @@ export async function decodeCanonical(
   decoder: PictureDecoder,
   options: DecodeOptions,
 ): Promise<Canonical> {
-  const tiers = readTiers(tables, read, name);
+  const decode = async ({ atlas, factor, pages, checksums, changes: bases, where }: KeyUnit) => {
+    const found: KeyPart[] = [];
+    const take = (_: number, luma: Uint8Array) => found.push({ atlas, factor, luma, bases, difference: null });
+    if (pages.length) await decoder.decode({ pages, checksums, atlas, frames: 1, where }, take, options);
+    return found[0] ?? null;
+  };
+  const base = tables.base(name.group);
+  const keys = readUnits(tables, read, name);
+  const whole = base === null ? keys : readUnits(tables, read, { ...name, group: base });
+  const steps = differenceSteps(tables.root, tables.group(name.group), name.quality);
   const parts: KeyPart[] = [];
-  for (const { unit, kept } of tiers.flatMap(runsOf)) {
-    const { atlas, factor, pages, checksums, bases, where } = unit;
-    const take = (_: number, luma: Uint8Array) => parts.push({ atlas, factor, kept, luma, bases });
-    await decoder.decode({ pages, checksums, atlas, frames: 1, where }, take, options);
+  const means: Float32Array[] = [];
+  for (const [i, unit] of whole.entries()) {
+    const key = keys[i];
+    const part = await decode(unit);
+    const difference = key === unit ? null : await decode(key);
+    parts.push({ ...part, difference });
+    const rows = Uint32Array.from(key.depths, (_, row) => row);
+    const scaled = steps.map((step) => step * key.factor);
+    means.push(difference ? movedMeans(unit, rows, key.bases, scaled, difference.luma) : unit.means);
   }
-  return { ...name, ...joinPositions(tiers), parts };
+  const depths = concat(
+    keys.map((key) => key.depths),
+    Uint8Array,
+  );
+  const units = concat(
+    whole.map((unit) => unit.units),
+    Float32Array,
+  );
+  return { ...name, means: concat(means, Float32Array), units, depths, parts };
 }
 
-/** A tier, and that of the base whose rows it keeps. */
-interface Tier {
-  own: KeyUnit;
-  base: KeyUnit | null;
-}
-
-/** Kept rows, then others, as far as there are any. */
-function runsOf({ own, base }: Tier): Run[] {
-  const runs: Run[] = base ? [{ unit: base, kept: own.kept }] : [];
-  return own.pages.length ? [...runs, { unit: own, kept: null }] : runs;
-}
-
-function readTiers(tables: Tables, read: ReadFile, { group, tile, quality, tiers }: CanonicalName): Tier[] {
-  const base = tables.base(group);
-  const found: Tier[] = [];
+function readUnits(tables: Tables, read: ReadFile, { group, tile, quality, tiers }: CanonicalName): KeyUnit[] {
+  const found: KeyUnit[] = [];
   for (let tier = 0; tier < Math.min(tiers, tables.root.tiers); tier++) {
-    const own = readUnit(tables, read, { group, tile, tier, quality });
-    const keeps = base !== null && own?.kept.length;
-    if (own) found.push({ own, base: keeps ? readUnit(tables, read, { group: base, tile, tier, quality }) : null });
+    const [sidecar, media] = tables.keyFiles(group, tile * tables.root.tiers + tier, quality);
+    if (!sidecar) continue;
+    const place = { group, tile, tier, quality };
+    found.push(readKeyUnit(tables.root, tables.group(group), place, read(sidecar), media ? read(media) : null));
   }
   return found;
-}
-
-function readUnit(tables: Tables, read: ReadFile, place: KeyPlace): KeyUnit | null {
-  const { group, tile, tier, quality } = place;
-  const [sidecar, media] = tables.keyFiles(group, tile * tables.root.tiers + tier, quality);
-  if (!sidecar) return null;
-  const [table, base] = [tables.group(group), tables.baseTable(group)];
-  return readKeyUnit(tables.root, table, base, place, read(sidecar), media ? read(media) : null);
-}
-
-function joinPositions(tiers: Tier[]): Positions {
-  const rows = tiers.reduce((sum, { own }) => sum + own.depths.length, 0);
-  const all = { means: new Float32Array(3 * rows), units: new Float32Array(rows), depths: new Uint8Array(rows) };
-  let at = 0;
-  for (const { own, base } of tiers) {
-    all.depths.set(own.depths, at);
-    for (const row of own.kept) {
-      for (let axis = 0; axis < 3; axis++) all.means[3 * at + axis] = base!.means[3 * row + axis];
-      all.units[at++] = base!.units[row];
-    }
-    all.means.set(own.means, 3 * at);
-    all.units.set(own.units, at);
-    at += own.units.length;
-  }
-  return all;
 }
 
 const AXES = 3; // the first state channels: means
@@ -128,55 +95,37 @@ export async function decodeStates(
   checkCount(tables.root, table, level, file, file.positions.depths);
   const place = segment - tables.segmentsOf(group).start;
   const { atlas, frames, pages, checksums, bases } = readStateUnit(table, { segment, place, tile, level }, file.bytes);
-  const means = new Means(file, bases, stateSteps(tables.root, table, level));
-  const show = (t: number, luma: Uint8Array) => take(t, { luma, bases: bases.next(t), means: means.of(luma) });
+  const { positions } = file;
+  const carried = levelRows(positions.depths, level);
+  const steps = stateSteps(tables.root, table, level);
+  const show = (t: number, luma: Uint8Array) =>
+    take(t, { luma, bases: bases.next(t), means: movedMeans(positions, carried, bases, steps, luma) });
   await decoder.decode({ pages, checksums, atlas, frames, where }, show, options);
 }
 
-/** Means from frame to frame: what the depth order is made of. */
-class Means {
-  readonly #positions: Positions;
-  readonly #rows: Uint32Array;
-  readonly #offsets: Uint32Array;
-
-  constructor(
-    { positions, level }: StateFile,
-    readonly bases: Bases,
-    readonly steps: Float32Array,
-  ) {
-    this.#positions = positions;
-    this.#rows = levelRows(positions.depths, level);
-    this.#offsets = rowOffsets(bases.atlas);
-  }
-
-  /** (3N) means of the picture whose bases are those of now. */
-  of(luma: Uint8Array): Float32Array {
-    const means = this.#positions.means.slice();
-    for (let axis = 0; axis < AXES; axis++) this.#move(means, axis, luma);
-    const { rows, planes } = this.bases.atlas;
-    for (const [sample, base] of this.bases.now) {
-      const [axis, i] = [planes[Math.floor(sample / rows)], sample % rows];
-      if (axis < AXES && i < this.#rows.length) this.#add(means, i, axis, ESCAPE_UNIT * base);
-    }
-    return means;
-  }
-
-  #move(means: Float32Array, axis: number, luma: Uint8Array): void {
-    const { atlas } = this.bases;
+/** (3N) means that a picture moves, whose bases are those of now; `rows` are those of its atlas. */
+function movedMeans(
+  { means: before, units }: Pick<Positions, "means" | "units">,
+  rows: Uint32Array,
+  { atlas, now, offsets }: Bases,
+  steps: Float32Array,
+  luma: Uint8Array,
+): Float32Array {
+  const means = before.slice();
+  const add = (i: number, axis: number, code: number) => {
+    const row = rows[i];
+    means[AXES * row + axis] += Math.fround(code * steps[axis]) * units[row];
+  };
+  for (let axis = 0; axis < AXES; axis++) {
     const centre = atlas.centres[axis];
     const plane = atlas.planes.indexOf(axis);
-    if (plane < 0 && !centre) return;
+    if (plane < 0 && !centre) continue;
     const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
-    const [rows, offsets, { units }, step] = [this.#rows, this.#offsets, this.#positions, this.steps[axis]];
-    for (let i = 0; i < rows.length; i++) {
-      const [code, row] = [plane < 0 ? centre : luma[corner + offsets[i]] - GREY + centre, rows[i]];
-      means[AXES * row + axis] += Math.fround(code * step) * units[row];
-    }
+    for (let i = 0; i < rows.length; i++) add(i, axis, plane < 0 ? centre : luma[corner + offsets[i]] - GREY + centre);
   }
-
-  /** Adds a code to the mean of the i-th row of the level. */
-  #add(means: Float32Array, i: number, axis: number, code: number): void {
-    const row = this.#rows[i];
-    means[AXES * row + axis] += Math.fround(code * this.steps[axis]) * this.#positions.units[row];
+  for (const [sample, base] of now) {
+    const [axis, i] = [atlas.planes[Math.floor(sample / atlas.rows)], sample % atlas.rows];
+    if (axis < AXES && i < rows.length) add(i, axis, ESCAPE_UNIT * base);
   }
+  return means;
 }

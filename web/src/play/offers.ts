@@ -93,7 +93,7 @@ export function missing({ rungs }: SegmentOffer, rung: number, decoded: Units): 
 /** The tables of a package as far as a player looks at them; they may be numbers alone. All count from 0. */
 export interface OfferTables
   extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "boxes" | "unitsOf" | "base">,
-    Pick<Tables, "keyFiles" | "keptFiles" | "stateFiles" | "soundFiles"> {
+    Pick<Tables, "keyFiles" | "stateFiles" | "soundFiles"> {
   readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "tiles" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
@@ -169,18 +169,19 @@ export class Offers {
     return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
   }
 
-  /** A key unit of a group, and the one of the base whose rows it reuses, as far as they have files. */
+  /** A key unit of a group, and that of the base, as far as they have files. */
   #units(group: number, quality: number, number: number): UnitOffer[] {
     const { tables } = this;
     const { qualities, tiles, tiers } = tables.root;
-    const offer = (of: number, files: string[]): UnitOffer => {
-      const unit = (of * qualities.length + quality) * tiles * tiers + number;
-      const [tile, tier] = [Math.floor(number / tiers), number % tiers];
-      return { unit, group: of, tile, tier, files, bytes: this.wire(files) };
-    };
-    const own = offer(group, tables.keyFiles(group, number, quality));
-    const base = offer(tables.base(group) ?? group, tables.keptFiles(group, number, quality));
-    return [own, base].filter(({ files }) => files.length);
+    const [tile, tier] = [Math.floor(number / tiers), number % tiers];
+    return [group, tables.base(group) ?? []]
+      .flat()
+      .map((of): UnitOffer => {
+        const files = tables.keyFiles(of, number, quality);
+        const unit = (of * qualities.length + quality) * tiles * tiers + number;
+        return { unit, group: of, tile, tier, files, bytes: this.wire(files) };
+      })
+      .filter(({ files }) => files.length);
   }
 
   get segments(): number {
@@ -200,7 +201,7 @@ export class Offers {
     return this.tables.root.views.reference !== "none";
   }
 
-  /** Whether the tables of a segment's group, and of the one whose rows it reuses, are there. */
+  /** Whether the tables of a segment's group, and of its base, are there. */
   knows(segment: number): boolean {
     if (!this.#hasTable(segment)) return false;
     const group = this.tables.groupOf(segment);

@@ -51,7 +51,7 @@ export class Screen {
 
   constructor(
     readonly canvas: HTMLCanvasElement,
-    readonly tables: { root: Root; group(number: number): Group; baseTable(number: number): Group | null },
+    readonly tables: { root: Root; group(number: number): Group },
     readonly options: ScreenOptions = {},
   ) {
     this.#renderer = this.#makeRenderer();
@@ -170,8 +170,7 @@ export class Screen {
   prepare({ canonical, frames }: Layer): Stage | null {
     const known = this.#stages.get(canonical);
     if (known || !this.#renderer) return known ?? null;
-    const [table, base] = [this.tables.group(canonical.group), this.tables.baseTable(canonical.group)];
-    const scene = this.#renderer.scene(this.tables.root, table, canonical, base);
+    const scene = this.#renderer.scene(this.tables.root, this.tables.group(canonical.group), canonical);
     const means = frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
     const key = `${this.#made++}`;
     const stage: Stage = { key, canonical, scene, layer: null, frame: -1, means };

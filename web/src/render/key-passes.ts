@@ -1,11 +1,11 @@
 // The passes that make the canonical space of a group: key pictures -> row textures, once. C colour channels.
 import { colourChannels } from "../format/steps.ts";
-import type { KeyPart } from "../format/types.ts";
-import { KEY_AT } from "../generated/constants.ts";
+import type { Atlas, KeyPart } from "../format/types.ts";
+import { KEY_AT, STATE_AT } from "../generated/constants.ts";
 import type { Programs, Uniforms } from "./programs.ts";
 import { type CodeTable, codeTable, Samples } from "./samples.ts";
 import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
-import { framebuffer, type Texture, texture, writeRows } from "./textures.ts";
+import { framebuffer, type Texture } from "./textures.ts";
 
 /** The canonical space of a group as row textures, into which the passes draw. */
 export interface RowTextures {
@@ -17,23 +17,25 @@ export interface RowTextures {
   readonly layers: Texture;
 }
 
-/** What the key channels of a group count in: their steps, those of SH DC and SH rest, and the colour transform. */
+/** What the key channels of a group count in: their steps, those of differences, those of SH DC and SH rest, and the
+ * colour transform.
+ */
 export interface KeyCoding {
   steps: Float32Array;
+  differenceSteps: Float32Array;
   tintSteps: [number, number];
   transform: Texture;
 }
 
 interface Part {
-  samples: Samples;
-  codes: CodeTable;
-  coding: KeyCoding;
+  /** The key, then what is added to it; no samples: codes of 0. */
+  pictures: { samples: Samples | null; codes: CodeTable }[];
   /** Rows before it in the group, and its own. */
   first: number;
   rows: number;
 }
 
-const SAMPLERS = ["luma", "bases", "transform", "picked"];
+const SAMPLERS = ["luma", "bases", "luma2", "bases2", "transform"];
 
 /** Colour layers of passes: [first, first + count). */
 function layerRuns(degree: number): { name: string; first: number; count: number }[] {
@@ -58,45 +60,42 @@ export function prepareKeys(programs: Programs, degree: number): string[] {
 /** Uploads key pictures when it is made, and draws the canonical space from them when the programs are there. */
 export class KeyPasses {
   readonly #parts: Part[] = [];
-  readonly #picked: Texture;
 
-  /** `base` is the coding of the group whose rows are reused, and is let go of with the pictures. */
   constructor(
     private readonly gl: WebGL2RenderingContext,
     private readonly into: RowTextures,
     parts: KeyPart[],
-    own: KeyCoding,
-    private readonly base: KeyCoding | null,
+    private readonly coding: KeyCoding,
   ) {
-    const picked = new Uint32Array(into.rows);
     let first = 0;
-    for (const { atlas, factor, kept, luma, bases } of parts) {
+    const upload = ({ atlas, luma, bases }: KeyPart) => {
       const samples = new Samples(gl, atlas);
       samples.setLuma(luma);
       if (bases) samples.change(bases);
       samples.upload();
-      const rows = Math.min(kept ? kept.length : atlas.rows, into.rows - first);
-      const coding = (kept && base) ?? own;
-      const steps = coding.steps.map((step) => step * factor);
-      const codes = codeTable(atlas, steps, KEY_AT.colour);
-      this.#parts.push({ samples, codes, coding, first, rows });
-      for (let i = 0; i < rows; i++) picked[first + i] = kept ? kept[i] : i;
-      first += rows;
+      return samples;
+    };
+    for (const part of parts) {
+      const { atlas, factor, difference } = part;
+      const read = (key: KeyPart | null, of: Atlas, steps: Float32Array, colour: number) => {
+        const scaled = steps.map((step) => step * factor);
+        return { samples: key && upload(key), codes: codeTable(of, scaled, colour) };
+      };
+      const none = { ...atlas, centres: [...coding.differenceSteps].fill(0), planes: [] };
+      const own = read(part, atlas, coding.steps, KEY_AT.colour);
+      const added = read(difference, difference?.atlas ?? none, coding.differenceSteps, STATE_AT.colour);
+      this.#parts.push({ pictures: [own, added], first, rows: atlas.rows });
+      first += atlas.rows;
     }
-    const { width, height } = into.places;
-    this.#picked = texture(gl, "R32UI", [width, height]);
-    writeRows(gl, this.#picked, picked);
   }
 
-  /** Draws the row textures and lets go of the pictures. `noBases` stands in where a tier has none. */
-  run(programs: Programs, noBases: Texture): void {
+  /** Draws the row textures and lets go of the pictures. `noLuma` and `noBases` stand in where a tier has none. */
+  run(programs: Programs, noLuma: Texture, noBases: Texture): void {
     const { gl } = this;
     const { rotations, sizes, layers, degree } = this.into;
-    const textures = ({ samples, coding }: Part) => [
-      samples.luma,
-      samples.bases ?? noBases,
-      coding.transform,
-      this.#picked,
+    const textures = ({ pictures }: Part) => [
+      ...pictures.flatMap(({ samples }) => [samples?.luma ?? noLuma, samples?.bases ?? noBases]),
+      this.coding.transform,
     ];
     gl.bindVertexArray(null);
     gl.disable(gl.BLEND);
@@ -112,9 +111,8 @@ export class KeyPasses {
   }
 
   free(): void {
-    for (const { samples } of this.#parts) samples.free();
+    for (const { pictures } of this.#parts) for (const { samples } of pictures) samples?.free();
     this.#parts.length = 0;
-    for (const one of [this.#picked, this.base?.transform]) if (one) this.gl.deleteTexture(one.handle);
   }
 
   /** Draws all parts into a framebuffer, which it deletes. */
@@ -124,9 +122,11 @@ export class KeyPasses {
     gl.viewport(0, 0, ROW_WIDTH, this.into.places.height);
     for (const part of this.#parts) {
       const at = use(part);
-      const { samples, codes, coding, first, rows } = part;
-      setCodes(gl, at, codes, samples);
-      gl.uniform2f(at("tintSteps"), ...coding.tintSteps);
+      const { pictures, first, rows } = part;
+      pictures.forEach(({ codes, samples }, n) => {
+        setCodes(gl, (name) => at(name + (n ? 2 : "")), codes, samples);
+      });
+      gl.uniform2f(at("tintSteps"), ...this.coding.tintSteps);
       gl.uniform2i(at("span"), first, rows);
       const line = Math.floor(first / ROW_WIDTH);
       gl.scissor(0, line, ROW_WIDTH, Math.ceil((first + rows) / ROW_WIDTH) - line);
@@ -137,9 +137,9 @@ export class KeyPasses {
 }
 
 /** The uniforms of CODES and `colours` in shaders.ts. */
-export function setCodes(gl: WebGL2RenderingContext, at: Uniforms, codes: CodeTable, samples: Samples): void {
+export function setCodes(gl: WebGL2RenderingContext, at: Uniforms, codes: CodeTable, samples: Samples | null): void {
   gl.uniform2i(at("layout_"), ...codes.layout);
-  gl.uniform1i(at("escaped"), samples.bases ? 1 : 0);
+  gl.uniform1i(at("escaped"), samples?.bases ? 1 : 0);
   gl.uniform4iv(at("entries"), codes.entries);
   gl.uniform1i(at("tintCount"), codes.tintChannels.length);
   if (!codes.tintChannels.length) return;

@@ -5,7 +5,7 @@
 import type { Camera } from "../format/types.ts";
 import { DILATION, MARGIN, OPACITY_MARGIN, SH_C0, SH_C1, SH_C2, SH_C3, STATE_AT } from "../generated/constants.ts";
 import type { Uniforms } from "./programs.ts";
-import { CODES, colours, each, HEAD, layerSteps, ROW_WIDTH, three } from "./shaders.ts";
+import { CODES, COLOURS, each, HEAD, layerSteps, ROW_WIDTH, size, TURNS, three, tints } from "./shaders.ts";
 
 // The signs are those of INRIA's files; FORMAT.md, section 5. d: direction from the viewer, dd: its squares.
 const BASIS = [
@@ -51,9 +51,6 @@ mat3 axes(vec4 q) { // columns of the rotation
               2.0 * (q.y * q.z - q.x * q.w), 1.0 - 2.0 * (q.y * q.y + q.w * q.w), 2.0 * (q.z * q.w + q.x * q.y),
               2.0 * (q.y * q.w + q.x * q.z), 2.0 * (q.z * q.w - q.x * q.y), 1.0 - 2.0 * (q.y * q.y + q.z * q.z));
 }
-vec4 product(vec4 p, vec4 q) { // turns by q first
-  return vec4(p.x * q.x - dot(p.yzw, q.yzw), p.x * q.yzw + q.x * p.yzw + cross(p.yzw, q.yzw));
-}
 `;
 
 /** The coefficients of a row: those of the canonical space, and what the state adds. */
@@ -91,7 +88,7 @@ function harmonics(degree: number): string {
  * second: shear, reach, colour in half floats.
  */
 export function projection(degree: number, channels: number, layers: number): string {
-  return `${HEAD}${CODES}${colours(channels)}${ATTRIBUTES}${VIEW}${SPACE}${coefficients(layers)}
+  return `${HEAD}${CODES}${TURNS}${tints(channels)}${COLOURS}${ATTRIBUTES}${VIEW}${SPACE}${coefficients(layers)}
 layout(location = 0) out uvec4 first;
 layout(location = 1) out uvec4 second;
 void main() {
@@ -106,7 +103,7 @@ void main() {
   if (moved) {
     at = place(int(rank));
     away += ${three(STATE_AT.means)} * p.w;
-    s += vec4(${three(STATE_AT.log_scales)}, decode(entries[${STATE_AT.opacity}], at));
+    s += ${size(STATE_AT)};
   }
   float alpha = clamp(s.w, ${OPACITY_MARGIN}, ${1 - OPACITY_MARGIN}); // FORMAT.md, section 5
   vec3 seen = vec3(dot(right, away), dot(down, away), dot(ahead, away));

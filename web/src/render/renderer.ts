@@ -102,13 +102,13 @@ export class Renderer {
   }
 
   /** A tile of a group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an
-   * order. `base` is the table of the group whose rows it keeps, if it keeps any.
+   * order.
    *
    * Throws RenderError for more rows or pages than this machine's textures hold.
    */
-  scene(root: Root, group: Group, canonical: Canonical, base: Group | null = null): Scene {
+  scene(root: Root, group: Group, canonical: Canonical): Scene {
     this.prepare(root.sh_degree);
-    const scene = new Scene(this.#gl, root, group, canonical, base);
+    const scene = new Scene(this.#gl, root, group, canonical);
     scene.freed = this.lost;
     this.#scenes.add(scene);
     return scene;
@@ -183,7 +183,7 @@ export class Renderer {
   #finishKeys(scene: Scene): boolean {
     if (!scene.keys || this.lost) return !this.lost;
     if (!this.#programs.done(prepareKeys(this.#programs, scene.degree))) return false;
-    scene.keys.run(this.#programs, this.#noBases);
+    scene.keys.run(this.#programs, this.#noLuma, this.#noBases);
     scene.keys = null;
     return true;
   }

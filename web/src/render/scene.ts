@@ -2,7 +2,7 @@
 // channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
-import { colourChannels, colourMatrix, colourSteps, keySteps, stateSteps } from "../format/steps.ts";
+import { colourChannels, colourMatrix, colourSteps, differenceSteps, keySteps, stateSteps } from "../format/steps.ts";
 import type { Atlas, BaseChanges, Canonical, Group, Root } from "../format/types.ts";
 import { STATE_AT, STATIC } from "../generated/constants.ts";
 import { KeyPasses } from "./key-passes.ts";
@@ -49,13 +49,11 @@ export class Scene {
   /** The level of the pictures that come next. */
   #next: LevelView | null = null;
 
-  /** `base` is the table of the group whose rows it keeps, if it keeps any. */
   constructor(
     private readonly gl: WebGL2RenderingContext,
     private readonly root: Root,
     private readonly group: Group,
     private readonly canonical: Canonical,
-    base: Group | null,
   ) {
     this.rows = canonical.depths.length;
     this.degree = root.sh_degree;
@@ -74,13 +72,13 @@ export class Scene {
     this.projection = framebuffer(gl, [this.firsts, this.seconds]);
     writeRows(gl, this.places, interleave(canonical), 4);
     this.tintSteps = dcAndRest(group.state_steps, channels);
-    const coding = (table: Group, transform: Texture) => ({
-      steps: keySteps(root, table, canonical.quality),
-      tintSteps: dcAndRest(table.key_steps, channels),
-      transform,
-    });
-    const baseCoding = base && coding(base, transformOf(gl, base, channels));
-    this.keys = new KeyPasses(gl, this, canonical.parts, coding(group, this.transform), baseCoding);
+    const coding = {
+      steps: keySteps(root, group, canonical.quality),
+      differenceSteps: differenceSteps(root, group, canonical.quality),
+      tintSteps: dcAndRest(group.key_steps, channels),
+      transform: this.transform,
+    };
+    this.keys = new KeyPasses(gl, this, canonical.parts, coding);
   }
 
   /** Whether nothing can be changed any more: it was released, or the context was lost. */

@@ -3,7 +3,7 @@
 //
 // A pass over rows draws one triangle over the row textures: each fragment is a row. Attributes are stored as the bits of
 // floats in RGBA32UI textures, which core WebGL2 can draw into.
-import { ALPHA_MAX, BLOCK, ESCAPE_UNIT, GREY, KEY_AT, SMALL_ANGLE } from "../generated/constants.ts";
+import { ALPHA_MAX, BLOCK, ESCAPE_UNIT, GREY, KEY_AT, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
 
 /** Rows a line of the row textures. With as many lines, which every WebGL2 of today has, they hold 2^24 rows. */
 export const ROW_WIDTH = 4096;
@@ -18,6 +18,10 @@ precision highp usampler2D; precision highp usampler2DArray; precision highp isa
 /** GLSL of three channels of a code table, `first` and those after it, at a sample. */
 export const three = (first: number) =>
   `vec3(${[0, 1, 2].map((axis) => `decode(entries[${first + axis}], at)`).join(", ")})`;
+
+/** GLSL of log-scales and α. */
+export const size = ({ log_scales, opacity }: { log_scales: number; opacity: number }) =>
+  `vec4(${three(log_scales)}, decode(entries[${opacity}], at))`;
 
 /** A triangle that covers the target. */
 export const WHOLE = `#version 300 es
@@ -48,56 +52,68 @@ float decode(ivec4 entry, ivec2 at) {
   }
   return float(code) * intBitsToFloat(entry.w);
 }
+`;
+
+export const TURNS = `
 vec4 turn(vec3 v) { // rotation vector -> quaternion w x y z
   float angle = length(v);
   return vec4(cos(0.5 * angle), v * (angle > ${SMALL_ANGLE} ? sin(0.5 * angle) / angle : 0.5)); // below, both are 1/2 in float32
 }
-`;
-
-/** A picture shows span.y rows of the group from row span.x on: `picked` says which of its own. -1: not one of them. */
-const ROW = `
-uniform ivec2 span;
-uniform usampler2D picked;
-int row() {
-  ivec2 t = ivec2(gl_FragCoord.xy);
-  int i = t.y * ${ROW_WIDTH} + t.x - span.x;
-  return i < 0 || i >= span.y ? -1 : int(texelFetch(picked, t, 0).r);
+vec4 product(vec4 p, vec4 q) { // turns by q first
+  return vec4(p.x * q.x - dot(p.yzw, q.yzw), p.x * q.yzw + q.x * p.yzw + cross(p.yzw, q.yzw));
 }
 `;
 
-export const KEY_GEOMETRY = `${HEAD}${CODES}${ROW}
-uniform ivec4 entries[${KEY_AT.colour}];
+/** GLSL for a second picture, of what differs from the first: each name of it ends in 2. */
+const second = (text: string) =>
+  text.replace(/\b(at|place|decode|luma|bases|layout_|escaped|entries|tint[CAs]\w*)\b/g, "$&2");
+const both = (text: string) => text + second(text);
+
+/** A picture shows span.y rows of the group from row span.x on. -1: not one of them. */
+const ROW = `
+uniform ivec2 span;
+int row() {
+  int i = int(gl_FragCoord.y) * ${ROW_WIDTH} + int(gl_FragCoord.x) - span.x;
+  return i < span.y ? i : -1;
+}
+`;
+
+export const KEY_GEOMETRY = `${HEAD}${both(CODES)}${TURNS}${ROW}
+uniform ivec4 entries[${KEY_AT.colour}], entries2[${STATE_AT.colour}];
 layout(location = 0) out uvec4 rotation;
 layout(location = 1) out uvec4 size;
 void main() {
   int i = row();
   if (i < 0) discard;
-  ivec2 at = place(i);
-  rotation = floatBitsToUint(turn(${three(KEY_AT.quaternions)}));
-  size = floatBitsToUint(vec4(${three(KEY_AT.log_scales)}, decode(entries[${KEY_AT.opacity}], at)));
+  ${both("ivec2 at = place(i);")}
+  rotation = floatBitsToUint(product(turn(${second(three(STATE_AT.quaternions))}), turn(${three(KEY_AT.quaternions)})));
+  size = floatBitsToUint(${size(KEY_AT)} + ${second(size(STATE_AT))});
 }`;
 
 /** Colour channels that may differ from 0: their code table, and which line of the transform each is. */
-export const colours = (channels: number) => `
-uniform ivec4 tints[${channels}]; uniform int tintChannels[${channels}]; uniform int tintCount;
-uniform sampler2D transform; uniform vec2 tintSteps; // of SH DC and of SH rest
-`;
+export const tints = (channels: number) =>
+  `uniform ivec4 tints[${channels}]; uniform int tintChannels[${channels}], tintCount;`;
+export const COLOURS = "uniform sampler2D transform; uniform vec2 tintSteps;"; // of SH DC and of SH rest
 
 /** Layer l holds the colours 4 l to 4 l + 3: the first three are SH DC. */
 export const layerSteps = (layer: number) => (layer ? "tintSteps.y" : "vec4(tintSteps.xxx, tintSteps.y)");
 
 /** The colour layers [first, first + count) of `channels` colours. */
-export const keyColours = (channels: number, first: number, count: number) => `${HEAD}${CODES}${ROW}${colours(channels)}
+export const keyColours = (
+  channels: number,
+  first: number,
+  count: number,
+) => `${HEAD}${both(CODES + tints(channels))}${COLOURS}${ROW}
 ${each(count, (l) => `layout(location = ${l}) out uvec4 layer${l};`)}
 void main() {
   int i = row();
   if (i < 0) discard;
-  ivec2 at = place(i);
   ${each(count, (l) => `vec4 sum${l} = vec4(0.0);`)}
+  ${both(`ivec2 at = place(i);
   for (int n = 0; n < tintCount; n++) {
     float y = decode(tints[n], at);
     ${each(count, (l) => `sum${l} += y * texelFetch(transform, ivec2(${first + l}, tintChannels[n]), 0);`)}
-  }
+  }`)}
   ${each(count, (l) => `layer${l} = floatBitsToUint(sum${l} * ${layerSteps(first + l)});`)}
 }`;
 

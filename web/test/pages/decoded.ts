@@ -1,5 +1,5 @@
 // What tests/support/decoded.py writes: a package as the renderer takes it, and what every camera is to see.
-import type { BaseChanges, Camera, Canonical, Group, Root } from "../../src/format/types.ts";
+import type { BaseChanges, Camera, Canonical, Group, KeyPart, Root } from "../../src/format/types.ts";
 
 const TYPES = { uint8: Uint8Array, uint32: Uint32Array, int32: Int32Array, float32: Float32Array };
 type Reference = [keyof typeof TYPES, number, number];
@@ -14,10 +14,9 @@ interface FrameTable extends PictureTable {
   pictures: Reference[];
 }
 
-/** `kept`: rows of that tier of the base; null: the tier's own picture. */
 interface PartTable extends PictureTable {
   tier: number;
-  kept: Reference | null;
+  difference: PictureTable | null;
 }
 
 interface RungTable {
@@ -48,7 +47,7 @@ export interface Frame {
 export interface Rung {
   quality: number;
   level: number;
-  groups: { group: Group; base: Group | null; canonical: Canonical; segments: Frame[][] }[];
+  groups: { group: Group; canonical: Canonical; segments: Frame[][] }[];
 }
 
 export class Decoded {
@@ -65,7 +64,6 @@ export class Decoded {
       ...rung,
       groups: rung.groups.map(({ segments }, g) => ({
         group: groups[g],
-        base: baseOf(groups, g),
         canonical: this.#canonical(rung, g, groups),
         segments: segments.map((frames) => frames.map((frame) => this.#frame(frame))),
       })),
@@ -103,21 +101,15 @@ export class Decoded {
       units: this.#array(units),
       depths: this.#array(depths),
       parts: parts.map((part) => {
-        const { qualities, factor } = (part.kept ? baseOf(tables, group)! : tables[group]).tiles[0].tiers[part.tier];
-        return {
-          atlas: qualities[quality],
-          factor,
-          kept: part.kept && this.#array<Uint32Array>(part.kept),
-          luma: this.#array<Uint8Array>(part.luma!),
-          bases: this.#changes(part),
+        const { keeps } = tables[group];
+        const key = (picture: PictureTable, number: number, difference: KeyPart | null): KeyPart => {
+          const { qualities, factor } = tables[number].tiles[0].tiers[part.tier];
+          const luma = this.#array<Uint8Array>(picture.luma!);
+          return { atlas: qualities[quality], factor, luma, bases: this.#changes(picture), difference };
         };
+        const difference = part.difference && key(part.difference, group, null);
+        return key(part, keeps ? keeps - 1 : group, difference);
       }),
     };
   }
-}
-
-/** The table of the group whose rows a group keeps. */
-function baseOf(tables: Group[], group: number): Group | null {
-  const { keeps } = tables[group];
-  return keeps ? tables[keeps - 1] : null;
 }

@@ -76,7 +76,8 @@ async function luma({ url }: Step): Promise<unknown> {
       const of = { group, tile, quality: 0, tiers: root.tiers };
       for (let quality = 0; quality < root.qualities.length; quality++) {
         const canonical = await canonicalOf(media, { ...of, quality });
-        const own = canonical.parts.filter((part) => !part.kept);
+        const keeps = media.tables.base(group) !== null;
+        const own = canonical.parts.flatMap((part) => (keeps ? (part.difference ?? []) : part));
         const units = Array.from({ length: root.tiers }, (_, tier) => tile * root.tiers + tier);
         const files = units.flatMap((unit) => media.tables.keyFiles(group, unit, quality));
         const pictures = files.filter((path) => path.endsWith(".m4s"));
@@ -134,7 +135,7 @@ async function frames(step: Step): Promise<unknown> {
 async function tileOf(media: Media, segment: number, level: number, canonical: Canonical) {
   const { root } = media.tables;
   const table = media.tables.group(canonical.group);
-  const base = canonicalGaussians(root, table, canonical, media.tables.baseTable(canonical.group));
+  const base = canonicalGaussians(root, table, canonical);
   const samples = atlasSamples(table.tiles[canonical.tile].levels[level]);
   const changes: (BaseChanges | null)[] = [];
   return (await framesOf(media, segment, level, canonical)).map((shown) => {

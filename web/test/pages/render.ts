@@ -80,8 +80,8 @@ class Stage {
 async function play(stage: Stage, data: Decoded, rung: Rung, number: number, every: number): Promise<Picture[]> {
   const pictures: Picture[] = [];
   let count = 0;
-  for (const { group, base, canonical, segments } of rung.groups) {
-    const scene = stage.renderer.scene(data.root, group, canonical, base);
+  for (const { group, canonical, segments } of rung.groups) {
+    const scene = stage.renderer.scene(data.root, group, canonical);
     stage.look("scene");
     for (const frames of segments) {
       scene.begin(rung.level);
@@ -152,7 +152,7 @@ async function change(data: Decoded) {
   await stage.order(old, frames[0].means, camera);
   stage.draw(old, camera);
   const before = readBytes(stage.renderer, canvas);
-  const next = stage.renderer.scene(data.root, second.group, second.canonical, second.base);
+  const next = stage.renderer.scene(data.root, second.group, second.canonical);
   next.begin(level);
   stage.step(next, frames[1], true, second.group.tiles[0].levels[level]);
   const early = stage.renderer.ready(next) || stage.renderer.draw([next], camera);

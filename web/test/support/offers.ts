@@ -34,9 +34,8 @@ export interface GroupNumbers {
   /** One a tile, where a test looks at them. */
   boxes?: { low: number[]; high: number[] }[];
   segments: SegmentNumbers[];
-  /** The group, from 1, whose rows it keeps, and how many of each unit. */
+  /** The group, from 1, that its keys are differences to. */
   keeps?: number;
-  kept?: number[];
 }
 
 export interface PackageNumbers {
@@ -148,11 +147,6 @@ export class NumberTables implements OfferTables {
   base(group: number): number | null {
     const { keeps } = this.numbers.groups[group];
     return keeps ? keeps - 1 : null;
-  }
-
-  keptFiles(group: number, unit: number, quality: number): string[] {
-    const base = this.base(group);
-    return base !== null && this.numbers.groups[group].kept![unit] ? this.keyFiles(base, unit, quality) : [];
   }
 
   soundFiles(group: number): string[] {

@@ -69,7 +69,7 @@ test("morton codes", () => {
 for (const { name, grid, rows, data, classes, depths, qualities } of positions.tiers) {
   test(`tier: ${name}`, () => {
     const coarsest = qualities.at(-1).coarser;
-    const shared = readSidecar(fromBase64(data), { count: rows, kept: 0, base: 0 }, grid, coarsest, "file");
+    const shared = readSidecar(fromBase64(data), { count: rows, placed: rows }, grid, coarsest, "file");
     assert.deepEqual([...shared.classes], runs(classes));
     assert.deepEqual([...shared.depths], runs(depths));
     for (const quality of qualities) {
@@ -89,7 +89,7 @@ for (const { name, grid, rows, data, classes, depths, qualities } of positions.t
 for (const { name, grid, rows, data, coarser, coarsest, detail } of positions.refused) {
   test(`tier refused: ${name}`, () => {
     assert.throws(() => {
-      const shared = readSidecar(fromBase64(data), { count: rows, kept: 0, base: 0 }, grid, coarsest, "file");
+      const shared = readSidecar(fromBase64(data), { count: rows, placed: rows }, grid, coarsest, "file");
       const reader = new ColumnReader(detail === undefined ? null : fromBase64(detail), "file");
       readDetail(reader, shared, grid, coarser, coarsest);
       reader.column(1, 0);

@@ -220,8 +220,8 @@ test("a damaged file is refused for a reason of the format, wherever it is damag
   const sidecar = readBytes(`${FOX}/key/T0/1.bin`);
   const place = { group: 0, tile: 0, tier: 0, quality: 0 };
   const attempts: [Uint8Array, (data: Uint8Array) => void][] = [
-    [sidecar, (data) => readKeyUnit(tables.root, table, null, place, data, readBytes(`${FOX}/${KEY}`))],
-    [readBytes(`${FOX}/${KEY}`), (data) => readKeyUnit(tables.root, table, null, place, sidecar, data)],
+    [sidecar, (data) => readKeyUnit(tables.root, table, place, data, readBytes(`${FOX}/${KEY}`))],
+    [readBytes(`${FOX}/${KEY}`), (data) => readKeyUnit(tables.root, table, place, sidecar, data)],
     [
       readBytes(`${FOX}/state/L0/1.m4s`),
       (data) => readStateUnit(table, { segment: 0, place: 0, tile: 0, level: 0 }, data),

@@ -131,7 +131,7 @@ for (const one of readVectors("keys").cases) {
       means: new Float32Array(3 * rows),
       units: new Float32Array(rows),
       depths: new Uint8Array(rows),
-      parts: [{ atlas, factor: 1, kept: null, luma, bases: changes }],
+      parts: [{ atlas, factor: 1, luma, bases: changes, difference: null }],
     };
     near(canonicalGaussians(root, group, canonical), one.values, one.tolerance);
   });
@@ -174,7 +174,7 @@ for (const one of readVectors("states").cases) {
 test("numbers that are not finite are refused", () => {
   const [root, group] = tables(readVectors("keys").cases[0]);
   group.key_steps.log_scales = 1e38;
-  const parts = [{ ...pictureOf(readVectors("keys").cases[0].codes), factor: 1, kept: null, bases: null }];
+  const parts = [{ ...pictureOf(readVectors("keys").cases[0].codes), factor: 1, bases: null, difference: null }];
   const rows = parts[0]!.atlas.rows;
   const still = { units: new Float32Array(rows), depths: new Uint8Array(rows), means: new Float32Array(3 * rows) };
   const canonical = { group: 0, tile: 0, quality: 0, tiers: 1, ...still, parts };

@@ -37,14 +37,14 @@ async function tablesOf(files: Files): Promise<Tables> {
 async function walkKeys(tables: Tables, files: Files, place: { group: number; tile: number; quality: number }) {
   const { root } = tables;
   const { group, tile, quality } = place;
-  const [table, base] = [tables.group(group), tables.baseTable(group)];
+  const table = tables.group(group);
   const depths: number[] = [];
   let count = 0;
   for (let tier = 0; tier < root.tiers; tier++) {
     const paths = tables.keyFiles(group, tile * root.tiers + tier, quality);
     if (!paths.length) continue;
     const [sidecar, media = null] = await Promise.all(paths.map((path) => fetched(tables, files, path)));
-    depths.push(...readKeyUnit(root, table, base, { ...place, tier }, sidecar!, media).depths);
+    depths.push(...readKeyUnit(root, table, { ...place, tier }, sidecar!, media).depths);
     count += paths.length;
   }
   root.levels.forEach((_, level) => {
