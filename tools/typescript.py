@@ -150,7 +150,8 @@ def _schema_file() -> str:
     """The schemas of the tables, shortened to what the player checks and has its types from.
 
     They are JSON Schema without words for people, but that an object which names its `properties` has no others and
-    lists those that may be absent, `optional`.
+    lists those that may be absent, `optional`, that what numbers and lengths of arrays may be is a `range`, and that
+    `items` and `additionalProperties` say what has them.
     """
     schema = manifest_schema()
     kinds = {"root": {name: value for name, value in schema.items() if name != "$defs"}, **schema["$defs"]}
@@ -170,11 +171,19 @@ def _bare(node: Any, of_properties: bool = False) -> Any:
         for name, value in node.items()
         if name not in words
     }
-    if of_properties or "properties" not in node:
+    if of_properties:
+        return bare
+    for bounds in (("minimum", "maximum"), ("minItems", "maxItems")):
+        if bounds[0] in bare:
+            bare["range"] = [bare.pop(bound) for bound in bounds]
+    if "properties" not in node:
+        if "items" in bare or "additionalProperties" in bare:
+            bare = {name: value for name, value in bare.items() if name not in ("type", "propertyNames")}
         return bare
     assert bare.pop("type") == "object" and bare.pop("additionalProperties") is False
     required = bare.pop("required")
-    return bare | {"optional": [name for name in bare["properties"] if name not in required]}
+    optional = [name for name in bare["properties"] if name not in required]
+    return bare | ({"optional": optional} if optional else {})
 
 
 if __name__ == "__main__":

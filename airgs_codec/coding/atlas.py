@@ -6,6 +6,7 @@ Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -161,6 +162,25 @@ def read_values(
         base = none if base is None else base[rows]
         loop(samples, places, base, np.int32(atlas.centres[channel] - GREY), units[channel], values[channel])
     return values
+
+
+def line_times(frames: int) -> NDArray[np.float64]:
+    """(T,) what slopes count in each frame of a segment of T > 1: -1 in the first, 1 in the last."""
+    return (2 * np.arange(frames) - (frames - 1)) / (frames - 1)
+
+
+def add_slopes(
+    values: NDArray[np.float32],
+    picture: NDArray[np.uint8],
+    atlas: Atlas,
+    bases: Bases | NDArray[np.int32],
+    rows: slice,
+    units: NDArray[np.float32],
+) -> None:
+    """Add to (channels, n) values of some rows what the picture of slopes says; `units` are times x (FORMAT.md §4)."""
+    slopes = read_values(picture, replace(atlas, centres=[0] * len(atlas.centres)), bases, rows, units)
+    for channel in atlas.planes:
+        values[channel] += slopes[channel]
 
 
 def _fill_line(

@@ -120,9 +120,20 @@ def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
     return Escapes(shape, np.cumsum(gaps, out=gaps), np.bitwise_xor(half, -sign, out=half))
 
 
-def pack(found: Escapes) -> bytes:
+def pack(*found: Escapes) -> bytes:
     """The column file of jumps alone; empty where there are none."""
-    return encode_some(found.columns())
+    return encode_some([column for one in found for column in one.columns()])
+
+
+def unpack_segment(
+    data: bytes | None, shape: tuple[int, int, int], lined: bool, where: str
+) -> tuple[Escapes | None, Escapes]:
+    """The escapes of a segment of `shape` (T, P, N), behind those of its slopes where it is `lined`; see `unpack`."""
+    reader = ColumnReader(data, where)
+    slopes = read_columns(reader, (1, *shape[1:])) if lined else None
+    frames = read_columns(reader, shape)
+    reader.close()
+    return slopes, frames
 
 
 def unpack(data: bytes | None, shape: tuple[int, int, int], where: str) -> Escapes:
@@ -130,7 +141,4 @@ def unpack(data: bytes | None, shape: tuple[int, int, int], where: str) -> Escap
 
     Raises FormatError(bad_sidecar).
     """
-    reader = ColumnReader(data, where)
-    found = read_columns(reader, shape)
-    reader.close()
-    return found
+    return unpack_segment(data, shape, False, where)[1]

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from numbers import Integral
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -28,12 +28,12 @@ from airgs_codec.coding.channels import (
     join_canonical,
     no_rows,
 )
-from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
+from airgs_codec.decoder.states import ShownState, decode_pictures, expect_size, state_units
 from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.media.h264 import decode_ahead, open_segment
+from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, STATE, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
@@ -82,10 +82,9 @@ def decode(
     return Gaussians(*(c.copy() if any(np.may_share_memory(c, of) for of in coded) else c for c in columns))
 
 
-# Of an open package: canonical spaces by group, key quality and tiers; escapes of one segment and level, by tile too.
+# Of an open package: canonical spaces by group, key quality and tiers.
 _Which = tuple[int, int, int]
 _decoded: WeakKeyDictionary[Package, dict[_Which, Canonical]] = WeakKeyDictionary()
-_escapes: WeakKeyDictionary[Package, dict[_Which, escapes.Escapes]] = WeakKeyDictionary()
 
 
 def _canonical_again(package: Package, group: int, quality: int, tiers: int) -> Canonical:
@@ -181,6 +180,9 @@ def key_units(package: Package, group: int, unit: int, quality: int) -> NDArray[
     return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
 
 
+_Picture = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) luma, and its bases
+
+
 def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
     """(channels, n) codes of a key unit, n = 0 without a picture, and its sidecar in that quality. FormatError."""
     atlas = package.manifest.groups[group].units[unit].qualities[quality]
@@ -189,7 +191,7 @@ def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[N
     return codes, sidecar
 
 
-def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_Shown | None, KeySidecar]:
+def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_Picture | None, KeySidecar]:
     """The picture of a key unit, None where it has none, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
@@ -216,52 +218,6 @@ def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_S
     return (picture, next(jumps.running())), sidecar
 
 
-def decode_state(
-    package: Package, index: int, level: int, first: int, last: int, tile: int = 0
-) -> Iterator[NDArray[np.int32]]:
-    """(STATE.width(C), n) codes of frames [first, last) of a segment, counted from its start, of a tile with a file.
-
-    Raises FormatError.
-    """
-    atlas = package.manifest.groups[package.manifest.group_of(index)].tiles[tile].levels[level]
-    for picture, bases in _decode_pictures(package, index, level, range(first, last), tile):
-        yield read_codes(picture, atlas, bases)
-
-
-_Shown = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) luma, the bases in force until the next
-
-
-def _decode_pictures(package: Package, index: int, level: int, frames: range, tile: int) -> Iterator[_Shown]:
-    """The picture of each frame, as in `decode_state`."""
-    m, first, last = package.manifest, frames.start, frames.stop
-    (media,) = m.state_files(index, level, [tile])
-    atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
-    shape = (m.segments[index].stop - m.segments[index].start, len(atlas.planes), atlas.rows)
-    columns, pictures = open_segment(package.read(media), media, atlas.pages)
-    coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
-    bases = _escapes_again(package, (index, level, tile), lambda: escapes.unpack(columns, shape, media)).running()
-    shown = 0
-    for shown, picture in enumerate(coming, 1):
-        now = next(bases)
-        if shown > first:
-            expect_size(picture, atlas, media)
-            yield picture, now
-    if shown < last:
-        raise FormatError("bad_picture", media, f"expected {shape[0]} pictures, got {shown}")
-
-
-def _escapes_again(package: Package, which: _Which, read: Callable[[], escapes.Escapes]) -> escapes.Escapes:
-    """Return the escapes of `which` segment, level and tile; those of the last segment and level stay decoded."""
-    known = _escapes.setdefault(package, {})
-    found = known.get(which)
-    if found is None:
-        found = read()
-        if any(other[:2] != which[:2] for other in list(known)):
-            known.clear()
-        known[which] = found
-    return found
-
-
 def decode_segment(
     package: Package,
     index: int,
@@ -281,19 +237,18 @@ def decode_segment(
         yield from (frame for _ in places)
         return
     parts = _tile_states(package, index, base, level, there)
-    group = m.groups[m.group_of(index)]
-    units = code_units(STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor, m.state_gain)
+    group, units = m.groups[m.group_of(index)], state_units(package, index, level)
     varies = [any(_varies(part.atlas, STATE.slice(name)) for part in parts) for name in ("quaternions", COLOUR)]
     applier = StateApplier.of(base, np.concatenate([part.rows for part in parts]), group.state_steps, *varies)
     frames = range(places[0], places[-1] + 1)
-    pictures = [_decode_pictures(package, index, level, frames, part.tile) for part in parts]
+    pictures = [decode_pictures(package, index, level, frames, part.tile) for part in parts]
 
-    def read(shown: Sequence[_Shown], some: slice) -> NDArray[np.float32]:
+    def read(shown: Sequence[ShownState], some: slice) -> NDArray[np.float32]:
         values, first = [], 0
-        for part, (picture, bases) in zip(parts, shown, strict=True):
+        for part, state in zip(parts, shown, strict=True):
             start, stop = max(0, some.start - first), min(len(part.rows), some.stop - first)
             if start < stop:
-                values.append(read_values(picture, part.atlas, bases, slice(start, stop), units))
+                values.append(state.values(slice(start, stop), units))
             first += len(part.rows)
         return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
 
@@ -341,10 +296,3 @@ def _varies(atlas: Atlas, channels: slice) -> bool:
     """Whether any of these channels may decode to something else than 0."""
     places = range(len(atlas.centres))[channels]
     return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
-
-
-def expect_size(picture: NDArray[np.uint8], atlas: Atlas, where: str) -> None:
-    """Raise FormatError(bad_picture) unless a (pages * H, W) picture has the size that its atlas says."""
-    if picture.shape != (atlas.pages * atlas.height, atlas.width):
-        got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
-        raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")

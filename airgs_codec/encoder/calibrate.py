@@ -103,7 +103,7 @@ class Subject:
             sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
         )
         moving = find_moving(states[1:], states[1:] - states[0], weights, settings.keep_all)
-        return replace(sample, moving=moving)
+        return replace(sample, moving=moving).with_line(states, settings.steps, len(index))
 
 
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:

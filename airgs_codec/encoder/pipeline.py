@@ -128,8 +128,9 @@ def code_group(sequence: GaussianSequence, key: CodedKey, settings: EncodeSettin
     layout = key.layout
     frames = turn_least(sequence.load(range(layout.span.start, layout.span.stop))).frames
     with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
-        states = code_states(layout, key.decoded, frames, settings, Path(scratch))
-        pictures = encode_states(layout, states, Clock.of(sequence.fps), settings)
+        clock = Clock.of(sequence.fps)
+        states = code_states(layout, key.decoded, frames, settings, clock, Path(scratch))
+        pictures = encode_states(layout, states, clock, settings)
         boxes = [find_box(frames, layout.rows[layout.tile_rows(tile)]) for tile in range(layout.tiles)]
         coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment)
         table, files = finish_group(coded)

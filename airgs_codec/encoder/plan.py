@@ -212,7 +212,7 @@ class GroupLayout:
         """Steps of what differs from another group."""
         return difference_steps(self.key_steps, self.grid)
 
-    def state_weights(self, rows: slice = slice(None)) -> NDArray[np.float64]:
+    def state_weights(self, rows: slice | NDArray[np.intp] = slice(None)) -> NDArray[np.float64]:
         """(10 + C, n) what a squared step in a state channel of some rows adds to the squared error of pictures."""
         return channel_weights(
             self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.state_steps, self.transform

@@ -236,7 +236,7 @@ class _Trial:
             coded = replace(sample, frames=shown, segment_frames=len(shown))
             states = coded.states(base, steps)
             scores, moving = rank_updates(states[1:], states[1:] - states[0], weights)
-            yield replace(coded, moving=moving), states, scores
+            yield replace(coded, moving=moving).with_line(states, steps, FEWER_BLOCKS), states, scores
 
     def _sample(self, window: GroupSpan, blocks: int, rows: NDArray[np.intp]) -> CalibrationSample:
         """Blocks of the rows of a group, in file order; `index` counts input rows."""

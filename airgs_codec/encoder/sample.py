@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, picture_size, read_codes
+from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, line_times, picture_size, read_codes
 from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels, state_channels
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, withheld_error
@@ -36,6 +36,7 @@ from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import KeySteps, difference_steps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
+Weights = NDArray[np.float64]
 BLOCK_ROWS = 256  # a block of an atlas
 PRESET = "fast"  # of x264, for trial encodes
 
@@ -71,6 +72,7 @@ class CalibrationSample:
     row_ratio: float  # rows of the group for each of the sample
     group_frames: int  # frames of the group
     segment_frames: int  # frames of a state segment
+    lined: bool = False  # whether segments have a line in time
 
     def take(self, rows: NDArray[np.bool_]) -> CalibrationSample:
         """Fewer rows, as a sample of a group that has fewer by the same share."""
@@ -161,6 +163,21 @@ class CalibrationSample:
         size, coded = replace(self, moving=sent).code_states(states, 1.0)
         return size, float(self.error(np.where(sent, coded, states[1:]), steps).sum())
 
+    def with_line(self, states: NDArray[np.float64], steps: StepSettings, most: int) -> CalibrationSample:
+        """The same sample, with a line in time if at most so many blocks of it take fewer bytes with one.
+
+        `states` are those of `self.states`.
+        """
+        moving = np.flatnonzero(self.moving)
+        if not len(moving):
+            return self
+        some = moving[block_rows(len(moving), most)]
+        weights = channel_weights(
+            self.classes[some], self.sensitivity.take(some).by_attribute(), steps.state, self._transform(steps)
+        )
+        worth = worth_line(states[1:, :, some], np.ones(states.shape[1]), weights, state_codec(PRESET))
+        return replace(self, lined=worth)
+
     def code_states(
         self, states: NDArray[np.float64], factor: float, part: slice = slice(None), between: int = BETWEEN[0]
     ) -> tuple[float, NDArray[np.float64]]:
@@ -176,10 +193,33 @@ class CalibrationSample:
         if not len(moving):
             return 0.0, errors
         values = states[1:, channels[:, None], moving]
-        sizes, decoded = encode_and_decode(values, np.full(len(channels), factor), state_codec(PRESET, between))
+        steps, codec = np.full(len(channels), factor), state_codec(PRESET, between)
+        sizes, decoded = encode_and_decode(values, steps, codec, self.lined)
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0
         return self.row_ratio * (sizes[0] + (self.segment_frames - 1) * others) / self.segment_frames, errors
+
+
+def worth_line(values: NDArray[np.float64], steps: NDArray[np.float64], weights: Weights, codec: CodecSettings) -> bool:
+    """Whether (T, C, N) values, with (C,) steps, take fewer bytes at equal error with a line in time than without.
+
+    `weights` (C, N) are those of the squares of errors in steps.
+    """
+    if len(values) < 2 or not values.size:
+        return False
+    costs = []
+    for line in (False, True):
+        sizes, decoded = encode_and_decode(values, steps, replace(codec, preset=PRESET), line)
+        error = float(withheld_error((decoded - values) / steps[:, None], weights).sum())
+        costs.append(at_equal_error(sum(sizes), error))
+    return costs[1] < costs[0]
+
+
+def fit_slopes(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...,) what values (T, ...) of a segment rise by from its middle to its end, by least squares."""
+    times = line_times(len(values))
+    slopes: NDArray[np.float64] = np.tensordot(times / (times @ times), values, 1)
+    return slopes
 
 
 def block_rows(rows: int, most: int) -> NDArray[np.intp]:
@@ -190,12 +230,18 @@ def block_rows(rows: int, most: int) -> NDArray[np.intp]:
 
 
 def encode_and_decode(
-    values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings
+    values: NDArray[np.float64], steps: NDArray[np.float64], codec: CodecSettings, line: bool = False
 ) -> tuple[list[int], NDArray[np.float64]]:
-    """Code values as one atlas, as a trial, and decode them again.
+    """Code values as one atlas, with or without a line in time, as a trial, and decode them again.
 
-    (T, C, N) values, (C,) steps -> bytes of each of T pictures, escapes in the first, and the decoded (T, C, N).
+    (T, C, N) values, (C,) steps -> bytes of each of T pictures, escapes and slopes in the first, and the decoded
+    (T, C, N).
     """
+    if line:
+        (rising,), slopes = encode_and_decode(fit_slopes(values)[None], steps, codec)
+        lines = line_times(len(values))[:, None, None] * slopes
+        sizes, left = encode_and_decode(values - lines, steps, codec)
+        return [sizes[0] + rising, *sizes[1:]], left + lines
     gain = qp_step(codec.qp)
     codes = to_codes(values, steps, gain)
     atlas = fit_atlas(codes, gain / 2)
@@ -208,5 +254,5 @@ def encode_and_decode(
     sizes = list(coded.picture_bytes)
     sizes[0] += len(encode_columns(escapes.Escapes.of(bases).columns()))
     pictures = coded.pictures("a trial")
-    decoded = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
-    return sizes, np.stack(decoded).astype(np.float64)
+    shown = [from_codes(read_codes(p, atlas, b), steps, gain) for p, b in zip(pictures, bases, strict=True)]
+    return sizes, np.stack(shown).astype(np.float64)

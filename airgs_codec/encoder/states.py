@@ -8,72 +8,29 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import fit_centre, make_atlas
-from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, hold_undrawn, state_channels
-from airgs_codec.coding.escapes import Escapes
-from airgs_codec.coding.quantize import to_codes
+from airgs_codec.coding.channels import Canonical, state_channels
+from airgs_codec.encoder.level import CodedLevel, LevelCoder, StoredSamples
 from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
 from airgs_codec.encoder.plan import GroupLayout, assign_depths, rank_updates
 from airgs_codec.encoder.representation import (
     EMPTY,
     AtlasPictures,
     Clock,
-    ErrorModel,
     Representation,
     encode_checked,
     encode_parallel,
 )
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.media.h264 import STATE_QP, ClosedGop, qp_step, state_codec
+from airgs_codec.media.h264 import ClosedGop, state_codec
 from airgs_codec.package.layout import STATE
-from airgs_codec.package.tables import STATIC, Atlas, LeftOut
+from airgs_codec.package.tables import STATIC, LeftOut
 from airgs_codec.scene.gaussians import Gaussians
-
-OPACITY = STATE.slice("opacity").start
-LEAST_HIDDEN = 16  # codes of alpha, above which the two escapes of a row that goes and comes are cheaper than samples
-
-
-@dataclass(frozen=True, slots=True)
-class StoredSamples:
-    """Luma samples of some frames of a group in a file: for each of P planes T x n bytes."""
-
-    path: Path
-    planes: int
-    rows: int  # n
-    total: int  # T
-    frames: range  # of these
-
-    def part(self, start: int, stop: int) -> StoredSamples:
-        """Fewer of the frames."""
-        return replace(self, frames=self.frames[start:stop])
-
-    def __iter__(self) -> Iterator[NDArray[np.uint8]]:
-        """(P, n) of one frame after the other."""
-        with self.path.open("rb") as file:
-            for frame in self.frames:
-                samples = np.empty((self.planes, self.rows), np.uint8)
-                for plane, place in enumerate(samples):
-                    file.seek((plane * self.total + frame) * self.rows)
-                    file.readinto(place.data)
-                yield samples
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CodedLevel:
-    """A tile of one group in a level: all that its pictures and escapes are made of."""
-
-    atlas: Atlas  # without its largest errors
-    error: ErrorModel | None  # None: it carries no rows
-    samples: StoredSamples | None  # None: no segment is fetched
-    escapes: tuple[bytes | None, ...]  # of each segment; None: nothing to fetch, the canonical space is shown
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +47,7 @@ def code_states(
     bases: Sequence[Canonical],
     frames: Sequence[Gaussians],
     settings: EncodeSettings,
+    clock: Clock,
     scratch: Path,
 ) -> CodedStates:
     """Quantise the states of a group for every level; `frames` are all of the group, with all input rows.
@@ -106,7 +64,7 @@ def code_states(
     omissions = StateOmissions.of(layout, bases[0], values, depths)
     omitted, no_planes = omissions.planes(settings.scaled_price)
     still, no_segments = omissions.segments(settings.scaled_price)
-    levels, quality = [], 0
+    levels, quality, codec = [], 0, state_codec(settings.preset, settings.between)
     written = np.arange(len(layout.rows))
     for number, level in enumerate(settings.levels):
         if level.quality != quality:  # no later level carries rows that this one does not
@@ -121,7 +79,9 @@ def code_states(
             fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
             alpha = bases[quality].opacity[rows].astype(np.float64)
             places = np.searchsorted(written, rows)
-            coder = _LevelCoder(values, places, alpha, steps, fetched, scratch / f"{number} {tile}")
+            weigh = functools.partial(_weigh, layout, rows, level.factor)
+            samples = scratch / f"{number} {tile}"
+            coder = LevelCoder(values, places, alpha, steps, weigh, fetched, samples, clock, codec)
             tiles.append(coder.code(omitted))
         levels.append(tuple(tiles))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
@@ -160,6 +120,11 @@ def rank_states(layout: GroupLayout, values: StateValues, base: Canonical, setti
     return RankedStates(score, moving, largest)
 
 
+def _weigh(layout: GroupLayout, rows: NDArray[np.intp], factor: float, some: NDArray[np.intp]) -> NDArray[np.float64]:
+    """(10 + C, m) weights of squared errors of m of some rows, in steps times a factor."""
+    return layout.state_weights(rows[some]) * factor**2
+
+
 def _fetched_frames(
     layout: GroupLayout, largest: NDArray[np.float64], least: float, still: NDArray[np.bool_]
 ) -> list[slice | None]:
@@ -173,83 +138,6 @@ def _fetched_frames(
         part = slice(start - layout.span.start, stop - layout.span.start)
         parts.append(part if (changes > least).any() and not omitted else None)
     return parts
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _LevelCoder:
-    """Codes the n rows of a tile in a level, one channel after the other."""
-
-    values: StateValues
-    rows: NDArray[np.intp]  # (n,) among those of the values
-    alpha: NDArray[np.float64]  # (n,) canonical, as decoded
-    steps: NDArray[np.float64]  # (10 + C,)
-    fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
-    file: Path  # for samples
-
-    def code(self, omitted: NDArray[np.bool_]) -> CodedLevel:
-        """The rows without the planes of (10 + C,) channels that are left out."""
-        nothing = tuple(None for _ in self.fetched)
-        count, gain = len(self.steps), qp_step(STATE_QP)
-        if not len(self.rows):
-            return CodedLevel(Atlas(0, [0] * count, [], 0, 0), None, None, nothing)
-        low, high = np.empty(count), np.empty(count)
-        centres: list[int] = []
-        planes: list[int] = []
-        jumps: list[list[Escapes]] = []  # of each plane in each segment that is fetched
-        with self.file.open("wb") as file:
-            for channel in range(count):
-                values, hidden = self.values.channel(channel, self.rows), None
-                if channel == OPACITY:
-                    values, hidden = hide_undrawn(values, self.alpha, self.steps[channel] / gain)
-                low[channel], high[channel] = values.min(), values.max()
-                codes = to_codes(values[:, None], self.steps[channel : channel + 1], gain, channel)
-                centre, varies = fit_centre(codes, gain / 2)
-                centres.append(centre)
-                if (varies or (hidden is not None and hidden.any())) and not omitted[channel]:
-                    planes.append(channel)
-                    jumps.append(self._write(file, codes - np.int32(centre), hidden))
-        atlas = make_atlas(len(self.rows), centres, planes)
-        error = ErrorModel.of(low, high, atlas, self.steps / gain)
-        if not planes or self.fetched == list(nothing):
-            return CodedLevel(replace(atlas, planes=[], plane_width=0, columns=0), error, None, nothing)
-        frames = self.values.frames
-        samples = StoredSamples(self.file, len(planes), len(self.rows), frames, range(frames))
-        packed = (escapes.pack(Escapes.join(of_segment)) for of_segment in zip(*jumps, strict=True))
-        coded = tuple(None if part is None else next(packed) for part in self.fetched)
-        return CodedLevel(atlas, error, samples, coded)
-
-    def _write(self, file: BinaryIO, codes: NDArray[np.int32], hidden: NDArray[np.int32] | None) -> list[Escapes]:
-        """Write the samples of a plane from (T, 1, n) centred codes; gives the jumps in segments that are fetched.
-
-        `hidden` (T, n): bases that are taken off besides, of rows that are not drawn.
-        """
-        samples = np.zeros(codes.shape, np.uint8)
-        jumps = []
-        for part in self.fetched:
-            if part is not None:
-                samples[part], bases = escapes.split(codes[part])
-                if hidden is not None:
-                    bases[:, 0] -= hidden[part]
-                jumps.append(Escapes.of(bases))
-        file.write(samples.data)
-        return jumps
-
-
-def hide_undrawn(
-    changes: NDArray[np.float64], base: NDArray[np.floating], unit: float
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Changes of alpha to be coded, and the bases (`escapes`) to take off them so that undrawn rows stay undrawn.
-
-    `changes` (T, n) are alpha less the canonical one, `base` (n,); `unit` is the alpha of a code. A row goes on as it
-    was when it was drawn last, so that its samples do not change; bases take its alpha below 0, by more than coding
-    errs. Where its alpha is nearly that of before, it is coded as it is.
-    """
-    drawn = changes + base >= LEAST_DRAWN
-    held = changes.copy()
-    hold_undrawn(held[:, None], drawn)
-    hidden = ~drawn & (np.abs(held - changes) > LEAST_HIDDEN * unit)
-    bases = np.ceil((base + held) / (escapes.UNIT * unit) + 1 - escapes.LIMIT / escapes.UNIT)
-    return np.where(hidden, held, changes), np.where(hidden, bases, 0).astype(np.int32)
 
 
 def encode_states(
@@ -271,7 +159,7 @@ def encode_states(
 
 def _level_gops(layout: GroupLayout, level: CodedLevel, samples: StoredSamples, ticks: int) -> Iterator[ClosedGop]:
     """The segments of a tile in a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
-    for (start, stop), escaped in zip(layout.segments, level.escapes, strict=True):
+    for (start, stop), escaped, line in zip(layout.segments, level.escapes, level.lines, strict=True):
         if escaped is not None:
             shown = samples.part(start - layout.span.start, stop - layout.span.start)
-            yield ClosedGop(AtlasPictures.of(shown, level.atlas), start * ticks, ticks)
+            yield ClosedGop(AtlasPictures.of(shown, level.atlas), start * ticks, ticks, line)

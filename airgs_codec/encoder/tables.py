@@ -223,7 +223,8 @@ def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
             files.get(state_media_path(group.folder(tile), j, number), NO_FILE) for tile in range(group.layout.tiles)
         ]
         sizes = [next(gops[j][tile]).picture_bytes if file.bytes else [] for tile, file in enumerate(found)]
-        return SegmentLevel(found, sizes, [], [], [], [])
+        lines = [group.states.levels[j][tile].lines[number - 1 - group.first_segment] for tile in range(len(found))]
+        return SegmentLevel(found, sizes, [], [], [], [], [line is not None for line in lines] if any(lines) else None)
 
     return [
         Segment(*span, [level(j, index + 1) for j in range(len(gops))])

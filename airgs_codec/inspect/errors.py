@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.analysis.rows import AUTO, restore_rows
 from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
-from airgs_codec.coding.quantize import from_codes, scale_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, decode_state, key_units
+from airgs_codec.coding.quantize import scale_codes
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, key_units
+from airgs_codec.decoder.states import decode_pictures, state_units
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import STATE, Layout, key_layout, tile_folder
 from airgs_codec.package.package import Package
@@ -142,8 +143,9 @@ def _states(
             sent = [s for s in m.segments_of(index) if m.state_files(s, j, [number])]
             for s in sent:
                 segment = m.segments[s]
-                for t, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start, number)):
-                    decoded = from_codes(codes, steps * level.factor, m.state_gain)
+                frames, units = range(segment.stop - segment.start), state_units(package, s, j)
+                for t, state in enumerate(decode_pictures(package, s, j, frames, number)):
+                    decoded = state.values(slice(None), units)
                     shown = [_shown(v, base, own) for v in (values[segment.start - group.start + t][:, own], decoded)]
                     worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
             if sent:

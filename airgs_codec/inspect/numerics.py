@@ -17,7 +17,8 @@ from airgs_codec.coding.channels import OPACITY_MARGIN, Canonical
 from airgs_codec.coding.escapes import LIMIT
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.motion import motion_units
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_state, key_units
+from airgs_codec.decoder.decode import decode_canonical, decode_key, key_units
+from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas, Group
@@ -186,8 +187,8 @@ def _motion(package: Package, number: int) -> Iterator[_Found]:
         for s in m.segments_of(number):
             if m.state_files(s, 0, [tile]):
                 frames = m.segments[s].stop - m.segments[s].start
-                for codes in decode_state(package, s, 0, 0, frames, tile):
-                    worst = np.maximum(worst, np.abs(codes - centres))
+                for shown in decode_pictures(package, s, 0, range(frames), tile):
+                    worst = np.maximum(worst, np.abs(shown.codes() - centres))
         past = past.with_rows(STATE, worst)
     unit = float(motion_units(np.array([group.grid.finest], np.int16))[0])
     error = _bounds([tile.levels[0] for tile in group.tiles], STATE)["means"]

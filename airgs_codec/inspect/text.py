@@ -5,6 +5,7 @@ P planes of an atlas, N rows.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from airgs_codec import _report
 from airgs_codec.coding.atlas import extract
-from airgs_codec.decoder.decode import expect_size
+from airgs_codec.decoder.states import expect_size
 from airgs_codec.inspect.summary import LevelSummary, RungSummary, Summary, span
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import STATE, Layout, key_layout
@@ -197,14 +198,14 @@ def _of_states(package: Package) -> Iterator[tuple[str, float]]:
     for s, segment in enumerate(m.segments):
         for number, tile in enumerate(m.groups[m.group_of(s)].tiles):
             for media in m.state_files(s, 0, [number]):
-                samples = _samples(package, media, tile.levels[0])
+                samples = _samples(package, media, tile.levels[0], segment.levels[0].lined(number))
                 yield from _shares(sum(segment.levels[0].frame_bytes[number]), tile.levels[0], samples, STATE)
 
 
-def _samples(package: Package, media: str, atlas: Atlas) -> Iterator[NDArray[np.int16]]:
-    """(P, N) of each picture."""
+def _samples(package: Package, media: str, atlas: Atlas, lined: bool = False) -> Iterator[NDArray[np.int16]]:
+    """(P, N) of each picture; `lined`: the first is one of slopes."""
     _, pictures = open_segment(package.read(media), media, atlas.pages)
-    for picture in pictures:
+    for picture in itertools.chain(*pictures.cut()) if lined else pictures:
         expect_size(picture, atlas, media)
         yield extract(picture, atlas).astype(np.int16)
 

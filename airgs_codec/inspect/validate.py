@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import partial
@@ -179,14 +180,14 @@ def _decode_state(package: Package, index: int, level: int, base: Canonical) -> 
                 _expect_finite(frame, files[0])
         for number, tile in enumerate(group.tiles):
             for media in package.manifest.state_files(index, level, [number]):
-                _expect_pictures(package, media, tile.levels[level], length)
+                _expect_pictures(package, media, tile.levels[level], length, segment.levels[level].lined(number))
 
 
-def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int) -> None:
+def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, lined: bool = False) -> None:
     _, pictures = open_segment(package.read(media), media, atlas.pages)
-    inside = [in_range(picture) for picture in pictures]
-    if len(inside) != count:
-        raise FormatError("bad_picture", media, f"expected {count} pictures, got {len(inside)}")
+    inside = [in_range(picture) for picture in (itertools.chain(*pictures.cut()) if lined else pictures)]
+    if len(inside) != count + lined:
+        raise FormatError("bad_picture", media, f"expected {count + lined} pictures, got {len(inside)}")
     if not all(inside):
         where = f"picture {inside.index(False)}"
         raise FormatError("bad_picture", media, f"expected luma of {DARKEST} to {BRIGHTEST}, {where} has other samples")

@@ -6,10 +6,9 @@ Luma carries the samples, chroma is 128, the full-range flag is set, and no fram
 from __future__ import annotations
 
 import struct
-from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, repeat
 from zlib import crc32
@@ -30,7 +29,6 @@ STATE_PB_RATIO = 1.3  # of the steps of B-pictures, to those of others: most are
 FULL_RANGE = 2  # AVCOL_RANGE_JPEG
 # Decoders and screens that take full-range pictures for limited ones clip what is outside: no decoded luma is.
 DARKEST, BRIGHTEST = 16, 235
-AHEAD = 6  # pictures that are decoded before they are needed
 _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 14496-10, table A-1):
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
@@ -58,6 +56,7 @@ class ClosedGop:
     pictures: Iterable[NDArray[np.uint8]]  # (pages * H, W) each; may be iterated over more than once
     start: int  # presentation time of the first, ticks
     ticks: int  # duration of each, ticks
+    slopes: CodedGop | None = None  # of one picture, coded before, which goes in front of them
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,14 +67,17 @@ class CodedGop:
     pages: int
     picture_bytes: list[int]  # of the slices of each picture, all pages together, in display order
     checksums: tuple[int, ...] = ()  # see `Pictures`; none before it was decoded
+    slopes: CodedGop | None = None  # in front of them; its bytes count with those of the first picture
 
     def pictures(self, where: str) -> Pictures:
-        """Return what it decodes to; `where` names it in errors."""
-        return Pictures(read_samples(self.fragment), where, self.pages, self.checksums or None)
+        """Return what it decodes to, without the slopes; `where` names it in errors."""
+        samples = read_samples(self.fragment)[self.slopes.pages if self.slopes else 0 :]
+        return Pictures(samples, where, self.pages, self.checksums or None)
 
     def media(self, columns: bytes) -> bytes:
         """The media segment, with a column file."""
-        return with_own_box(self.fragment, self.checksums, columns)
+        slopes = self.slopes.checksums if self.slopes else ()
+        return with_own_box(self.fragment, slopes + self.checksums, columns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +136,8 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
     Raises CodecError when FFmpeg refuses or loses a picture.
     """
     coded: list[CodedPicture] = []
-    number = 0
+    front = read_samples(gop.slopes.fragment) if gop.slopes else ()
+    number = len(front)
     try:
         encoder = _Encoder(size, rate, settings)
         for page in _cut(gop.pictures, size[1]):
@@ -144,12 +147,16 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
         coded += encoder.finish()
     except av.FFmpegError as error:
         raise CodecError(f"H.264 encoder refused {size[0]}x{size[1]} pictures: {error}") from error
-    if len(coded) != number:
-        raise CodecError(f"expected {number} coded pictures, got {len(coded)}")
+    if len(coded) != number - len(front):
+        raise CodecError(f"expected {number - len(front)} coded pictures, got {len(coded)}")
     pages = sum(picture.idr for picture in coded)
     shown = [picture.bytes for picture in sorted(coded, key=lambda picture: picture.number)]
-    frame_bytes = [sum(shown[place :: number // pages]) for place in range(number // pages)]
-    return CodedGop(media_segment(coded, gop.start, gop.ticks), pages, frame_bytes)
+    frames = len(shown) // pages
+    frame_bytes = [sum(shown[place::frames]) for place in range(frames)]
+    if gop.slopes:
+        frame_bytes[0] += gop.slopes.picture_bytes[0]
+    coded = [CodedPicture(data, place, len(data), idr=True) for place, data in enumerate(front)] + coded
+    return CodedGop(media_segment(coded, gop.start, gop.ticks, len(front)), pages, frame_bytes, slopes=gop.slopes)
 
 
 def _cut(pictures: Iterable[NDArray[np.uint8]], height: int) -> Iterator[Iterator[NDArray[np.uint8]]]:
@@ -223,6 +230,12 @@ class Pictures:
     checksums: Sequence[int] | None = None  # CRC-32 of the luma of as many pictures, each page in display order
     memory: Callable[[tuple[int, int], type], NDArray[np.uint8]] = np.empty  # that pictures of several pages are in
 
+    def cut(self) -> tuple[Pictures, Pictures]:
+        """The first picture, of which all pages stand in front, and the others."""
+        samples, known, pages = self.samples, self.checksums or (), self.pages
+        first = replace(self, samples=samples[:pages], checksums=known[:pages])
+        return first, replace(self, samples=samples[pages:], checksums=known[pages:])
+
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         """(pages * H, W) luma of each picture in display order: its pages one below another; stop to stop decoding.
 
@@ -266,22 +279,6 @@ def _decode(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]
                 yield _luma(frame, where)
     except (av.FFmpegError, CodecError) as error:
         raise FormatError("bad_picture", where, f"expected H.264: {error}") from error
-
-
-def decode_ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
-    """The same pictures, of which another thread decodes the next AHEAD from now on: P-pictures take twice as long."""
-    pool = ThreadPoolExecutor(1)
-    coming = deque(pool.submit(next, pictures, None) for _ in range(AHEAD))
-
-    def shown() -> Iterator[NDArray[np.uint8]]:
-        try:
-            while (picture := coming.popleft().result()) is not None:
-                coming.append(pool.submit(next, pictures, None))
-                yield picture
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-    return shown()
 
 
 def open_segment(media: bytes, where: str, pages: int = 1) -> tuple[bytes | None, Pictures]:

@@ -208,18 +208,22 @@ def _sample_entry(width: int, height: int) -> bytes:
     return box(b"avc3", entry, box(b"avcC", record), colour)
 
 
-def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int) -> bytes:
+def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int, slopes: int = 0) -> bytes:
     """moof and mdat of pictures in decoding order, from an IDR on, which begin at `start` and last `ticks` each.
 
     Every further IDR begins the next page of the same pictures: together the pages of a picture last as long as one
-    would.
+    would. The first `slopes` are none of these, and with them all share the time of the others evenly.
     """
-    pages = sum(picture.idr for picture in pictures)
-    durations = [ticks // pages] * (len(pictures) - len(pictures) // pages)
-    durations += [ticks - ticks // pages * (pages - 1)] * (len(pictures) // pages)
+    pages = sum(picture.idr for picture in pictures) - slopes
+    if slopes:
+        ticks = ticks * (len(pictures) // pages - 1) // len(pictures)
+        durations = [ticks] * len(pictures)
+    else:
+        durations = [ticks // pages] * (len(pictures) - len(pictures) // pages)
+        durations += [ticks - ticks // pages * (pages - 1)] * (len(pictures) // pages)
     offsets = [(p.number - place) * lasts for place, (p, lasts) in enumerate(zip(pictures, durations, strict=True))]
     columns = {
-        DURATION: (durations if pages > 1 else []),
+        DURATION: (durations if pages > 1 and not slopes else []),
         SIZE: [len(picture.data) for picture in pictures],
         COMPOSITION_OFFSET: (offsets if any(offsets) else []),
     }

@@ -292,6 +292,11 @@ def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> Non
             fetched = file.bytes > 0
             _check_file(f"{here}.files[{p}]", file, fetched and bool(tile.levels[j].planes))
             counts.append((f"frame_bytes[{p}]", len(sizes), segment.stop - segment.start if fetched else 0))
+        if level.lines is not None:
+            counts.append(("lines", len(level.lines), m.tiles))
         for name, got, expected in counts:
             if got != expected:
                 raise _bad(f"{here}.{name}", f"expected {expected} values, got {got}")
+        for p, (lined, sizes) in enumerate(zip(level.lines or (), level.frame_bytes, strict=False)):
+            if lined and len(sizes) < 2:
+                raise _bad(f"{here}.lines[{p}]", f"expected at least 2 frames, got {len(sizes)}")

@@ -311,11 +311,16 @@ class SegmentLevel:
     """One level of one segment."""
 
     files: list[FileEntry]  # of each tile; none: nothing to fetch, the canonical space is shown
-    frame_bytes: list[list[PictureBytes]]  # of each tile: H.264 bytes of each frame, in display order
+    frame_bytes: list[list[PictureBytes]]  # of each tile: H.264 bytes of each frame, the first with the slopes
     psnr: list[Decibels]  # for each key quality; empty: not measured
     worst: list[Decibels]  # PSNR of the worst picture, for each key quality
     ssim: list[Annotated[float, Range(-1, 1)]]  # for each key quality
     delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
+    lines: list[bool] | None = None  # of each tile, whether its file begins with slopes; None: no file does
+
+    def lined(self, tile: int) -> bool:
+        """Whether the file of a tile begins with slopes."""
+        return self.lines is not None and self.lines[tile]
 
     @property
     def bytes(self) -> int:

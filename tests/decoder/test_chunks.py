@@ -7,7 +7,8 @@ import pytest
 
 from airgs_codec.coding import atlas, kernels, rangecoder
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.decoder.decode import decode_frames, decode_state
+from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import Atlas
 from tests.support.paths import GOLDEN, VALID
@@ -52,7 +53,7 @@ def test_the_codes_of_some_rows_are_those_of_all_of_them():
 
 def test_frames_of_a_segment_come_in_order_and_stop_where_they_are_asked_to():
     package = open_package(VALID / "moving")
-    every = list(decode_state(package, 0, 0, 0, 4))
-    some = list(decode_state(package, 0, 0, 1, 3))
+    every = [shown.codes() for shown in decode_pictures(package, 0, 0, range(4))]
+    some = [shown.codes() for shown in decode_pictures(package, 0, 0, range(1, 3))]
     assert len(every) == 4 and not np.array_equal(every[0], every[1])
     assert all(np.array_equal(a, b) for a, b in zip(some, every[1:3], strict=True))

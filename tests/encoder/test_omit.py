@@ -1,6 +1,7 @@
 """What is left out is noted, and only where it may be; states are worked out a part at a time, as if all at once."""
 
 from dataclasses import fields, replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.omit import StateValues
 from airgs_codec.encoder.plan import keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.states import code_states
 from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
@@ -107,7 +109,7 @@ def test_how_many_rows_are_looked_at_together_changes_nothing(group, tmp_path, s
     coded = []
     for name in ("few", "many"):
         (tmp_path / name).mkdir()
-        coded.append(code_states(layout, bases, frames, SETTINGS, tmp_path / name))
+        coded.append(code_states(layout, bases, frames, SETTINGS, Clock.of(Fraction(30)), tmp_path / name))
         monkeypatch.undo()
     few, many = coded
     assert few.depths.tolist() == many.depths.tolist() and few.left_out == many.left_out

@@ -9,7 +9,8 @@ import pytest
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames, decode_key, decode_state
+from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames, decode_key
+from airgs_codec.decoder.states import decode_pictures, state_units
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
@@ -124,8 +125,9 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox):
             base = decode_canonical(fox, g, level.quality)
             values = state_channels([f.take(layout.rows) for f in frames], base, group.state_steps)
             rows = (base.depths >= j) & (base.depths != 255)
-            for t, codes in enumerate(decode_state(fox, g, j, 0, group.stop - group.start)):
-                error = codes / m.state_gain - values[t][:, rows] / (steps * level.factor)[:, None]
+            for t, shown in enumerate(decode_pictures(fox, g, j, range(group.stop - group.start))):
+                decoded = shown.values(slice(None), state_units(fox, g, j))
+                error = (decoded - values[t][:, rows]) / (steps * level.factor)[:, None]
                 drawn = frames[t].take(layout.rows).opacities()[rows] >= 1 / 255
                 assert np.abs(error[:, drawn]).max() <= 5
                 assert np.sqrt(np.mean(error**2)) <= 0.5

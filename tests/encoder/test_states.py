@@ -7,7 +7,7 @@ from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding.channels import LEAST_DRAWN
 from airgs_codec.coding.escapes import LIMIT, UNIT
-from airgs_codec.encoder.states import LEAST_HIDDEN, hide_undrawn
+from airgs_codec.encoder.level import LEAST_HIDDEN, hide_undrawn
 
 
 @given(npst.arrays(np.float64, (6, 5), elements=st.sampled_from([0.0, 0.002, 0.02, 0.3, 1.0])), st.floats(0.001, 0.02))

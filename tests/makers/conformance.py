@@ -47,6 +47,13 @@ def frames(count: int, degree: int, length: int) -> list[Gaussians]:
     return [Gaussians(*(np.asarray(c, np.float32) for c in (means, *columns))) for means in moved]
 
 
+def drifting(count: int, length: int) -> list[Gaussians]:
+    """The same ball, of which every row goes its own way evenly, some far."""
+    rng, (first, *_) = np.random.default_rng(8), frames(count, 0, 1)
+    way = rng.normal(size=(count, 3)) * np.where(np.arange(count) % 9, 0.02, 0.4)[:, None]
+    return [replace(first, means=(first.means + t * way).astype(np.float32)) for t in range(length)]
+
+
 BALL = Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
 
 PACKAGES = {
@@ -55,6 +62,7 @@ PACKAGES = {
         room_frames(60, 6),
         replace(SETTINGS, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2),
     ),
+    "lined": (drifting(80, 6), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
     "one-gaussian": (frames(1, 1, 1), replace(SETTINGS, key_factors=(1.0,))),
     "paged": (
         frames(4, 0, 65),

@@ -164,6 +164,19 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-page-level": (raised,),
     "bad_value-page-short": (shortened,),
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
+    "bad_value-lines": in_table(set_value(("segments", 0, "levels", 0, "lines"), [True, True], TABLE)),
+    "bad_value-lines-none": in_table(
+        set_value(("segments", 0, "levels", 0, "files", 0), NONE, TABLE),
+        set_value(("segments", 0, "levels", 0, "frame_bytes", 0), [], TABLE),
+        remove_file("state/L0/1.m4s"),
+    ),
+    "bad_picture-lines": (
+        drop_value(("segments", 0, "levels", 0, "lines"), TABLE),
+        rewrite("state/L0/1.m4s", lambda b: with_columns(b, b"")),
+        honest,
+    ),
+    "bad_sidecar-lines": in_table(drop_value(("segments", 0, "levels", 0, "lines"), TABLE)),
+    "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 0, "lines"), [True], TABLE)),
     "bad_value-tiles": (set_value(("tiles",), 2),),
     "bad_value-tile-levels": in_table(set_value(("tiles", 1, "levels"), [], TABLE)),
     "bad_value-tile-box": in_table(set_value(("tiles", 1, "low"), [0, 1e9, 0], TABLE)),
@@ -223,6 +236,8 @@ def source_of(name: str) -> str:
     """The valid package that a broken one is made of."""
     if "sound" in name:
         return "sound"
+    if "-lines" in name:
+        return "lined"
     return "tiled" if "-tile" in name else "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
 
 

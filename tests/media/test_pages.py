@@ -1,6 +1,8 @@
 """Pages: pictures that are too large for decoders come back whole, and a single decoder is enough for them."""
 
+import io
 import struct
+from dataclasses import replace
 from fractions import Fraction
 
 import av
@@ -14,10 +16,11 @@ from airgs_codec.media.h264 import (
     Pictures,
     check_gop,
     encode_gop,
+    open_segment,
     qp_step,
     state_codec,
 )
-from airgs_codec.media.mp4 import read_boxes, read_samples, start_codes
+from airgs_codec.media.mp4 import init_segment, read_boxes, read_samples, read_start, start_codes
 
 SIZE = (96, 64)
 CODEC = state_codec("veryfast")
@@ -83,3 +86,22 @@ def test_pages_that_differ_in_number_are_refused(coded, samples):
         list(Pictures(read_samples(coded.fragment)[samples], "x", PAGES))
         raise FormatError("bad_picture", "x", "no picture")
     assert caught.value.reason == "bad_picture"
+
+
+def test_slopes_stand_in_front_page_after_page_and_all_samples_share_the_time(coded, pictures):
+    slopes = encode_gop(ClosedGop([255 - pictures[0]], 0, 1), SIZE, Fraction(24), CODEC)
+    slopes = replace(slopes, checksums=check_gop(slopes, ClosedGop([255 - pictures[0]], 0, 1), CODEC).checksums)
+    lined = encode_gop(ClosedGop(pictures, 7000, TICKS, slopes), SIZE, Fraction(24), CODEC)
+    for shown, plain in zip(lined.pictures("x"), coded.pictures("x"), strict=True):
+        np.testing.assert_array_equal(shown, plain)
+    assert lined.picture_bytes == [coded.picture_bytes[0] + slopes.picture_bytes[0], *coded.picture_bytes[1:]]
+    checked = replace(lined, checksums=check_gop(lined, ClosedGop(pictures, 7000, TICKS, slopes), CODEC).checksums)
+    first, others = open_segment(checked.media(b""), "x", PAGES)[1].cut()
+    np.testing.assert_array_equal(next(iter(first)), next(iter(slopes.pictures("x"))))
+    assert len(list(others)) == FRAMES
+    data = io.BytesIO(init_segment(24_000, *SIZE) + checked.media(b""))
+    with av.open(data, "r", format="mp4") as container:
+        times = sorted(packet.pts for packet in container.demux(video=0) if packet.size)
+    lasts = FRAMES * TICKS // ((FRAMES + 1) * PAGES)
+    assert read_start(lined.fragment) == 7000 and len(times) == (FRAMES + 1) * PAGES
+    assert set(np.diff(times).tolist()) == {lasts}  # libavformat delays all of them alike

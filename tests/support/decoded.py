@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import GREY, plane_starts, row_places
+from airgs_codec.coding.atlas import GREY, line_times, plane_starts, row_places
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
 from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
@@ -111,7 +111,7 @@ class _Writer:
             segments = []
             for s in m.segments_of(g):
                 span = range(m.segments[s].start, m.segments[s].stop)
-                states = self._states(s) or [{"luma": None, "changes": None} for _ in span]
+                states = self._states(s) or [{"luma": None, "changes": None, "time": 0} for _ in span]
                 segments.append([state | shown[n] for n, state in zip(span, states, strict=True)])
             groups.append({"canonical": self._canonical(g), "segments": segments})
         return {"quality": self.rung.quality, "level": self.rung.level, "tiers": self.tiers, "groups": groups}
@@ -159,22 +159,46 @@ class _Writer:
         out = []
         for media in m.state_files(index, level):
             span, atlas = m.segments[index], m.groups[m.group_of(index)].tiles[0].levels[level]
+            lined, frames = span.levels[level].lined(0), span.stop - span.start
             columns, pictures = open_segment(self.package.read(media), media, atlas.pages)
-            jumps = escapes.unpack(columns, (span.stop - span.start, len(atlas.planes), atlas.rows), media)
+            shape = frames, len(atlas.planes), atlas.rows
+            rising, jumps = escapes.unpack_segment(columns, shape, lined, media)
+            slopes = None
+            if rising:
+                front, pictures = pictures.cut()
+                slopes = self.blob.add(self._slopes(next(iter(front)), atlas, rising.bases(0)))
+            times = line_times(frames) if lined else np.zeros(frames)
             for t, picture in enumerate(pictures):
-                out.append(self._picture(picture, atlas, jumps, t))
+                shown = self._picture(picture, atlas, jumps, t)
+                if slopes and not t:
+                    none = self.blob.add(np.empty(0, np.uint32)), self.blob.add(np.empty(0, np.int32))
+                    nothing = dict(zip(("texels", "bases"), none, strict=True))
+                    shown["changes"] = (shown["changes"] or nothing) | {"slopes": slopes}
+                out.append(shown | {"time": float(times[t])})
         return out
+
+    def _slopes(self, picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
+        """The codes of all samples, as pages are cut anew."""
+        codes = self._cut(picture, atlas).astype(np.int32) - GREY
+        codes.ravel()[self._places(atlas)] += escapes.UNIT * bases
+        return codes
+
+    def _cut(self, picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
+        height, lines = _page_height(atlas, self.pages), atlas.size[1]
+        luma = np.full((-(-lines // height) * height, atlas.width), GREY, np.uint8)
+        luma[:lines] = picture[:lines]
+        return luma
+
+    def _places(self, atlas: Atlas) -> NDArray[np.intp]:
+        """(P, N) of samples in pictures."""
+        starts = plane_starts(atlas, atlas.width)
+        return np.add.outer(starts, row_places(atlas.rows, atlas.plane_width, atlas.width))
 
     def _picture(self, picture: NDArray[np.uint8], atlas: Atlas, jumps: escapes.Escapes, frame: int) -> Json:
         """Luma cut into pages anew, and what changes of its bases."""
-        height = _page_height(atlas, self.pages)
-        lines = atlas.size[1]
-        luma = np.full((-(-lines // height) * height, atlas.width), GREY, np.uint8)
-        luma[:lines] = picture[:lines]
+        luma, places = self._cut(picture, atlas), self._places(atlas)
         now = jumps.bases(frame)
         changed = now != (jumps.bases(frame - 1) if frame else np.zeros_like(now))
-        starts = plane_starts(atlas, atlas.width)
-        places = np.add.outer(starts, row_places(atlas.rows, atlas.plane_width, atlas.width))
         changes = {"texels": self.blob.add(places[changed].astype(np.uint32)), "bases": self.blob.add(now[changed])}
         return {"luma": self.blob.add(luma), "changes": changes if changed.any() else None}
 

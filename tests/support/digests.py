@@ -6,7 +6,8 @@ from hashlib import sha256
 
 import numpy as np
 
-from airgs_codec.decoder.decode import decode_key, decode_state
+from airgs_codec.decoder.decode import decode_key
+from airgs_codec.decoder.states import decode_pictures, decode_slopes
 from airgs_codec.package.layout import tile_folder
 from airgs_codec.package.package import Package
 
@@ -31,6 +32,10 @@ def digests(package: Package) -> dict[str, str]:
     for s, segment in enumerate(m.segments):
         for j, p in np.ndindex(len(m.levels), m.tiles):
             if m.state_files(s, j, [p]):
-                for f, codes in enumerate(decode_state(package, s, j, 0, segment.stop - segment.start, p)):
-                    out[f"segment {s} {tile_folder(p, m.tiles)}L{j} frame {f}"] = digest(codes)
+                name = f"segment {s} {tile_folder(p, m.tiles)}L{j}"
+                slopes = decode_slopes(package, s, j, p)
+                if slopes is not None:
+                    out[f"{name} slopes"] = digest(slopes)
+                for f, shown in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start), p)):
+                    out[f"{name} frame {f}"] = digest(shown.codes())
     return out

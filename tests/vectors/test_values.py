@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 
+from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.channels import Canonical, StateApplier, colours, dequantise_key
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.quantize import from_codes
@@ -66,9 +67,13 @@ def test_states(case):
     assert rows.tolist() == case["rows"]
     widths = STATE.steps(steps, CHANNELS[case["sh_degree"]]) * case["factor"]
     applier = StateApplier.of(base, rows, steps)
-    for frame in case["frames"]:
+    for place, frame in enumerate(case["frames"]):
         codes = np.array(frame["codes"], np.int32)[:, : len(rows)]
-        assert_near(shown(applier.apply(from_codes(codes, widths, case["gain"]))), frame)
+        values = from_codes(codes, widths, case["gain"])
+        if "slopes" in case:
+            slopes = from_codes(np.array(case["slopes"], np.int32), widths, case["gain"])
+            values += np.float32(line_times(len(case["frames"]))[place]) * slopes
+        assert_near(shown(applier.apply(values)), frame)
 
 
 def test_a_canonical_space_without_states_is_shown_alike():

@@ -19,7 +19,7 @@ from tests.support.browser import WEB, Answer, build_pages, missing
 from tests.support.browsers import BROWSERS, REPORT, play
 from tests.support.paths import CORPUS, GOLDEN, VALID
 
-DECODED = ("golden/fox", "golden/room", "golden/tiles", "valid/moving", "valid/paged")
+DECODED = ("golden/fox", "golden/room", "golden/tiles", "valid/lined", "valid/moving", "valid/paged")
 FRAMES = [3, 0, 2, 1]
 FOX = open_package(GOLDEN / "fox")
 FOX_FILES = [path for path in FOX.files.path.rglob("*") if path.is_file()]

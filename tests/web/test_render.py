@@ -206,6 +206,19 @@ def test_an_atlas_of_several_pages_shows_the_same(far):
     assert_near(look(far, "pictures", data="/data/paged"), 1, range(8), "paged")
 
 
+@pytest.mark.parametrize("every", [1, 3])
+def test_a_line_in_time_is_drawn_in_any_frame_of_its_segment(tmp_path, every):
+    first, rng = random_gaussians(700), np.random.default_rng(0)
+    way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
+    frames = [frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]
+    package = encoded(tmp_path, frames, replace(QUICK, segment_s=1.0, levels=(LevelSettings(0.0),)))
+    assert all(segment.levels[0].lines == [True] for segment in package.manifest.segments)
+    for name, pages in (("scene", 1), ("paged", 3)):
+        write_decoded(package, tmp_path / name, [Rung(0, 0)], four_cameras(frames[0]), pages=pages)
+        report = look(tmp_path, "pictures", every=every, data=f"/data/{name}")
+        assert_near(report, 1, range(every - 1, 8, every), f"lined{every} {name}")
+
+
 def test_fewer_tiers_than_the_level_asks_for(tmp_path):
     package = open_package(GOLDEN / "fox")
     cameras = four_cameras(decode(package, 0))

@@ -37,7 +37,7 @@ const shaders = {
   setup(plugins) {
     plugins.onLoad({ filter: /render[/].*shaders?[.]ts$/ }, async ({ path }) => {
       const text = (await readFile(path, "utf8")).replace(/\s*[/][/].*$/gm, "").replace(/^\s+/gm, "");
-      return { contents: text.replace(/ *([=*,;(){}<>?:&|+/]) */g, "$1"), loader: "ts" };
+      return { contents: text.replace(/ *([=*,;(){}<>?:&|+/]) */g, "$1").replace(/([;,{}(])\n/g, "$1"), loader: "ts" };
     });
   },
 };
@@ -83,7 +83,7 @@ export async function bundleOnce(entry, file) {
   const options = { ...COMMON, minify: true, format: "iife", globalName: "module", metafile: true, write: false };
   const made = await build({ ...options, define, entryPoints: [entry], plugins: [workers(load), styles, shaders] });
   const { code } = await minify(made.outputFiles[0].text, {
-    compress: { passes: 4, keep_fargs: false, unsafe_arrows: true },
+    compress: { passes: 4, keep_fargs: false, unsafe: true, unsafe_arrows: true },
     ecma: 2022,
   });
   const names = await exportsOf(entry);

@@ -77,7 +77,8 @@ export class FrameReader {
         if (!state) return shownGaussians(tables.root, table, base, canonical, null);
         const changes = frames.slice(0, frame - start + 1).map((one) => one?.bases ?? null);
         const bases = basesAfter(state.luma.length, changes);
-        return shownGaussians(tables.root, table, base, canonical, { level, luma: state.luma, bases });
+        const slopes = changes[0]?.slopes ?? null;
+        return shownGaussians(tables.root, table, base, canonical, { ...state, level, bases, slopes });
       }),
     );
   }

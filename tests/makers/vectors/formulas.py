@@ -70,11 +70,11 @@ class Coding:
     gain: float
     transform: Sequence[Sequence[float]]  # K, C x C
 
-    def values(self, codes: Sequence[int], step: str) -> list[float]:
+    def values(self, codes: Sequence[float], step: str) -> list[float]:
         """Values of channels that have the same step."""
         return [code * self.steps[step] * self.factor / self.gain for code in codes]
 
-    def colours(self, codes: Sequence[int]) -> list[Number]:
+    def colours(self, codes: Sequence[float]) -> list[Number]:
         """Colours of colour channels."""
         y = [code * self.factor / self.gain for code in codes]
         scale = [self.steps["sh_dc" if i < 3 else "sh_rest"] for i in range(len(y))]
@@ -92,7 +92,7 @@ class Row:
     colours: list[Number]
 
 
-def key_row(codes: Sequence[int], coding: Coding, mean: Sequence[float] = (0.0, 0.0, 0.0)) -> Row:
+def key_row(codes: Sequence[float], coding: Coding, mean: Sequence[float] = (0.0, 0.0, 0.0)) -> Row:
     """The canonical row that 7 + C codes make."""
     return Row(
         means=[total([v]) for v in mean],
@@ -103,7 +103,7 @@ def key_row(codes: Sequence[int], coding: Coding, mean: Sequence[float] = (0.0, 
     )
 
 
-def state_row(row: Row, codes: Sequence[int], coding: Coding, motion_class: int) -> Row:
+def state_row(row: Row, codes: Sequence[float], coding: Coding, motion_class: int) -> Row:
     """The row with the state that 10 + C codes make."""
     unit = 2.0**motion_class
     shift = [total([v * unit]) for v in coding.values(codes[:3], "means")]

@@ -11,8 +11,12 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.grid import grid_means
-from airgs_codec.decoder.decode import decode_key, decode_state
+from airgs_codec.decoder.decode import decode_key
+from airgs_codec.decoder.states import decode_pictures, decode_slopes
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.tables import unpack_matrix
@@ -22,12 +26,13 @@ from tests.makers.vectors.text import Table, binary
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 
 ATTRIBUTES = ("means", "quaternions", "log_scales", "alpha", "colours")
-FOX, FINE, ROOM = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room"
+FOX, FINE, ROOM, LINED = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room", VALID / "lined"
 INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "kept", ROOM)
 SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, level, key tiers
     FOX: [*((frame, q, j, 2) for frame in (0, 3) for q in (0, 1) for j in (0, 1)), (3, 0, 0, 1), (1, 1, 1, 1)],
     FINE: [(1, 0, 0, 2)],
     ROOM: [(0, 0, 0, 2), (2, 0, 0, 2), (3, 1, 1, 2), (3, 0, 0, 1)],
+    LINED: [(1, 0, 0, 2), (5, 1, 1, 2)],
 }
 INDEX = (65, 4095, 4096, 4097, 86_400)  # groups of packages that are no more than their index
 EVERY = 16  # rows of which one is in the vectors
@@ -140,7 +145,12 @@ def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dic
         return shown
     place = frame - table["segments"][segment]["start"]
     number = t.segments_before(group) + segment
-    changes = next(iter(decode_state(package, number, level, place, place + 1))).T.tolist()
+    codes = next(decode_pictures(package, number, level, range(place, place + 1))).codes().astype(np.float64)
+    slopes = decode_slopes(package, number, level)
+    if slopes is not None:
+        length = table["segments"][segment]["stop"] - table["segments"][segment]["start"]
+        codes += line_times(length)[place] * slopes
+    changes = codes.T.tolist()
     state = Coding(table["state_steps"], root["levels"][level]["factor"], root["state_gain"], transform)
     carried = [row for row, (_, _, depth) in enumerate(keys) if level <= depth < STATIC]
     for row, numbers in zip(carried, changes, strict=False):  # of fewer tiers, the first rows

@@ -64,6 +64,15 @@ class Case:
     codes: Sequence[Codes]  # of each frame, one list a row of the atlas
     level: int = 0
     factor: float = 1.0
+    slopes: Codes | None = None  # of a line in time
+
+    def summed(self, frame: int) -> list[list[float]]:
+        """The codes of a frame with what slopes add, one list a row of the atlas."""
+        if self.slopes is None:
+            return [list(row) for row in self.codes[frame]]
+        time = (2 * frame - (len(self.codes) - 1)) / (len(self.codes) - 1)
+        pairs = zip(self.codes[frame], self.slopes, strict=True)
+        return [[c + time * s for c, s in zip(row, rise, strict=True)] for row, rise in pairs]
 
 
 def cases(rng: np.random.Generator) -> list[Case]:
@@ -83,7 +92,7 @@ def cases(rng: np.random.Generator) -> list[Case]:
     moved = _other_quality(levels, rng)
     out.append(Case("the key quality of the level", 0, levels, [whole[0]], 1))
     out.append(Case("another key quality", 0, moved, [whole[0]], 1))
-    return [*out, *_edges(rng)]
+    return [*out, *_edges(rng), *_lines(np.random.default_rng(41))]
 
 
 def _other_quality(base: Space, rng: np.random.Generator) -> Space:
@@ -120,6 +129,16 @@ def _edges(rng: np.random.Generator) -> list[Case]:
     ]
 
 
+def _lines(rng: np.random.Generator) -> list[Case]:
+    """Segments with slopes, of two frames and of more, whose frames are drawn apart from those of other cases."""
+    out = []
+    for frames in (2, 3):
+        base = replace(space(2, 0, rng), depths=[0, 1])
+        codes = [drawn(2, 13, rng) for _ in range(frames)]
+        out.append(Case(f"a line over {frames} frames", 0, base, codes, slopes=drawn(2, 13, rng, 200.0)))
+    return out
+
+
 def still_rows(rng: np.random.Generator) -> Space:
     """Rows that no level carries, the alpha of one of them out of bounds."""
     base = space(3, 0, rng)
@@ -146,15 +165,16 @@ def _case(case: Case, rng: np.random.Generator) -> dict[str, Any]:
         "level": case.level,
         "canonical": _listed_space(case.space),
         "rows": case.space.carried(case.level),
-        "frames": [_frame(case, codes, coding) for codes in case.codes],
+        **({} if case.slopes is None else {"slopes": by_channel(case.slopes)}),
+        "frames": [_frame(case, frame, coding) for frame in range(len(case.codes))],
     }
 
 
-def _frame(case: Case, codes: Codes, coding: Coding) -> dict[str, Any]:
+def _frame(case: Case, frame: int, coding: Coding) -> dict[str, Any]:
     shown = list(case.space.rows)
-    for row, numbers in zip(case.space.carried(case.level), codes, strict=False):
+    for row, numbers in zip(case.space.carried(case.level), case.summed(frame), strict=False):
         shown[row] = state_row(shown[row], numbers, coding, case.space.classes[row])
-    channels = by_channel(codes) or [[] for _ in range(10 + COLOURS[case.degree])]
+    channels = by_channel(case.codes[frame]) or [[] for _ in range(10 + COLOURS[case.degree])]
     return {"codes": channels, **listed(shown, limit=True)}
 
 

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.coding.channels import Canonical, StateApplier
-from airgs_codec.coding.quantize import from_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_state
+from airgs_codec.decoder.decode import decode_canonical
+from airgs_codec.decoder.states import decode_pictures, state_units
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import CHECKING, DECIDING, Region, before_background, draw_views
@@ -63,28 +63,31 @@ def load_states(package: Package, group: int) -> GroupStates:
     for index, segment in zip(m.segments_of(group), g.segments, strict=True):
         if m.state_files(index, 0):
             first = segment.start - g.start
-            for t, codes in enumerate(decode_level(package, index, 0, base)):
-                values[first + t] = from_codes(codes, steps * m.levels[0].factor, m.state_gain)
+            for t, shown in enumerate(decode_level(package, index, 0)):
+                values[first + t] = shown
     level = StateApplier.of(base, rows, g.state_steps, True, True)
     return GroupStates(base, rows, steps, values, level, g.start)
 
 
-def decode_level(package: Package, index: int, level: int, base: Canonical) -> Iterator[NDArray[np.int32]]:
-    """(STATE.width(C), n) codes of each frame of a segment: of all rows of a level, in the order of `base`.
+def decode_level(package: Package, index: int, level: int) -> Iterator[NDArray[np.float32]]:
+    """(STATE.width(C), n) values of each frame of a segment: of all rows of a level, in the order of tiles and tiers.
 
-    `base` is the canonical space of all tiles and tiers. Those of a tile without a file are 0. Raises FormatError.
+    Those of a tile without a file are 0. Raises FormatError.
     """
     m = package.manifest
     tiles = m.groups[m.group_of(index)].tiles
     count = m.segments[index].stop - m.segments[index].start
     files = [bool(m.state_files(index, level, [tile])) for tile in range(m.tiles)]
-    zeros = [np.zeros((STATE.width(m.colour_channels), tile.levels[level].rows), np.int32) for tile in tiles]
+    zeros = [np.zeros((STATE.width(m.colour_channels), tile.levels[level].rows), np.float32) for tile in tiles]
+    units = state_units(package, index, level)
     parts = [
-        decode_state(package, index, level, 0, count, tile) if there else itertools.repeat(zeros[tile], count)
+        (shown.values(slice(None), units) for shown in decode_pictures(package, index, level, range(count), tile))
+        if there
+        else itertools.repeat(zeros[tile], count)
         for tile, there in enumerate(files)
     ]
-    for codes in zip(*parts, strict=True):
-        yield codes[0] if len(codes) == 1 else np.concatenate(codes, axis=1)
+    for values in zip(*parts, strict=True):
+        yield values[0] if len(values) == 1 else np.concatenate(values, axis=1)
 
 
 def score_rows(states: GroupStates, cameras: list[Camera], renderer: Renderer = CPU) -> dict[str, NDArray[np.float64]]:

@@ -74,10 +74,27 @@ export function basesAfter(samples: number, changes: readonly (BaseChanges | nul
   return bases;
 }
 
-/** (channels · N) luma − GREY + ESCAPE_UNIT · base + centre of every channel; `bases` null: they are 0. */
-export function readCodes(atlas: Atlas, luma: Uint8Array, bases: Int32Array | null): Int32Array {
+/** (samples) codes of slopes, from their picture. */
+export function slopeCodes(luma: Uint8Array, bases: BaseChanges | null): Int32Array {
+  const slopes = Int32Array.from(luma, (sample) => sample - GREY);
+  bases?.texels.forEach((texel, i) => {
+    slopes[texel]! += ESCAPE_UNIT * bases.bases[i]!;
+  });
+  return slopes;
+}
+
+/** (channels · N) luma − GREY + ESCAPE_UNIT · base + centre of every channel, and what slopes add at a `time`; `bases`
+ * null: they are 0.
+ */
+export function readCodes(
+  atlas: Atlas,
+  luma: Uint8Array,
+  bases: Int32Array | null,
+  slopes: Int32Array | null = null,
+  time = 0,
+): Int32Array | Float64Array {
   const { rows, centres, planes } = atlas;
-  const codes = new Int32Array(centres.length * rows);
+  const codes = new (slopes ? Float64Array : Int32Array)(centres.length * rows);
   centres.forEach((centre, channel) => {
     codes.fill(centre, channel * rows, (channel + 1) * rows);
   });
@@ -86,7 +103,8 @@ export function readCodes(atlas: Atlas, luma: Uint8Array, bases: Int32Array | nu
     const corner = planeCorner(atlas, plane);
     for (let i = 0; i < rows; i++) {
       const place = corner + offsets[i]!;
-      codes[channel * rows + i]! += luma[place]! - GREY + (bases ? ESCAPE_UNIT * bases[place]! : 0);
+      codes[channel * rows + i]! +=
+        luma[place]! - GREY + (bases ? ESCAPE_UNIT * bases[place]! : 0) + (slopes ? time * slopes[place]! : 0);
     }
   });
   return codes;

@@ -60,8 +60,10 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
   return gaussians;
 }
 
+type Codes = Int32Array | Float64Array;
+
 /** Writes n rows from `first` on: what (7 + C · n) key codes decode to. */
-function setKey(gaussians: Gaussians, first: number, codes: Int32Array, { steps, colours }: Coding): void {
+function setKey(gaussians: Gaussians, first: number, codes: Codes, { steps, colours }: Coding): void {
   const rows = codes.length / steps.length;
   const value = (channel: number, i: number) => codes[channel * rows + i]! * steps[channel]!;
   for (let i = 0; i < rows; i++) {
@@ -74,7 +76,7 @@ function setKey(gaussians: Gaussians, first: number, codes: Int32Array, { steps,
 }
 
 /** The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the
- * bases of its samples (null: all 0); null: no state is added. Where `canonical` has fewer tiers than the level asks
+ * bases of its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer tiers than the level asks
  * for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
@@ -84,7 +86,7 @@ export function shownGaussians(
   group: Group,
   base: Gaussians,
   canonical: Canonical,
-  state: { level: number; luma: Uint8Array; bases: Int32Array | null } | null,
+  state: { level: number; luma: Uint8Array; bases: Int32Array | null; slopes: Int32Array | null; time: number } | null,
 ): Gaussians {
   const shown = {
     means: base.means.slice(),
@@ -95,7 +97,8 @@ export function shownGaussians(
   };
   if (state) {
     const rows = levelRows(canonical.depths, state.level);
-    const codes = readCodes(group.tiles[canonical.tile]!.levels[state.level]!, state.luma, state.bases);
+    const atlas = group.tiles[canonical.tile]!.levels[state.level]!;
+    const codes = readCodes(atlas, state.luma, state.bases, state.slopes, state.time);
     const coding = codingOf(root, group, stateSteps(root, group, state.level), group.state_steps);
     addState(shown, rows, canonical.units, codes, coding);
   }
@@ -111,7 +114,7 @@ function addState(
   gaussians: Gaussians,
   rows: Uint32Array,
   units: Float32Array,
-  codes: Int32Array,
+  codes: Codes,
   { steps, colours }: Coding,
 ): void {
   const count = codes.length / steps.length;
@@ -133,7 +136,7 @@ function addState(
 function addColours(
   into: Float32Array,
   rowOf: (i: number) => number | null,
-  codes: Int32Array,
+  codes: Codes,
   { colours, rows }: { colours: Float64Array; rows: number },
 ): void {
   const channels = codes.length / rows;

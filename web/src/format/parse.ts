@@ -76,27 +76,29 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
 }
 
 type Json = Record<string, unknown>;
-type Keyword = (value: unknown, argument: unknown, schema: Json) => string | null;
+type Keyword = (value: unknown, argument: unknown) => string | null;
 
-const STRUCTURE = new Set(["type", "properties", "optional", "additionalProperties", "propertyNames", "items"]);
-const range = (low: unknown, high: unknown) => `expected ${low ?? "any"} to ${high ?? "any"}`;
-
+const STRUCTURE = new Set(["type", "properties", "optional", "additionalProperties", "items"]);
 /** Says why a value is refused as bad_value; null: it may stand. Values of another type are refused before. */
 const KEYWORDS: Record<string, Keyword> = {
   const: (value, argument) => (value === argument ? null : `expected ${argument}`),
   enum: (value, words) => ((words as unknown[]).includes(value) ? null : `expected one of ${words}`),
   pattern: (value, text) =>
     new RegExp(text as string, "u").test(value as string) ? null : `expected text like ${text}`,
-  minimum: (value, low, s) => ((value as number) >= (low as number) ? null : range(low, s.maximum)),
-  maximum: (value, high, s) => ((value as number) <= (high as number) ? null : range(s.minimum, high)),
-  minItems: (list, low, s) => ((list as unknown[]).length >= (low as number) ? null : range(low, s.maxItems)),
-  maxItems: (list, high, s) => ((list as unknown[]).length <= (high as number) ? null : range(s.minItems, high)),
+  range: (value, bounds) => {
+    const [low, high] = bounds as [number, number];
+    const size = Array.isArray(value) ? value.length : (value as number);
+    return size >= low && size <= high ? null : `expected ${low} to ${high}`;
+  },
 };
 
 function typeOf(value: unknown): string {
   if (value === null) return "null";
   return Array.isArray(value) ? "array" : typeof value;
 }
+
+const asked = ({ items, properties, additionalProperties, type }: Json) =>
+  items ? "array" : (properties ?? additionalProperties) ? "object" : type;
 
 const shown = (value: unknown) => (JSON.stringify(value) ?? "nothing").slice(0, 80);
 
@@ -105,7 +107,7 @@ const shown = (value: unknown) => (JSON.stringify(value) ?? "nothing").slice(0, 
  */
 export function checkTable(value: unknown, schema: Json, where: string): void {
   const refuse = (reason: Reason, detail: string) => new FormatError(reason, where, detail);
-  const type = schema.properties ? "object" : schema.type;
+  const type = asked(schema);
   const got = typeOf(value);
   if (type !== undefined && got !== (type === "integer" ? "number" : type)) {
     throw refuse("wrong_type", `expected ${type}, got ${got}`);
@@ -122,7 +124,7 @@ export function checkTable(value: unknown, schema: Json, where: string): void {
     if (STRUCTURE.has(name)) continue;
     const keyword = KEYWORDS[name];
     if (!keyword) throw new Error(`${where}: the schema has a keyword ${name} that is not known`);
-    const wrong = keyword(value, argument, schema);
+    const wrong = keyword(value, argument);
     if (wrong !== null) throw refuse("bad_value", `${wrong}, got ${shown(value)}`);
   }
 }
@@ -132,7 +134,7 @@ function checkObject(value: Json, schema: Json, where: string): void {
   const optional = schema.optional as string[] | undefined;
   const others = schema.additionalProperties;
   const strange = Object.keys(value).filter((name) => !Object.hasOwn(properties, name));
-  if (optional && strange.length)
+  if (schema.properties && strange.length)
     throw new FormatError("unknown_field", where, `unknown fields ${strange.slice(0, 8)}`);
   const missing = Object.keys(properties).filter((name) => !Object.hasOwn(value, name) && !optional?.includes(name));
   if (missing.length) throw new FormatError("missing_field", where, `missing fields ${missing}`);
@@ -141,7 +143,7 @@ function checkObject(value: Json, schema: Json, where: string): void {
   }
   if (typeof others !== "object") return;
   for (const name of strange) {
-    checkTable(name, (schema.propertyNames ?? {}) as Json, where);
+    checkTable(name, {}, where);
     checkTable(value[name], others as Json, `${where}.${name}`);
   }
 }

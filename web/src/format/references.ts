@@ -250,6 +250,7 @@ function checkSegment(root: Root, group: Group, segment: Segment, place: Place):
   segment.levels.forEach((level, j) => {
     place.exactly(`levels[${j}].files`, level.files.length, root.tiles);
     place.exactly(`levels[${j}].frame_bytes`, level.frame_bytes.length, root.tiles);
+    if (level.lines) place.exactly(`levels[${j}].lines`, level.lines.length, root.tiles);
     for (const name of ["psnr", "worst", "ssim", "delta_e"] as const) {
       place.exactly(`levels[${j}].${name}`, level[name].length, measured);
     }
@@ -257,6 +258,7 @@ function checkSegment(root: Root, group: Group, segment: Segment, place: Place):
       const fetched = file.bytes > 0;
       place.file(`levels[${j}].files[${p}]`, file, fetched && group.tiles[p]!.levels[j]!.planes.length > 0);
       const frames = fetched ? segment.stop - segment.start : 0;
+      if (level.lines?.[p]) place.within(`levels[${j}].lines[${p}]`, frames, 2, Infinity);
       const sizes = level.frame_bytes[p]!;
       place.exactly(`levels[${j}].frame_bytes[${p}]`, sizes.length, frames);
       if (sum(sizes) <= file.bytes) return;

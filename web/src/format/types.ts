@@ -10,15 +10,17 @@ type Of<S> = S extends { const: infer Value }
       ? Of<Item>[]
       : S extends { additionalProperties: infer Value extends object }
         ? Record<string, Of<Value>>
-        : S extends { properties: infer Fields; optional: readonly (infer Optional)[] }
-          ? { [Name in Exclude<keyof Fields, Optional>]: Of<Fields[Name]> } & {
-              [Name in Extract<keyof Fields, Optional>]?: Of<Fields[Name]>;
+        : S extends { properties: infer Fields }
+          ? { [Name in Exclude<keyof Fields, Optional<S>>]: Of<Fields[Name]> } & {
+              [Name in Extract<keyof Fields, Optional<S>>]?: Of<Fields[Name]>;
             }
           : S extends { type: "string" }
             ? string
             : S extends { type: "boolean" }
               ? boolean
               : number;
+
+type Optional<S> = S extends { optional: readonly (infer Name)[] } ? Name : never;
 
 // FORMAT.md, section 2, says what each field is.
 export type Root = Of<typeof root>;
@@ -39,6 +41,8 @@ export interface BaseChanges {
   /** Places in the atlas: line · width + column, pages one after the other. */
   texels: Uint32Array;
   bases: Int32Array;
+  /** (samples) codes of slopes, with the first picture of a segment that has a line. */
+  slopes?: Int32Array | null | undefined;
 }
 
 /** The key picture of a tier, of the base where there is one. */
@@ -81,6 +85,8 @@ export interface StateFrame {
   luma: Uint8Array;
   /** What changes from the frame before in the segment, or from bases of 0; null: nothing. */
   bases: BaseChanges | null;
+  /** x: how often slopes count (FORMAT.md, section 4); 0 without a line. */
+  time: number;
   /** (3N) means of all rows of the tile in this frame, world units: what the depth order is made of. */
   means: Float32Array;
 }

@@ -1,7 +1,7 @@
 // The files of key units and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6. T frames, P planes,
 // N rows, E escapes: jumps of bases, by which values leave 8 bits.
 import { STATIC } from "../generated/constants.ts";
-import { planeCorner, rowOffsets } from "./atlas.ts";
+import { pages, planeCorner, rowOffsets } from "./atlas.ts";
 import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
 import { type Media, readMedia, type Sample } from "./mp4.ts";
@@ -83,21 +83,42 @@ export function readKeyUnit(
   };
 }
 
+/** The states of a tile in a segment, but for their pictures. */
+export interface StateUnit {
+  atlas: Atlas;
+  frames: number;
+  pages: Sample[][];
+  /** Of each of these. */
+  checksums: Uint32Array;
+  bases: Bases;
+  /** Of the picture of slopes; null: there is none. `bases`: samples with another base than 0. */
+  line: { pages: Sample[][]; checksums: Uint32Array; bases: BaseChanges | null } | null;
+}
+
 /** Segment `place` of a table; `segment` is its number, from 0. Throws FormatError (bad_sidecar, bad_picture). */
 export function readStateUnit(
   table: Group,
   { segment, place, tile, level }: { segment: number; place: number; tile: number; level: number },
   media: Uint8Array,
-): { atlas: Atlas; frames: number; pages: Sample[][]; checksums: Uint32Array; bases: Bases } {
+): StateUnit {
   const where = stateMediaPath(tileFolder(tile, table.tiles.length), level, segment + 1);
   const atlas = table.tiles[tile]!.levels[level]!;
-  const { start, stop } = table.segments[place]!;
+  const { start, stop, levels } = table.segments[place]!;
   const { checksums, columns, samples } = readMedia(media, where);
   const reader = new ColumnReader(columns, where);
-  const escapes = readEscapes(reader, stop - start, atlas.planes.length, atlas.rows);
+  const frames = stop - start;
+  const basesOf = (count: number) => new Bases(readEscapes(reader, count, atlas.planes.length, atlas.rows), atlas);
+  const rising = levels[level]!.lines?.[tile] ? basesOf(1) : null;
+  const bases = basesOf(frames);
   reader.close();
-  const pages = pageSamples(samples, atlas, stop - start, where);
-  return { atlas, frames: stop - start, pages, checksums, bases: new Bases(escapes, atlas) };
+  const front = rising ? pages(atlas) : 0;
+  const line = rising && {
+    pages: pageSamples(samples.slice(0, front), atlas, 1, where),
+    checksums,
+    bases: rising.next(0),
+  };
+  const own = pageSamples(samples.slice(front), atlas, frames, where);
+  return { atlas, frames, pages: own, checksums: checksums.subarray(front), bases, line };
 }
 
 /** Rows of a tile that a level carries, ascending. `depths` (N) are those of all its rows, or of the first tiers. */
@@ -171,14 +192,14 @@ export class Bases {
     this.offsets = rowOffsets(atlas);
   }
 
-  /** The changes that come with picture `t`; null: none. */
-  next(t: number): BaseChanges | null {
+  /** The changes that come with picture `t`, and with `slopes`; null: none. */
+  next(t: number, slopes?: Int32Array | null): BaseChanges | null {
     const { index, jumps } = this.escapes;
     const { rows, planes } = this.atlas;
     const area = planes.length * rows;
     const first = this.#at;
     while (this.#at < index.length && index[this.#at]! < (t + 1) * area) this.#at++;
-    if (this.#at === first) return null;
+    if (this.#at === first && !slopes) return null;
     const texels = new Uint32Array(this.#at - first);
     const bases = new Int32Array(this.#at - first);
     for (let e = first; e < this.#at; e++) {
@@ -188,6 +209,6 @@ export class Bases {
       texels[e - first] = planeCorner(this.atlas, Math.floor(sample / rows)) + this.offsets[sample % rows]!;
       bases[e - first] = base;
     }
-    return { texels, bases };
+    return { texels, bases, slopes };
   }
 }

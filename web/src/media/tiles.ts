@@ -1,6 +1,6 @@
 // What is decoded of tiles: canonical spaces (sidecars and key files, those of a base too) and segments over them (state
 // files). N rows of a tile, n of a level.
-import { planeCorner } from "../format/atlas.ts";
+import { planeCorner, slopeCodes } from "../format/atlas.ts";
 import { concat } from "../format/concat.ts";
 import type { Tables } from "../format/package.ts";
 import { differenceSteps, stateSteps } from "../format/steps.ts";
@@ -42,7 +42,9 @@ export async function decodeCanonical(
     parts.push({ ...part, difference });
     const rows = Uint32Array.from(key.depths, (_, row) => row);
     const scaled = steps.map((step) => step * key.factor);
-    means.push(difference ? movedMeans(unit, rows, key.bases, scaled, difference.luma) : unit.means);
+    means.push(
+      difference ? movedMeans(unit, rows, key.bases, scaled, { ...difference, slopes: null, time: 0 }) : unit.means,
+    );
   }
   const depths = concat(
     keys.map((key) => key.depths),
@@ -94,22 +96,32 @@ export async function decodeStates(
   const table = tables.group(group);
   checkCount(tables.root, table, level, file, file.positions.depths);
   const place = segment - tables.segmentsOf(group).start;
-  const { atlas, frames, pages, checksums, bases } = readStateUnit(table, { segment, place, tile, level }, file.bytes);
+  const unit = readStateUnit(table, { segment, place, tile, level }, file.bytes);
+  const { bases, frames, line } = unit;
   const { positions } = file;
   const carried = levelRows(positions.depths, level);
   const steps = stateSteps(tables.root, table, level);
-  const show = (t: number, luma: Uint8Array) =>
-    take(t, { luma, bases: bases.next(t), means: movedMeans(positions, carried, bases, steps, luma) });
-  await decoder.decode({ pages, checksums, atlas, frames, where }, show, options);
+  let slopes: Int32Array | null = null;
+  const rise = (_: number, luma: Uint8Array) => {
+    slopes = slopeCodes(luma, line!.bases);
+  };
+  if (line) await decoder.decode({ ...unit, ...line, frames: 1, where }, rise, options);
+  const show = (t: number, luma: Uint8Array) => {
+    const time = line ? (2 * t) / (frames - 1) - 1 : 0;
+    const changes = bases.next(t, (t === 0 && slopes?.slice()) || null); // the page gets them, others stay here
+    const picture = { luma, slopes, time };
+    take(t, { luma, bases: changes, time, means: movedMeans(positions, carried, bases, steps, picture) });
+  };
+  await decoder.decode({ ...unit, where }, show, options);
 }
 
-/** (3N) means that a picture moves, whose bases are those of now; `rows` are those of its atlas. */
+/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are its atlas's. */
 function movedMeans(
   { means: before, units }: Pick<Positions, "means" | "units">,
   rows: Uint32Array,
   { atlas, now, offsets }: Bases,
   steps: Float32Array,
-  luma: Uint8Array,
+  { luma, slopes, time }: { luma: Uint8Array; slopes: Int32Array | null; time: number },
 ): Float32Array {
   const means = before.slice();
   const add = (i: number, axis: number, code: number) => {
@@ -121,7 +133,10 @@ function movedMeans(
     const plane = atlas.planes.indexOf(axis);
     if (plane < 0 && !centre) continue;
     const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
-    for (let i = 0; i < rows.length; i++) add(i, axis, plane < 0 ? centre : luma[corner + offsets[i]] - GREY + centre);
+    for (let i = 0; i < rows.length; i++) {
+      const at = corner + offsets[i];
+      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time * slopes[at] : 0));
+    }
   }
   for (const [sample, base] of now) {
     const [axis, i] = [atlas.planes[Math.floor(sample / atlas.rows)], sample % atlas.rows];

@@ -8,7 +8,7 @@ import type { Slot } from "./playout.ts";
 import type { Shared } from "./receiver.ts";
 
 const LEAD_S = 1; // of play that is decoded ahead: what is decoded can no longer be replaced by a better rung
-const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0) };
+const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0), time: 0 };
 const MOST_SPACES = 2; // canonical spaces of each tile: of the group on the screen and of the next one
 
 /** A tile of a segment that is decoded, or about to be. */

@@ -112,7 +112,7 @@ export class Screen {
       if (bases) stage.scene.change(bases);
     }
     const state = layer.frames[frame] ?? null;
-    stage.scene.state(layer.atlas, state?.luma ?? null);
+    stage.scene.state(layer.atlas, state?.luma ?? null, state?.time);
     stage.means = state?.means ?? layer.canonical.means;
     layer.shown = stage.frame = frame;
     this.#sort(stage);

@@ -72,7 +72,7 @@ export class Renderer {
     this.#corners = gl.createBuffer();
     this.#splats = quads(gl, this.#corners);
     this.#noLuma = texture(gl, "R8UI", [1, 1], 1);
-    this.#noBases = texture(gl, "R32I", [1, 1], 1);
+    this.#noBases = texture(gl, "RG32I", [1, 1], 1);
     const samplers = ["firsts", "seconds", "order"];
     this.#programs.prepare("splats", () => ({ vertex: SPLAT_VERTEX, fragment: SPLAT_FRAGMENT, samplers }));
     this.#programs.prepare("canvas", () => ({ vertex: WHOLE, fragment: SHOW, samplers: ["picture"] }));
@@ -200,6 +200,7 @@ export class Renderer {
     const textures = [samples?.luma ?? this.#noLuma, samples?.bases ?? this.#noBases, transform, places];
     const at = this.#programs.use(PROJECTION + scene.degree, [...textures, rotations, sizes, ranks, layers]);
     gl.uniform1i(at("rows"), scene.rows);
+    gl.uniform1f(at("time"), scene.time);
     gl.uniform1i(at("moving"), shown ? 1 : 0);
     if (shown) setCodes(gl, at, shown.codes, shown.samples);
     gl.uniform2f(at("tintSteps"), ...scene.tintSteps);

@@ -5,7 +5,7 @@ import type { Atlas, BaseChanges } from "../format/types.ts";
 import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
-/** Bases go to the GPU with `upload`, in strips of 16 lines that changed: few samples jump in a frame. */
+/** Bases and slopes, two numbers a sample, go to the GPU with `upload`, in strips of 16 lines that changed: few samples jump in a frame. */
 export class Samples {
   readonly #width: number;
   readonly #height: number;
@@ -13,10 +13,10 @@ export class Samples {
   readonly luma: Texture;
   bases: Texture | null = null;
   #all: Int32Array | null = null;
-  /** A strip: 1 if a sample of it may have another base than 0. */
-  #used = new Uint8Array(0);
-  /** A strip: 1 if the GPU does not have its bases yet. */
-  #changed = new Uint8Array(0);
+  /** Strips of which a sample may have another base or slope than 0. */
+  readonly #used = new Set<number>();
+  /** Strips that the GPU does not have yet. */
+  readonly #changed = new Set<number>();
 
   constructor(
     private readonly gl: WebGL2RenderingContext,
@@ -40,55 +40,48 @@ export class Samples {
     }
   }
 
-  change({ texels, bases }: BaseChanges): void {
-    if (!texels.length) return;
-    const all = this.#held();
-    const strip = BLOCK * this.#width;
-    for (let i = 0; i < texels.length; i++) {
-      const n = Math.floor(texels[i] / strip);
-      all[texels[i]] = bases[i];
-      this.#used[n] = 1;
-      this.#changed[n] = 1;
-    }
+  change({ texels, bases, slopes }: BaseChanges): void {
+    this.#all ??= new Int32Array(2 * this.#pages * this.#height * this.#width);
+    const all = this.#all;
+    const mark = (texel: number) => {
+      const n = Math.floor(texel / BLOCK / this.#width);
+      for (const strips of [this.#used, this.#changed]) strips.add(n);
+    };
+    slopes?.forEach((slope, i) => {
+      all[2 * i + 1] = slope;
+      if (i % this.#width === 0) mark(i);
+    });
+    texels.forEach((texel, i) => {
+      all[2 * texel] = bases[i];
+      mark(texel);
+    });
   }
 
   reset(): void {
-    const strip = BLOCK * this.#width;
-    this.#used.forEach((used, n) => {
-      if (!used) return;
+    const strip = 2 * BLOCK * this.#width;
+    for (const n of this.#used) {
       this.#all!.fill(0, n * strip, (n + 1) * strip);
-      this.#changed[n] = 1;
-      this.#used[n] = 0;
-    });
+      this.#changed.add(n);
+    }
+    this.#used.clear();
   }
 
   upload(): void {
     if (!this.#all) return;
-    this.bases ??= texture(this.gl, "R32I", [this.#width, this.#height], this.#pages);
+    this.bases ??= texture(this.gl, "RG32I", [this.#width, this.#height], this.#pages);
     const strips = this.#height / BLOCK;
-    for (let first = 0; first < this.#changed.length; first++) {
-      if (!this.#changed[first]) continue;
+    for (const first of [...this.#changed].sort((a, b) => a - b)) {
       const layer = Math.floor(first / strips);
-      let next = first;
-      while (next < (layer + 1) * strips && this.#changed[next]) this.#changed[next++] = 0;
+      let next = first; // those of one run go together
+      while (next < (layer + 1) * strips && this.#changed.delete(next)) next++;
       const box = { y: (first % strips) * BLOCK, width: this.#width, height: (next - first) * BLOCK, layer };
-      write(this.gl, this.bases, box, this.#all, first * BLOCK * this.#width);
-      first = next - 1;
+      if (box.height) write(this.gl, this.bases, box, this.#all, 2 * first * BLOCK * this.#width);
     }
   }
 
   free(): void {
     this.gl.deleteTexture(this.luma.handle);
     if (this.bases) this.gl.deleteTexture(this.bases.handle);
-  }
-
-  #held(): Int32Array {
-    if (this.#all) return this.#all;
-    const strips = (this.#pages * this.#height) / BLOCK;
-    this.#all = new Int32Array(this.#pages * this.#height * this.#width);
-    this.#used = new Uint8Array(strips);
-    this.#changed = new Uint8Array(strips);
-    return this.#all;
   }
 }
 

@@ -41,6 +41,8 @@ export class Scene {
   shown: LevelView | null = null;
   /** Whether `shown` has a picture, or the canonical space is shown. */
   moving = false;
+  /** How often slopes count in that picture. */
+  time = 0;
   visible = 0;
   ordered = false;
   /** Camera of what is in `firsts` and `seconds`; null: out of date. */
@@ -86,7 +88,7 @@ export class Scene {
     return this.freed || this.gl.isContextLost();
   }
 
-  /** A segment of a level begins: its bases are 0. What is drawn stays until `state`. */
+  /** A segment of a level begins: its bases are 0, and so are slopes. What is drawn stays until `state`. */
   begin(level: number): void {
     if (this.#gone) return;
     if (this.#coming?.level === level) {
@@ -109,10 +111,10 @@ export class Scene {
     return this.#next ?? this.shown;
   }
 
-  /** The picture that is shown from now on: luma of all pages of the level's atlas, whose bases were told before. null:
-   * the canonical space, where a level has no picture. Throws RenderError for a picture of another atlas.
+  /** The picture that is shown from now on, with slopes at a time: luma of all pages of the level's atlas, whose bases
+   * were told before. null: the canonical space, where a level has no picture. Throws RenderError for a picture of another atlas.
    */
-  state(atlas: Atlas, luma: Uint8Array | null): void {
+  state(atlas: Atlas, luma: Uint8Array | null, time = 0): void {
     if (this.#gone) return;
     const view = this.#coming;
     if (luma && !view) throw new RenderError("a state: expected a level before it, got none");
@@ -121,6 +123,7 @@ export class Scene {
     }
     this.projectedFor = null;
     this.moving = luma !== null;
+    this.time = time;
     if (!luma || !view) return;
     view.samples.setLuma(luma);
     view.samples.upload();

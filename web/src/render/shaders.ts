@@ -36,6 +36,7 @@ export const CODES = `
 uniform usampler2DArray luma; uniform isampler2DArray bases;
 uniform ivec2 layout_; // blocks side by side in a plane, lines of a picture
 uniform bool escaped;
+uniform float time; // how often slopes count
 ivec2 place(int row) {
   int block = row >> 8, cell = row & 255;
   ivec2 at = ivec2((cell & 1) | (cell >> 1 & 2) | (cell >> 2 & 4) | (cell >> 3 & 8),
@@ -44,13 +45,18 @@ ivec2 place(int row) {
 }
 float decode(ivec4 entry, ivec2 at) {
   int code = entry.z;
+  float rise = 0.0;
   if (entry.x >= 0) {
     ivec2 t = at + entry.xy;
     ivec3 s = ivec3(t.x, t.y % layout_.y, t.y / layout_.y);
     code += int(texelFetch(luma, s, 0).r) - ${GREY};
-    if (escaped) code += ${ESCAPE_UNIT} * texelFetch(bases, s, 0).r;
+    if (escaped) {
+      ivec2 more = texelFetch(bases, s, 0).rg;
+      code += ${ESCAPE_UNIT} * more.x;
+      rise = time * float(more.y);
+    }
   }
-  return float(code) * intBitsToFloat(entry.w);
+  return (float(code) + rise) * intBitsToFloat(entry.w);
 }
 `;
 

@@ -6,7 +6,7 @@ export class RenderError extends Error {
   override name = "RenderError";
 }
 
-type Internal = "R8UI" | "R32I" | "R32UI" | "RGBA32UI" | "RGBA32F" | "RGBA16F" | "RGB10_A2";
+type Internal = "R8UI" | "RG32I" | "R32UI" | "RGBA32UI" | "RGBA32F" | "RGBA16F" | "RGB10_A2";
 
 /** A texture with its size; `layers` 0: not an array. */
 export interface Texture {
@@ -50,7 +50,7 @@ export function write(gl: WebGL2RenderingContext, to: Texture, box: Box, data: A
 
 const LAYOUTS = {
   R8UI: ["RED_INTEGER", "UNSIGNED_BYTE"],
-  R32I: ["RED_INTEGER", "INT"],
+  RG32I: ["RG_INTEGER", "INT"],
   R32UI: ["RED_INTEGER", "UNSIGNED_INT"],
   RGBA32UI: ["RGBA_INTEGER", "UNSIGNED_INT"],
   RGBA32F: ["RGBA", "FLOAT"],

@@ -6,10 +6,11 @@ type Reference = [keyof typeof TYPES, number, number];
 
 interface PictureTable {
   luma: Reference | null;
-  changes: { texels: Reference; bases: Reference } | null;
+  changes: { texels: Reference; bases: Reference; slopes?: Reference | null } | null;
 }
 
 interface FrameTable extends PictureTable {
+  time: number;
   means: Reference;
   pictures: Reference[];
 }
@@ -39,6 +40,7 @@ interface Table {
 export interface Frame {
   luma: Uint8Array | null;
   changes: BaseChanges | null;
+  time: number;
   means: Float32Array;
   /** (3 · width · height) r, g, b of each camera on black, not clipped. */
   pictures: Float32Array[];
@@ -81,13 +83,15 @@ export class Decoded {
 
   #changes(table: PictureTable): BaseChanges | null {
     if (!table.changes) return null;
-    return { texels: this.#array(table.changes.texels), bases: this.#array(table.changes.bases) };
+    const { texels, bases, slopes } = table.changes;
+    return { texels: this.#array(texels), bases: this.#array(bases), slopes: slopes ? this.#array(slopes) : null };
   }
 
   #frame(table: FrameTable): Frame {
     return {
       luma: table.luma && this.#array<Uint8Array>(table.luma),
       changes: this.#changes(table),
+      time: table.time,
       means: this.#array(table.means),
       pictures: table.pictures.map((picture) => this.#array<Float32Array>(picture)),
     };

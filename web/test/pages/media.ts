@@ -140,7 +140,8 @@ async function tileOf(media: Media, segment: number, level: number, canonical: C
   const changes: (BaseChanges | null)[] = [];
   return (await framesOf(media, segment, level, canonical)).map((shown) => {
     changes.push(shown?.bases ?? null);
-    const state = shown && { level, luma: shown.luma, bases: basesAfter(samples, changes) };
+    const slopes = changes[0]?.slopes ?? null;
+    const state = shown && { ...shown, level, slopes, bases: basesAfter(samples, changes) };
     const gaussians = shownGaussians(root, table, base, canonical, state);
     return { gaussians, sorted: shown?.means ?? canonical.means };
   });

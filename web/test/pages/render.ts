@@ -71,7 +71,7 @@ class Stage {
   /** Goes to a frame; shown or dropped, its bases are told. */
   step(scene: Scene, frame: Frame, shown: boolean, atlas: Parameters<Scene["state"]>[0]): void {
     if (frame.changes) scene.change(frame.changes);
-    if (shown) scene.state(atlas, frame.luma);
+    if (shown) scene.state(atlas, frame.luma, frame.time);
     this.look("state");
   }
 }

@@ -10,6 +10,7 @@ import {
   planeHeight,
   readCodes,
   rowOffsets,
+  slopeCodes,
 } from "../../src/format/atlas.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { ColumnReader } from "../../src/format/rangecoder.ts";
@@ -95,12 +96,12 @@ test("luma that differs from its checksum is refused", () => {
 const gzipChecksum = (data: Uint8Array) => gzipSync(data).subarray(-8).readUInt32LE();
 
 /** An atlas with a plane for each channel, and a picture in it that decodes to codes. */
-function pictureOf(channels: unknown[][]): { atlas: Atlas; luma: Uint8Array; changes: BaseChanges } {
+function pictureOf(channels: unknown[][], centred = true): { atlas: Atlas; luma: Uint8Array; changes: BaseChanges } {
   const codes = channels.map((channel) => runs(channel) as number[]);
   const rows = codes[0]!.length;
   const planes = rows ? codes.map((_, channel) => channel) : [];
   const high = rows ? planeHeight(rows, 16) * codes.length : 0;
-  const centres = codes.map((channel) => channel[0] ?? 0);
+  const centres = codes.map((channel) => (centred && channel[0]) || 0);
   const atlas: Atlas = { rows, centres, planes, plane_width: 16, columns: 1, width: 16, height: high, max_error: [] };
   const luma = new Uint8Array(16 * high).fill(128);
   const offsets = rowOffsets(atlas);
@@ -162,10 +163,13 @@ for (const one of readVectors("states").cases) {
   test(`states: ${one.name}`, () => {
     const [root, group] = tables(one);
     assert.deepEqual([...levelRows(canonical.depths, one.level)], runs(one.rows));
-    for (const { codes, values, tolerance } of one.frames) {
+    const rising = one.slopes && pictureOf(one.slopes, false);
+    const slopes = rising ? slopeCodes(rising.luma, rising.changes) : null;
+    for (const [t, { codes, values, tolerance }] of one.frames.entries()) {
       const { atlas, luma, changes } = pictureOf(codes);
       const table = { ...group, tiles: [{ levels: new Array(8).fill(atlas) }] } as Group;
-      const state = { level: one.level, luma, bases: basesAfter(luma.length, [changes]) };
+      const time = slopes ? (2 * t) / (one.frames.length - 1) - 1 : 0;
+      const state = { level: one.level, luma, bases: basesAfter(luma.length, [changes]), slopes, time };
       near(shownGaussians(root, table, base, canonical, state), values, tolerance);
     }
   });
