@@ -105,8 +105,8 @@ def test_fewer_tiers_are_those_of_every_tile(room):
         np.testing.assert_array_equal(few.gaussians.means, all_.gaussians.means[rows])
 
 
-def test_tiles_do_not_change_what_is_shown_beyond_the_steps(room, tmp_path):
-    _, scene = room
+def test_tiles_do_not_change_what_is_shown_beyond_the_steps(tmp_path):
+    scene = open_sequence(write_sequence(tmp_path / "scene", room_frames(1200, 6, degree=1)))  # 60 rows move
     found = []
     for tiles in (1, TILES):  # of one tier: those have steps of their own
         settings = replace(SETTINGS, region=region(), tiles=tiles, tiers=(1.0,))
