@@ -42,9 +42,7 @@ export async function decodeCanonical(
     parts.push({ ...part, difference });
     const rows = Uint32Array.from(key.depths, (_, row) => row);
     const scaled = steps.map((step) => step * key.factor);
-    means.push(
-      difference ? movedMeans(unit, rows, key.bases, scaled, { ...difference, slopes: null, time: 0 }) : unit.means,
-    );
+    means.push(difference ? movedMeans(unit, rows, key.bases, scaled, difference) : unit.means);
   }
   const depths = concat(
     keys.map((key) => key.depths),
@@ -109,8 +107,8 @@ export async function decodeStates(
   const show = (t: number, luma: Uint8Array) => {
     const time = line ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, (t === 0 && slopes?.slice()) || null); // the page gets them, others stay here
-    const picture = { luma, slopes, time };
-    take(t, { luma, bases: changes, time, means: movedMeans(positions, carried, bases, steps, picture) });
+    const means = movedMeans(positions, carried, bases, steps, { luma, slopes, time });
+    take(t, { luma, bases: changes, time, means });
   };
   await decoder.decode({ ...unit, where }, show, options);
 }
@@ -121,7 +119,7 @@ function movedMeans(
   rows: Uint32Array,
   { atlas, now, offsets }: Bases,
   steps: Float32Array,
-  { luma, slopes, time }: { luma: Uint8Array; slopes: Int32Array | null; time: number },
+  { luma, slopes, time }: { luma: Uint8Array; slopes?: Int32Array | null; time?: number },
 ): Float32Array {
   const means = before.slice();
   const add = (i: number, axis: number, code: number) => {
@@ -135,7 +133,7 @@ function movedMeans(
     const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
     for (let i = 0; i < rows.length; i++) {
       const at = corner + offsets[i];
-      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time * slopes[at] : 0));
+      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time! * slopes[at] : 0));
     }
   }
   for (const [sample, base] of now) {
