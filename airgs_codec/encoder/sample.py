@@ -40,6 +40,7 @@ Weights = NDArray[np.float64]
 BLOCK_ROWS = 256  # a block of an atlas
 PRESET = "fast"  # of x264, for trial encodes
 
+LEAST_LINED = 4  # frames that a line in time is tried for: its picture is one more
 LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
 RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
 
@@ -205,7 +206,7 @@ def worth_line(values: NDArray[np.float64], steps: NDArray[np.float64], weights:
 
     `weights` (C, N) are those of the squares of errors in steps.
     """
-    if len(values) < 2 or not values.size:
+    if len(values) < LEAST_LINED or not values.size:
         return False
     costs = []
     for line in (False, True):

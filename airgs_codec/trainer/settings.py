@@ -84,9 +84,6 @@ class TrainSettings:
     regularised: bool = setting(
         True, "weigh opacity and scale in the loss of a first frame, so that empty space stays so"
     )
-    rate: float = setting(
-        1e-4, "weight of the bits that a Gaussian of a first frame takes beside those that lie before it; 0: none"
-    )
     group_frames: int | None = setting(
         None,
         "frames of a chunk; it begins with a keyframe that starts from the first frame of the run, so that chunks "
@@ -195,7 +192,6 @@ class TrainSettings:
             (0 <= self.ssim_weight <= 1, f"expected an SSIM weight of 0 to 1, got {self.ssim_weight}"),
             (self.min_psnr_db >= 0, f"expected a least PSNR of at least 0 dB, got {self.min_psnr_db}"),
             (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
-            (self.rate >= 0, f"expected a weight of bits of at least 0, got {self.rate}"),
             (self.max_growth >= 0, f"expected a growth of at least 0, got {self.max_growth}"),
             (self.inflation >= 0, f"expected an inflation weight of at least 0, got {self.inflation}"),
             (self.max_size is None or self.max_size >= 16, f"expected pictures of 16 pixels, got {self.max_size}"),
@@ -269,7 +265,6 @@ def preset(name: str, settings: TrainSettings) -> TrainSettings:
         coarse=0.0,
         ssim_weight=0.2,
         regularised=False,
-        rate=0.0,
         temporal=Temporal(weight=1e-3, unit="raw", until=1.0),
         velocity=False,
         min_psnr_db=30.0,

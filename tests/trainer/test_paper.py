@@ -190,9 +190,7 @@ def test_what_the_preset_sets():
     s = preset("paper", TrainSettings(seed=4, max_size=96))
     assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", Temporal(LAMBDA_T, "raw", 1.0), 30.0)
     assert (s.inflation, s.ssim_weight, s.max_drop_db) == (LAMBDA_INF, LAMBDA, float("inf"))
-    assert not any(
-        (s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.knows_rest, s.coarse, s.rate)
-    )
+    assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.knows_rest, s.coarse))
     assert (s.densify, s.iteration_views, s.seed, s.max_size) == ("threshold", 1, 4, 96)
     assert preset("default", s) is s
     with pytest.raises(ConfigError, match="expected densify budget, threshold"):

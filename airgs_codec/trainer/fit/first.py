@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -68,7 +67,7 @@ def fit_first(
         with_motion(from_gaussians(start, trainer.device), target.views),
         trainer.extent,
         SPARSE_RATES if sparse else Rates(),
-        regularisers=replace(FIRST_REGULARISERS if s.regularised else Regularisers(), rate=s.rate),
+        regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
         dropout=DROPOUT if sparse else 0.0,
         seed=s.seed,
         densifier=Densifier(trainer.growth(most, target.views), len(start), rng),

@@ -6,7 +6,7 @@ the same numbers from separable convolutions.
 L_temp counts a change in the steps that the codec will code it with. The paper's sum of |d| has no unit and no
 reduction (AirGS, "Training" 2): summed over raw values its 1e-3 stops all motion, averaged it does nothing. Here it is
 the mean over Gaussians of |d|_1 with every channel in units of the codec's step:
-weight * mean_i sum_c |d_ic| / step_ic. What the rows of a first frame cost is counted in bits (`KeyBits`).
+weight * mean_i sum_c |d_ic| / step_ic.
 
 The PSNR of training is the mean over views of each view's PSNR in dB. The PSNR of a package pools the squared error of
 its pictures first, and is lower where views differ.
@@ -25,12 +25,11 @@ from airgs_codec.analysis.sensitivity import measure_sensitivity
 from airgs_codec.coding.motion import classify_motion, motion_units
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.tables import KeySteps
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.compare import compare
 from airgs_codec.render.cuda import upload
-from airgs_codec.scene.gaussians import Gaussians, morton_order
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Target, View
 from airgs_codec.trainer.fit import kernels
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, InMotion, Parameters, loading
@@ -139,40 +138,6 @@ def codec_steps(
         "sh_rest": np.full(g.sh_rest.shape, state.sh_rest),
     }
     return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in ATTRIBUTES}
-
-
-ORDER_EVERY = 50  # calls of `KeyBits`
-
-
-class KeyBits:
-    """About the bits that a row takes in a key, as a mean over rows.
-
-    A difference of x steps to the row before it in Morton order takes log2(1 + x^2) / 2, the rate of a Gaussian source
-    (Cover and Thomas, Elements of Information Theory, 10.3.2). Means are not counted, whose cells are coded apart; of
-    rotations the chords of unit quaternions are, which are half as long as the angles between them.
-    """
-
-    def __init__(self, steps: KeySteps | None = None) -> None:
-        """`steps` of the codec; by default those that calibration starts from."""
-        s = steps or StepSettings().key
-        self._steps = s.log_scales, s.quaternions / 2, s.opacity, s.sh_dc, s.sh_rest
-        self._order = torch.empty(0, dtype=torch.long)
-        self._calls = 0
-
-    def __call__(self, p: Parameters) -> torch.Tensor:
-        """The bits of stored attributes, N > 1 rows, a scalar. The order is found anew now and then."""
-        rows = len(p["means"])
-        if self._calls % ORDER_EVERY == 0 or len(self._order) != rows:
-            order = morton_order(p["means"].detach().cpu().numpy())
-            self._order = torch.from_numpy(order).to(p["means"].device)
-        self._calls += 1
-        turns = torch.nn.functional.normalize(p["quaternions"][self._order], dim=1)
-        alike = torch.where((turns[1:] * turns[:-1]).sum(dim=1, keepdim=True) < 0, -1.0, 1.0)  # q and -q turn alike
-        columns = p["log_scales"], p["opacity_logits"].sigmoid(), p["sh_dc"], p["sh_rest"]
-        scales, *others = (column[self._order].reshape(rows, -1).diff(dim=0) for column in columns)
-        changes = scales, turns[1:] - alike * turns[:-1], *others
-        parts = [torch.log2(1 + (d / step).square()).sum() for d, step in zip(changes, self._steps, strict=True)]
-        return torch.stack(parts).sum() / (2 * rows)
 
 
 def static_shares(before: Gaussians, after: Gaussians, steps: Parameters) -> dict[str, float]:

@@ -19,7 +19,6 @@ from airgs_codec.errors import TrainingError
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.trainer.fit.active import Resting
 from airgs_codec.trainer.fit.grow import Densifier, is_visible
-from airgs_codec.trainer.fit.losses import KeyBits
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, MOTION, Adam, Parameters, take_and_append, zeros_like
 
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
@@ -60,7 +59,6 @@ class Regularisers:
     opacity: float = 0.0  # of the mean opacity
     scale: float = 0.0  # of the mean scale over the scene's extent
     inflation: float = 0.0  # of the summed opacity of the rows past the first U
-    rate: float = 0.0  # of the bits of a row in a key, `KeyBits`
 
 
 @dataclass(slots=True, eq=False)
@@ -84,7 +82,6 @@ class PerGaussian:
     _absgrad: AbsGrad | None = field(init=False, default=None)
     _generator: torch.Generator = field(init=False)
     _done: float = field(init=False, default=0.0)  # share of the iterations
-    _bits: KeyBits = field(init=False, default_factory=KeyBits)
 
     def __post_init__(self) -> None:
         self._generator = torch.Generator().manual_seed(self.seed)
@@ -136,8 +133,6 @@ class PerGaussian:
         if r.scale:
             size = (self.base["log_scales"] + self.adam.parameters["log_scales"]).exp()
             total = total + r.scale / self.extent * size.mean()
-        if r.rate and len(self.base["means"]) > 1:
-            total = total + r.rate * self._bits(self._fitted())
         return total
 
     def step(self, iteration: int, iterations: int) -> None:

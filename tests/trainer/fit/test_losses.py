@@ -1,7 +1,6 @@
 """The losses of pictures against their definitions, and what a change costs in codec steps."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,16 +9,8 @@ import torch
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Target
-from airgs_codec.trainer.fit.losses import (
-    LAMBDA,
-    KeyBits,
-    _on_cuda,
-    codec_steps,
-    photometric,
-    temporal_weights,
-    windowed_ssim,
-)
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians
+from airgs_codec.trainer.fit.losses import LAMBDA, _on_cuda, codec_steps, photometric, temporal_weights, windowed_ssim
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES
 from airgs_codec.trainer.settings import Temporal
 from tests.support.scenes import random_gaussians
 from tests.support.views import ring
@@ -95,21 +86,3 @@ def test_temporal_weights_have_the_unit_they_say():
         pytest.approx([0.1] * 3),
     ]
     assert temporal_weights(Temporal(0.4, "raw"), steps)["means"].tolist() == [pytest.approx([0.4] * 3)] * 2
-
-
-def test_bits_of_a_key_are_those_of_differences_along_the_curve():
-    """Three rows on a line, given in another order: one step of opacity, and a turn of three steps, apart."""
-    g = random_gaussians(3, 1)
-    alpha, steps = np.array([0.5, 0.5, 0.514]), StepSettings().key
-    half = 3 * steps.quaternions / 2
-    turned = [math.cos(half), math.sin(half), 0, 0]
-    p = from_gaussians(
-        replace(
-            g.take(np.zeros(3, int)),
-            means=np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0]], np.float32),
-            opacity_logits=np.log(alpha / (1 - alpha)).astype(np.float32),
-            quaternions=np.array([[1, 0, 0, 0], np.negative(turned), turned], np.float32),
-        )
-    )
-    given = {name: column[[2, 0, 1]] for name, column in p.items()}
-    assert KeyBits()(given).item() == pytest.approx((math.log2(1 + 3**2) / 2 + 0.5) / 3, rel=1e-2)

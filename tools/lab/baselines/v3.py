@@ -132,7 +132,6 @@ class V3Settings:
             sh_degree=self.sh_degree,
             first_iterations=self.key_iterations,
             coarse=self.coarse,
-            rate=0.0,
             seed=self.seed,
         )
 
