@@ -20,7 +20,7 @@ from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr, squared_error
-from airgs_codec.package.manifest import Manifest, on_ladder, pooled_quality
+from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.tables import STATIC
 from airgs_codec.progress import Stopwatch
@@ -107,10 +107,6 @@ def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repai
     lower = [j for j in better if j > 0]
     if lower:
         return _drop(attempt.settings, {j: better[j] for j in lower}, quality)
-    idle = _find_idle(measured)
-    if idle:
-        story = "; ".join(f"L{j} dropped: mixtures of two rungs beat each of its rungs" for j in idle)
-        return Repair(_without(attempt.settings, idle), story)
     beaten = 0 in better and quality[better[0]] > quality[0]
     expected = attempt.expected or ExpectedError(steps=squared_error(quality[better[0]] if beaten else quality[0]))
     if quality[0] >= psnr(expected.total) - SHORTFALL_DB and not beaten:
@@ -136,19 +132,6 @@ def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, in
         if others:
             found[j] = max(others, key=lambda k: quality[k])
     return found
-
-
-def _find_idle(m: Manifest) -> list[int]:
-    """Levels, but the first, that no rung of the ladder has; one that alone has a key quality of the ladder stays."""
-    rungs = [(q, j) for q in range(len(m.qualities)) for j in range(len(m.levels))]
-    shown = (pooled_quality(m, j, q) for q, j in rungs)
-    ladder = on_ladder(
-        [(m.bytes_of(m.rung_files(*at)), s.psnr if s else None) for at, s in zip(rungs, shown, strict=True)]
-    )
-    used = [rung for rung, there in zip(rungs, ladder, strict=True) if there]
-    idle = {*range(1, len(m.levels))} - {j for _, j in used}
-    needed = {q for q, _ in used} - {level.quality for j, level in enumerate(m.levels) if j not in idle}
-    return sorted(j for j in idle if m.levels[j].quality not in needed)
 
 
 def _rung_psnr(m: Manifest, level: int) -> float:
