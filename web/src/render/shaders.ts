@@ -13,6 +13,7 @@ export const LAYERS_A_PASS = 4;
 export const HEAD = `#version 300 es
 precision highp float; precision highp int; precision highp sampler2D;
 precision highp usampler2D; precision highp usampler2DArray; precision highp isampler2DArray;
+uniform float time; // how often slopes count; 0 but for states
 `;
 
 /** GLSL of three channels of a code table, `first` and those after it, at a sample. */
@@ -36,7 +37,6 @@ export const CODES = `
 uniform usampler2DArray luma; uniform isampler2DArray bases;
 uniform ivec2 layout_; // blocks side by side in a plane, lines of a picture
 uniform bool escaped;
-uniform float time; // how often slopes count
 ivec2 place(int row) {
   int block = row >> 8, cell = row & 255;
   ivec2 at = ivec2((cell & 1) | (cell >> 1 & 2) | (cell >> 2 & 4) | (cell >> 3 & 8),
