@@ -9,6 +9,7 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_key
 from airgs_codec.decoder.states import decode_pictures, decode_slopes
 from airgs_codec.package.layout import tile_folder
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 
 
@@ -39,3 +40,13 @@ def digests(package: Package) -> dict[str, str]:
                 for f, shown in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start), p)):
                     out[f"{name} frame {f}"] = digest(shown.codes())
     return out
+
+
+def lined_files(m: Manifest) -> list[str]:
+    """Paths of the state files that begin with a picture of slopes, which is no frame."""
+    return [
+        path
+        for s, segment in enumerate(m.segments)
+        for j, level in enumerate(segment.levels)
+        for path in m.state_files(s, j, [tile for tile in range(m.tiles) if level.lined(tile)])
+    ]

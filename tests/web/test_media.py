@@ -18,6 +18,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import Answer, missing
+from tests.support.digests import lined_files
 from tests.support.growing import Growing
 from tests.support.media_page import FOLDERS, look
 from tests.support.paths import GOLDEN, VALID
@@ -155,12 +156,7 @@ def test_luma_of_every_picture_is_exact(luma, name):
     p = package(name)
     paths = [path for g in range(len(p.manifest.groups)) for path in p.manifest.group_files(g)]
     assert set(report["found"]) == {path for path in paths if path.endswith(".m4s")}
-    lined = [
-        path
-        for s, segment in enumerate(p.manifest.segments)
-        for j, level in enumerate(segment.levels)
-        for path in p.manifest.state_files(s, j, [tile for tile in range(p.manifest.tiles) if level.lined(tile)])
-    ]
+    lined = lined_files(p.manifest)
     assert bool(lined) == (name == "valid/lined")
     for path, digests in report["found"].items():
         _, pictures = open_segment(p.read(path), path)
