@@ -51,6 +51,8 @@ from airgs_codec.places.place import Memory
 from airgs_codec.places.results import user_cache
 from airgs_codec.progress import Progress, name_of
 
+AHEAD = 16  # groups, itself among them, whose rows a group has as well so that they may differ from it
+
 # Seconds that a job takes and more for each frame of its group, of scenes of ten thousand Gaussians: only their ratios
 # matter, which tell how much of the whole is done. Others take next to nothing.
 SECONDS = {
@@ -250,7 +252,7 @@ class _Keys:
         count, breaks = prepared.sequence.count(prepared.spans[first].start), prepared.sequence.breaks
         written: WrittenRows = result(prepared.job(ROWS, first, self._settings))
         rows, surveys = written.rows, list[Job]()
-        for g in groups:
+        for g in groups[:AHEAD]:
             start = prepared.spans[g].start
             union = np.union1d(rows, result(prepared.job(ROWS, g, self._settings)).rows)
             parted = any(prepared.spans[first].start < at <= start for at in breaks)

@@ -209,7 +209,8 @@ class _Trial:
         other = self._inside(GroupSpan(0, self.run[0], self.run[0] + length))
         rows = self._needed(self._inside(window))
         joined = np.union1d(rows, self._needed(other))
-        differ = groups > 1 and self.settings.keys == KEPT and len(joined) <= (1 + MORE) * len(rows)
+        apart = groups > 1 and window.start > self.run[0]  # or else there is none to differ from
+        differ = apart and self.settings.keys == KEPT and len(joined) <= (1 + MORE) * len(rows)
         sample = self._sample(window, BLOCKS, joined if differ else rows)
         key_bytes, base = sample.code_key(steps, 1.0)
         if differ:

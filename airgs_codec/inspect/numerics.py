@@ -18,7 +18,7 @@ from airgs_codec.coding.escapes import LIMIT
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.decoder.decode import decode_canonical, decode_key, key_units
-from airgs_codec.decoder.states import decode_pictures
+from airgs_codec.decoder.states import decode_pictures, decode_slopes
 from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas, Group
@@ -189,6 +189,8 @@ def _motion(package: Package, number: int) -> Iterator[_Found]:
                 frames = m.segments[s].stop - m.segments[s].start
                 for shown in decode_pictures(package, s, 0, range(frames), tile):
                     worst = np.maximum(worst, np.abs(shown.codes() - centres))
+                slopes = decode_slopes(package, s, 0, tile)
+                worst = worst if slopes is None else np.maximum(worst, np.abs(slopes))
         past = past.with_rows(STATE, worst)
     unit = float(motion_units(np.array([group.grid.finest], np.int16))[0])
     error = _bounds([tile.levels[0] for tile in group.tiles], STATE)["means"]

@@ -2,6 +2,7 @@
 // files). N rows of a tile, n of a level.
 import { planeCorner, slopeCodes } from "../format/atlas.ts";
 import { concat } from "../format/concat.ts";
+import { FormatError } from "../format/errors.ts";
 import type { Tables } from "../format/package.ts";
 import { differenceSteps, stateSteps } from "../format/steps.ts";
 import type { Canonical, CanonicalName, KeyPart, StateFrame } from "../format/types.ts";
@@ -42,7 +43,9 @@ export async function decodeCanonical(
     parts.push({ ...part, difference });
     const rows = Uint32Array.from(key.depths, (_, row) => row);
     const scaled = steps.map((step) => step * key.factor);
-    means.push(difference ? movedMeans(unit, rows, key.bases, scaled, difference) : unit.means);
+    const moved = difference ? movedMeans(unit, rows, key.bases, scaled, difference) : unit.means;
+    if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", key.where, "means are not finite");
+    means.push(moved);
   }
   const depths = concat(
     keys.map((key) => key.depths),
