@@ -87,7 +87,7 @@ def test_a_frame_of_a_group_that_keeps_rows_is_sought():
     assert_drawn_as_by_the_cpu_renderer(room, (1, 1), [3, 0, 2, 1])
 
 
-BEGINNING = 10  # of the places: 22 degrees above, on the side of tile 0
+BEGINNING = 11  # of the places: 22 degrees above, on the side of tile 0
 
 
 @pytest.fixture(scope="module")
