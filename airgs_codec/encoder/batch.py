@@ -169,8 +169,9 @@ class Measuring:
 def encode_sequence(
     prepared: PreparedSequence, settings: EncodeSettings, work: Work, measuring: Measuring | None = None
 ) -> Encoded:
-    """Do all that a package needs but its quality, and of that what is measured in any case, window by window: first
-    survey all groups, then code them.
+    """Do all that a package needs but its quality, and of that what is measured in any case, window by window.
+
+    All groups are surveyed before any is coded, since a base has rows that later groups need.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails.
     """
@@ -180,7 +181,7 @@ def encode_sequence(
     files: list[Job] = []
     tables: list[Group] = []
     poster = _draw_poster(prepared, work)
-    for window in prepared.windows:  # a base has rows that later groups need
+    for window in prepared.windows:
         work.run([prepared.job(SURVEY, g) for g in window])
         work.run([prepared.job(ROWS, g, settings) for g in window])
     for window in prepared.windows:
