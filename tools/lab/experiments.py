@@ -115,12 +115,12 @@ MEASUREMENTS = (
     Measurement(
         "paper", "paper",
         "reproduce --scenes fox=fox_views/,held=cam01+cam05+cam09+cam13 head=head_views/ spinach=spinach_views/ "
-        "--methods airgs v3 3dgstream 4dgs naive3dgs --show fox head --traces raca2018_4g_car/",
+        "--methods airgs v3 3dgstream 4dgs naive3dgs --show fox head --traces raca2018_4g_car/ --jobs 1",
     ),
     Measurement(
         "paper-system", "paper",
         "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
-        "--traces raca2018_4g_car/",
+        "--traces raca2018_4g_car/ --jobs 1",
     ),
     Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
     Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),

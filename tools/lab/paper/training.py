@@ -5,9 +5,9 @@ Table 1 of the paper (quality, size, time) and Table 2 (keyframes); its curves o
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,6 +21,7 @@ from airgs_codec.scene.formats.ply import read_ply
 from tools.lab.baselines.method import Frame, frame_path, mean_bytes, run_method
 from tools.lab.paper.methods import make_method
 from tools.lab.paper.scenes import Subject
+from tools.lab.timing import timed
 
 RENDERED = 5  # frames whose pictures are timed
 T = TypeVar("T")
@@ -75,10 +76,7 @@ def train(_: int, job: Job) -> Trained:
     seconds = []
     for number in numbers:
         loaded = CPU.load(read_ply(frame_path(job.folder, int(number))))
-        loaded.draw(camera)  # compiles
-        begun = time.perf_counter()
-        loaded.draw(camera)
-        seconds.append(time.perf_counter() - begun)
+        seconds.append(timed(partial(loaded.draw, camera), 1)[0].cpu)
     return Trained(job.subject.name, job.method, tuple(frames), round(1 / float(np.median(seconds)), 1))
 
 
