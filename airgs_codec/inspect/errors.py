@@ -1,7 +1,8 @@
 """The errors of a package against the sequence it was made of, attribute by attribute, beside what it promises.
 
-The order of rows in a package is not stored: each of its rows is matched with the nearest original one, by all
-attributes but SH rest in three frames of the group. N rows of a group.
+The order of rows in a package is not stored. Each of its rows is matched with an original by all attributes but SH
+rest, in three frames of the group where it has states, else in the mean of all frames: with the one that is nearest in
+steps of those that keep what is promised, or the nearest where none does. N rows of a group.
 """
 
 from __future__ import annotations
@@ -25,6 +26,9 @@ from airgs_codec.package.tables import STATIC, Group
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence
+
+NEAREST = 4  # originals of which a row may be one
+FEATURES = (3, 3, 9, 1, 3)  # numbers of each attribute that rows are matched by: rotations as matrices, of colours DC
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +78,7 @@ def _held(frames: list[Gaussians]) -> list[Gaussians]:
 def _match(
     package: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """(N,) nearest original of every row; (N,) False where more rows have it than there are such originals."""
+    """(N,) original of every row; (N,) False where more rows have it than there are such originals."""
     m = package.manifest
     picks = sorted({0, len(frames) // 2, len(frames) - 1})
     decoded: list[Gaussians] = []
@@ -82,20 +86,50 @@ def _match(
         segment = m.segment_at(number)
         decoded += decode_segment(package, segment, base, 0, [number - m.segments[segment].start])
     scale = float(np.median(base.motion_units)) * group.state_steps.means
-    features = np.hstack([_features(frames[pick], group, scale) for pick in picks])
-    _, rows = cKDTree(features).query(np.hstack([_features(g, group, scale) for g in decoded]), workers=-1)
+    promised, still = _promised(group, base, m.tiers), base.depths == STATIC
+    features = _features([frames[pick] for pick in picks], group, scale)
+    rows = np.empty(len(still), np.intp)
+    rows[~still] = _nearest(features, _features(decoded, group, scale)[~still], promised[~still])
+    mean = _features([mean_frame(frames)], group, scale)
+    rows[still] = _nearest(mean, _features([base.to_gaussians()], group, scale)[still], promised[still])
     _, twin, twins = np.unique(features, axis=0, return_inverse=True, return_counts=True)
     twin = twin.ravel()  # equal originals are as good as one another
     taken = np.bincount(twin[rows], minlength=len(twins))
     return rows, (taken <= twins)[twin[rows]]
 
 
-def _features(g: Gaussians, group: Group, scale: float) -> NDArray[np.float64]:
-    """(N, 19) in steps; of rotations the matrices, which know no half turn and differ by sqrt(2) times small angles."""
-    steps, means = group.state_steps, g.means.astype(np.float64) / scale
-    opacity = g.opacities()[:, None] / steps.opacity
-    turns = to_matrices(g.quaternions).reshape(len(g), 9) / (2**0.5 * steps.quaternions)
-    return np.hstack([means, g.log_scales / steps.log_scales, turns, opacity, g.sh_dc / steps.sh_dc])
+def _nearest(
+    originals: NDArray[np.float64], found: NDArray[np.float64], promised: NDArray[np.float64]
+) -> NDArray[np.intp]:
+    """(n,) original of each row found, (n, 19 F): of the NEAREST the first within what is promised, (n, 19)."""
+    _, near = cKDTree(originals).query(found, range(1, 1 + min(NEAREST, len(originals))), workers=-1)
+    errors = [np.abs(found - originals[rows]).reshape(len(found), -1, sum(FEATURES)) for rows in near.T]
+    kept = np.stack([(error <= promised[:, None]).all((1, 2)) for error in errors], axis=1)
+    return np.asarray(np.take_along_axis(near, kept.argmax(1)[:, None], axis=1)[:, 0])
+
+
+def _promised(group: Group, base: Canonical, tiers: int) -> NDArray[np.float64]:
+    """(N, 19) steps that each feature may err by: of rows with states in the top level, of others in their key."""
+    steps = [*(getattr(group.state_steps, run.attribute) for run in STATE.runs), 1.0]
+    rows, first = [], 0
+    for k, unit in enumerate(group.units):
+        still = base.depths[first : first + unit.count] == STATIC
+        first += unit.count
+        level, key = group.tiles[k // tiers].levels[0].max_error, unit.qualities[0].max_error
+        key = [np.inf] * (len(level) - len(key)) + key  # a key that is no difference promises nothing of means
+        rows.append(np.where(still[:, None], key, level))
+    return np.repeat(np.concatenate(rows) / steps, FEATURES, axis=1)
+
+
+def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np.float64]:
+    """(N, 19 F) in steps; of rotations matrices, which know no half turn and differ by sqrt(2) times small angles."""
+    steps = group.state_steps
+    each = []
+    for g in frames:
+        means, opacity = g.means.astype(np.float64) / scale, g.opacities()[:, None] / steps.opacity
+        turns = to_matrices(g.quaternions).reshape(len(g), 9) / (2**0.5 * steps.quaternions)
+        each += [means, g.log_scales / steps.log_scales, turns, opacity, g.sh_dc / steps.sh_dc]
+    return np.hstack(each)
 
 
 def _keys(

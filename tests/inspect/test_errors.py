@@ -8,12 +8,13 @@ import pytest
 from airgs_codec.cli.manifest import main
 from airgs_codec.decoder.decode import decode_canonical
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.settings import EncodeSettings, read_levels
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.package import open_package
+from airgs_codec.package.tables import STATIC
 from airgs_codec.scene.gaussians import to_rotation_vector
 from airgs_codec.scene.sequence import open_sequence
 from tests.makers.refusals import TABLE
@@ -65,6 +66,16 @@ def test_left_out_rows_and_bands_do_not_matter(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4, 1)))
     encode(sequence, tmp_path / "out", replace(FAST, keep_all=False))
     assert validate(tmp_path / "out") == exceeded(measure_errors(open_package(tmp_path / "out"), sequence)) == []
+
+
+def test_rows_that_move_and_are_never_updated_are_found_by_their_mean(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4)))
+    encode(sequence, tmp_path / "out", replace(FAST, levels=read_levels("60:1,60:2")))
+    package = open_package(tmp_path / "out")
+    still = decode_canonical(package, 0, 0).depths == STATIC
+    assert still.sum() > 180  # 150 swing, and most of them with no update
+    measured = list(measure_errors(package, sequence))
+    assert exceeded(measured) == [] and max(m.ambiguous for m in measured) == 0
 
 
 def test_promises_hold_of_rows_whose_axes_have_other_names(tmp_path):
