@@ -107,6 +107,11 @@ class Measured:
         return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
 
 
+def doubt_db(unsure: float) -> float:
+    """Two relative standard errors of a mean squared error, in dB of PSNR."""
+    return 10 * math.log10(1 + 2 * unsure)
+
+
 def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> AskedPictures:
     """Draw the pictures of a round for each segment of a group of a package, which has `total` segments in the end."""
     first = asked.number * total + m.segments_of(group).start

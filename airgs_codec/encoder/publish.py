@@ -11,7 +11,7 @@ from pathlib import Path
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
-from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.measure import Rounds, doubt_db
 from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
@@ -96,11 +96,6 @@ class EncodeReport:
             Stage("encoding", self.encode_s, "; ".join(self.repairs) or "the package, at the first attempt"),
             Stage("measuring", self.measure_s, measured),
         ]
-
-
-def doubt_db(unsure: float) -> float:
-    """Two relative standard errors of a mean squared error, in dB of PSNR."""
-    return 10 * math.log10(1 + 2 * unsure)
 
 
 def doubt_words(unsure: float) -> str:

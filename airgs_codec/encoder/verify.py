@@ -6,6 +6,7 @@ N rows of a group.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -15,12 +16,12 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, measure_quality
-from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.measure import Rounds, doubt_db
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import Picture, psnr, squared_error
-from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.manifest import Manifest, on_ladder, pooled_quality
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.tables import STATIC
 from airgs_codec.progress import Stopwatch
@@ -32,6 +33,7 @@ ATTEMPTS = 4  # encodes at most
 SHORTFALL_DB = 0.5  # of the top rung, that is not taken
 CHECKING = 2  # seed of the views that tell what failed: neither those that decided nor those that measure
 CHECKED = 8  # pictures that tell what failed
+IDLE_DB = 0.5  # by which mixtures of other rungs beat all of a level, at least, where it is not written
 BLAME = 0.5  # share of what is more than was expected from which a part is to blame for it
 
 
@@ -73,8 +75,9 @@ class Verified:
 def encode_verified(attempt: Attempt) -> Verified:
     """Encode and measure, again with other settings while a rung must be repaired.
 
-    Rungs that a cheaper one beats are dropped; what a top rung leaves out or withholds is taken back where it made
-    more error than expected. Where steps alone explain a shortfall, the rung is worth its bytes, and stays.
+    Rungs that a cheaper one beats are dropped, and then levels that mixtures of others beat; what a top rung leaves out
+    or withholds is taken back where it made more error than expected. Where steps alone explain a shortfall, the rung
+    is worth its bytes, and stays.
     """
     stories: list[str] = []
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
@@ -86,10 +89,10 @@ def encode_verified(attempt: Attempt) -> Verified:
             return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
         measured = measure_quality(encoded, measuring)
         manifest = measured.whole(encoded.manifest)
-        repair = find_repair(attempt, encoded, manifest) if number < ATTEMPTS else None
+        repair = find_repair(attempt, encoded, manifest, measured.unsure) if number < ATTEMPTS else None
         measure_s += watch.lap()
         if repair is None:
-            ends = f"; top rung now {_rung_psnr(manifest, 0):.2f} dB" if stories else ""
+            ends = f"; top rung now {_psnr(manifest, 0, manifest.levels[0].quality):.2f} dB" if stories else ""
             told = (*stories[:-1], *(s + ends for s in stories[-1:]))
             return Verified(manifest, encoded, attempt.settings, told, encode_s, measure_s, measured.unsure)
         stories.append(repair.story)
@@ -97,11 +100,14 @@ def encode_verified(attempt: Attempt) -> Verified:
     raise AssertionError("unreachable")
 
 
-def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repair | None:
-    """Say what must change in a package whose quality was measured; None where every rung is as it should be."""
+def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest, unsure: float = math.nan) -> Repair | None:
+    """Say what must change in a package whose quality was measured; None where every rung is as it should be.
+
+    `unsure` is as in `Measured`; NaN: nobody knows whether a mixture beats a level.
+    """
     if attempt.given:
         return None
-    quality = [_rung_psnr(measured, j) for j in range(len(measured.levels))]
+    quality = [_psnr(measured, j, level.quality) for j, level in enumerate(measured.levels)]
     sizes = [measured.bytes_of(measured.rung_files(level.quality, j)) for j, level in enumerate(measured.levels)]
     better = _find_better(quality, sizes)
     lower = [j for j in better if j > 0]
@@ -109,10 +115,10 @@ def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest) -> Repai
         return _drop(attempt.settings, {j: better[j] for j in lower}, quality)
     beaten = 0 in better and quality[better[0]] > quality[0]
     expected = attempt.expected or ExpectedError(steps=squared_error(quality[better[0]] if beaten else quality[0]))
-    if quality[0] >= psnr(expected.total) - SHORTFALL_DB and not beaten:
-        return None
-    repair = _take_back(attempt, encoded, quality[0], expected)
-    return _drop(attempt.settings, better, quality) if beaten and repair is None else repair
+    short = quality[0] < psnr(expected.total) - SHORTFALL_DB
+    if (short or beaten) and (repair := _take_back(attempt, encoded, quality[0], expected)):
+        return repair
+    return _drop(attempt.settings, better, quality) if beaten else _drop_idle(attempt.settings, measured, unsure)
 
 
 def _drop(settings: EncodeSettings, better: Mapping[int, int], quality: Sequence[float]) -> Repair:
@@ -122,6 +128,23 @@ def _drop(settings: EncodeSettings, better: Mapping[int, int], quality: Sequence
         for j, k in better.items()
     ]
     return Repair(_without(settings, list(better)), "; ".join(stories))
+
+
+def _drop_idle(settings: EncodeSettings, m: Manifest, unsure: float) -> Repair | None:
+    """Do without levels that have no rung on the ladder, even if each showed IDLE_DB more, or more by its doubt."""
+    if math.isnan(unsure):
+        return None
+    more = max(IDLE_DB, doubt_db(unsure))
+    rungs = list(itertools.product(range(len(m.qualities)), range(len(m.levels))))
+    known = [(m.bytes_of(m.rung_files(q, j)), _psnr(m, j, q)) for q, j in rungs]
+    idle = []
+    for level in range(1, len(m.levels)):
+        raised = [(size, shown + more * (j == level)) for (size, shown), (_, j) in zip(known, rungs, strict=True)]
+        if not any(best for best, (_, j) in zip(on_ladder(raised), rungs, strict=True) if j == level):
+            idle.append(level)
+    names = ", ".join(f"L{j}" for j in idle)
+    story = f"{names} dropped: mixtures of other rungs show {more:.1f} dB more for as many bytes"
+    return Repair(_without(settings, idle), story) if idle else None
 
 
 def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, int]:
@@ -134,8 +157,8 @@ def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, in
     return found
 
 
-def _rung_psnr(m: Manifest, level: int) -> float:
-    pooled = pooled_quality(m, level, m.levels[level].quality)
+def _psnr(m: Manifest, level: int, quality: int) -> float:
+    pooled = pooled_quality(m, level, quality)
     assert pooled is not None
     return pooled.psnr
 

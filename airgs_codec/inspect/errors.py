@@ -102,8 +102,9 @@ def _nearest(
     originals: NDArray[np.float64], found: NDArray[np.float64], promised: NDArray[np.float64]
 ) -> NDArray[np.intp]:
     """(n,) original of each row found, (n, 19 F): of the NEAREST the first within what is promised, (n, 19)."""
+    frames = originals.shape[1] // sum(FEATURES)
     _, near = cKDTree(originals).query(found, range(1, 1 + min(NEAREST, len(originals))), workers=-1)
-    errors = [np.abs(found - originals[rows]).reshape(len(found), -1, sum(FEATURES)) for rows in near.T]
+    errors = [np.abs(found - originals[rows]).reshape(len(found), frames, sum(FEATURES)) for rows in near.T]
     kept = np.stack([(error <= promised[:, None]).all((1, 2)) for error in errors], axis=1)
     return np.asarray(np.take_along_axis(near, kept.argmax(1)[:, None], axis=1)[:, 0])
 

@@ -82,6 +82,18 @@ def test_a_rung_that_a_cheaper_one_beats_is_dropped_with_its_key_quality(attempt
     assert word in repair.story
 
 
+def test_a_level_that_only_mixtures_beat_is_dropped_where_that_is_beyond_doubt(attempt, encoded):
+    """L1 shows hardly more than L2: a part of L0 with the rest of L2 shows more for its bytes."""
+    m = measured(encoded, [44.0, 24.2, 24.0])
+    repair = find_repair(attempt, encoded, m, unsure=0.01)
+    assert repair.settings.levels == (LEVELS[0], replace(LEVELS[2], quality=1)) and "mixtures" in repair.story
+    assert repair.settings.key_factors == (1.0, 4.0)
+    assert find_repair(attempt, encoded, m) is None  # one picture tells nothing of its doubt
+    assert find_repair(attempt, encoded, m, unsure=1e9) is None
+    assert find_repair(attempt, encoded, measured(encoded, [44.0, 40.0, 36.0]), unsure=0.01) is None
+    assert find_repair(replace(attempt, given=True), encoded, m, unsure=0.01) is None
+
+
 def test_levels_that_were_asked_for_stay(attempt, encoded):
     assert find_repair(replace(attempt, given=True), encoded, measured(encoded, [30.0, 36.0, 36.0])) is None
 
@@ -166,8 +178,8 @@ def test_what_was_withheld_is_taken_back_until_a_promise_is_kept(attempt):
 
 def test_a_package_that_was_repaired_says_so_and_is_whole(attempt, tmp_path, monkeypatch):
     """The default levels of a scene, whose third one is told to show as little as the fourth."""
-    honest = verify._rung_psnr
-    monkeypatch.setattr(verify, "_rung_psnr", lambda m, j: honest(m, j) if len(m.levels) < 4 or j != 2 else 1.0)
+    honest = verify._psnr
+    monkeypatch.setattr(verify, "_psnr", lambda m, j, q: honest(m, j, q) if len(m.levels) < 4 or j != 2 else 1.0)
     settings = replace(SETTINGS, levels=EncodeSettings().levels, tiers=EncodeSettings().tiers, key_factors=(1.0, 3.0))
     m = encode(attempt.original.sequence, tmp_path / "out", settings).manifest
     assert len(m.levels) == 3 and [v.pruned for v in m.levels] == [0.0, 0.3, 0.6]

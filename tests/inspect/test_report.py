@@ -9,7 +9,8 @@ import pytest
 
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.publish import EncodeReport, doubt_db, doubt_words
+from airgs_codec.encoder.measure import doubt_db
+from airgs_codec.encoder.publish import EncodeReport, doubt_words
 from airgs_codec.encoder.search import DELTA_E, PSNR, Goal
 from airgs_codec.inspect.report import advice, bought, holds_back, write_report
 from airgs_codec.inspect.summary import RungSummary
