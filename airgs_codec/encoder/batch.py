@@ -7,10 +7,11 @@ is coded by itself, or becomes the one that later groups may differ from.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.importance import ExpectedError, WrittenRows
@@ -21,7 +22,6 @@ from airgs_codec.encoder.pipeline import (
     CALIBRATION,
     DIFFERENCE,
     KEY,
-    MORE,
     NOTHING,
     POSTER,
     QUALITY,
@@ -33,6 +33,7 @@ from airgs_codec.encoder.pipeline import (
     PreparedSequence,
     Read,
     made_by,
+    with_rows_of_others,
 )
 from airgs_codec.encoder.plan import split_segments
 from airgs_codec.encoder.representation import Clock
@@ -50,8 +51,6 @@ from airgs_codec.package.tables import Group, file_entry
 from airgs_codec.places.place import Memory
 from airgs_codec.places.results import user_cache
 from airgs_codec.progress import Progress, name_of
-
-AHEAD = 16  # groups, itself among them, whose rows a group has as well so that they may differ from it
 
 # Seconds that a job takes and more for each frame of its group, of scenes of ten thousand Gaussians: only their ratios
 # matter, which tell how much of the whole is done. Others take next to nothing.
@@ -109,6 +108,7 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
         return Calibrated(prepared, settings, None, (), False)
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
+    work.run([prepared.job(SURVEY, subject)])
     once = replace(settings, quality=1.0, tiles=1, threads=available_cores())  # what is found holds for all of them
     calibrating = prepared.job(CALIBRATION, subject, once)
     choosing = prepared.job(BANDS, subject, settings, {"calibration": made_by(calibrating)})
@@ -250,21 +250,23 @@ class _Keys:
     def _alone(self, groups: range) -> Job:
         """The key of the first of some groups by itself, with the rows that those need which may differ from it."""
         prepared, result, first = self._prepared, self._work.result, groups[0]
-        count, breaks = prepared.sequence.count(prepared.spans[first].start), prepared.sequence.breaks
+        sequence, start = prepared.sequence, prepared.spans[first].start
         written: WrittenRows = result(prepared.job(ROWS, first, self._settings))
-        rows, surveys = written.rows, list[Job]()
-        for g in groups[:AHEAD]:
-            start = prepared.spans[g].start
-            union = np.union1d(rows, result(prepared.job(ROWS, g, self._settings)).rows)
-            parted = any(prepared.spans[first].start < at <= start for at in breaks)
-            if parted or prepared.sequence.count(start) != count or len(union) > (1 + MORE) * len(written.rows):
-                break
-            rows, surveys = union, [*surveys, prepared.job(SURVEY, g)]
-        if len(surveys) == 1:
+
+        def needed() -> Iterator[NDArray[np.intp]]:
+            yield written.rows
+            for g in groups[1:]:
+                there = prepared.spans[g].start
+                if sequence.count(there) != sequence.count(start) or any(start < at <= there for at in sequence.breaks):
+                    return
+                yield result(prepared.job(ROWS, g, self._settings)).rows
+
+        rows, together = with_rows_of_others(needed())
+        if together == 1:
             return prepared.job(KEY, first, self._settings)
-        names = [job.entry for job in surveys]
+        surveys = [prepared.job(SURVEY, g) for g in groups[:together]]
         given = {
-            "survey": Read(join_surveys([result(job) for job in surveys]), names),
+            "survey": Read(join_surveys([result(job) for job in surveys]), [job.entry for job in surveys]),
             "written": Read(replace(written, rows=rows), digest(rows)),
         }
         return prepared.job(KEY, first, self._settings, given)

@@ -11,10 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
+from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import (
+    AHEAD,
     DIFFERENCE,
     KEY,
     QUALITY,
@@ -24,11 +26,12 @@ from airgs_codec.encoder.pipeline import (
     CodedKey,
     GroupFiles,
     PreparedSequence,
+    with_rows_of_others,
 )
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
 from airgs_codec.encoder.publish import finish
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views
+from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, join_surveys, plan_views
 from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import Manifest
@@ -63,6 +66,7 @@ class _Publisher:
     sh_degree: int  # bands above it are not worth their bytes
     rounds: Rounds  # of pictures that measure a segment
     bases: list[tuple[CodedKey, GroupFiles]]  # one: the next group may differ from it
+    seen: list[tuple[Survey, WrittenRows]]  # of the groups so far, the newest first
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
         """Encode, measure and publish one more group, by the steps of `pipeline` one after the other."""
@@ -77,14 +81,34 @@ class _Publisher:
         }
         SURVEY.do(known)
         ROWS.do(known)
-        difference = DIFFERENCE.do(known) if self.settings.keys == KEPT else None
-        known["coded"] = difference or KEY.do(known)
+        difference = None
+        if self.settings.keys == KEPT:
+            difference = DIFFERENCE.do(known)
+            self._remember(known)
+        known["coded"] = difference or self._alone(known)
         group = STATES.do(known)
         if difference is None:
             self.bases[:] = [(known["coded"], group)]
         for path, data in group.files.items():
             write_file(self.package.files, path, data)
         self.package.add(self._measured(sequence, known, base_files if difference else None))
+
+    def _remember(self, known: dict[str, Any]) -> None:
+        """Put what a group needs before that of the others, of which those go whose rows are not its own."""
+        survey: Survey = known["survey"]
+        sequence, start = known["sequence"], survey.span.start
+        kept = [of for of in self.seen if sequence.count(of[0].span.start) == sequence.count(start)]
+        self.seen[:] = [(survey, known["written"]), *([] if start in sequence.breaks else kept)][:AHEAD]
+
+    def _alone(self, known: dict[str, Any]) -> CodedKey:
+        """The key of a group by itself, with rows that groups before it needed: those to come may need them, too."""
+        if self.settings.keys == KEPT:
+            rows, together = with_rows_of_others([written.rows for _, written in self.seen])
+            known["survey"] = join_surveys([survey for survey, _ in self.seen[:together]])
+            known["written"] = replace(known["written"], rows=rows)
+        key = KEY.do(known)
+        assert isinstance(key, CodedKey)
+        return key
 
     def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
         """The table of a group whose files are known, with its quality where that is measured."""
@@ -187,10 +211,13 @@ def _begin(
         manifest = replace(verified.manifest, live=True, decisions=decisions)
         finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
         base = verified.encoded.base_key(), verified.encoded.group(0)
+        needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, verified.settings))
+        survey, written = (work.result(job) for job in needed)
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(place, manifest, available)
     sh_degree = found.prepared.sequence.sh_degree
-    return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base])
+    first = [(survey, written)]
+    return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base], first)
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -45,6 +45,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 WORTH = 0.25  # share of a key's bytes that coding it as a difference must save
 MORE = 0.25  # share of its rows that a group may have more than it needs, for those that differ from it
+AHEAD = 16  # groups, itself among them, whose rows a group has as well so that they may differ from it
 POSTER_SIDE = 640  # pixels of the longer side
 POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
@@ -80,6 +81,21 @@ def choose_bands(
 def choose_rows(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> WrittenRows:
     """Give the rows that pictures of a group need. Raises SceneError."""
     return keep_rows(_load(sequence, survey).frames, survey, settings)
+
+
+def with_rows_of_others(needed: Iterable[NDArray[np.intp]]) -> tuple[NDArray[np.intp], int]:
+    """Give the rows of a key for several groups, and how many groups: those that the first needs, and the next ones.
+
+    As long as they are AHEAD groups at most, and their rows at most MORE than the first needs.
+    """
+    own, *others = itertools.islice(needed, AHEAD)
+    rows = own
+    for count, some in enumerate(others, 1):
+        union = np.union1d(rows, some)
+        if len(union) > (1 + MORE) * len(own):
+            return rows, count
+        rows = union
+    return rows, 1 + len(others)
 
 
 def _load(sequence: GaussianSequence, survey: Survey) -> Repaired:

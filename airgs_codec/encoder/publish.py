@@ -12,7 +12,7 @@ from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
 from airgs_codec.encoder.measure import Rounds, doubt_db
-from airgs_codec.encoder.pipeline import SURVEY, GroupFiles
+from airgs_codec.encoder.pipeline import GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
@@ -231,7 +231,6 @@ def _encode_rows(
         original = prepare(ordered, settings, work, beside.attribution, tracked.views)
         whole = EncodeProgress(work.progress, original, settings)
         work = replace(work, progress=whole)
-        work.run([original.job(SURVEY, group) for group in original.windows[0]])
         if goal and goal.metric == DELTA_E:
             settings = weigh_colours(settings, original)
         survey_s = watch.lap()

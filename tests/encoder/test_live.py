@@ -90,6 +90,28 @@ def test_keys_are_differences_where_the_base_has_what_they_need(tmp_path):
     assert validate(tmp_path / "grown") == []
 
 
+def test_a_base_has_rows_that_groups_before_it_needed(tmp_path):
+    """Ten rows are seen in every other group, ten others in the rest: the second base has both."""
+    frames = []
+    for t, g in enumerate(12 * FRAMES[:1]):
+        logits = g.opacity_logits.copy()
+        logits[:20] = 4.0
+        logits[slice(10, 20) if t // 3 % 2 else slice(10)] = -20.0
+        frames.append(replace(g, opacity_logits=logits))
+    scene = write_sequence(tmp_path / "scene", frames)
+    list(follow(GrowingFolder(scene), tmp_path / "grown", SETTINGS, more=lambda count: False))
+    assert [group.keeps for group in open_package(tmp_path / "grown").manifest.groups] == [None, None, 2, 2]
+    assert validate(tmp_path / "grown") == []
+
+
+def test_the_first_group_is_calibrated(tmp_path):
+    scene = write_sequence(tmp_path / "scene", FRAMES)
+    settings = replace(SETTINGS, calibrate="steps", decide_pictures=2)
+    list(follow(GrowingFolder(scene), tmp_path / "grown", settings, more=lambda count: False))
+    assert open_package(tmp_path / "grown").manifest.groups[2].state_steps != settings.steps.state
+    assert validate(tmp_path / "grown") == []
+
+
 def test_an_error_leaves_the_groups_that_were_whole_and_closes_the_package(tmp_path):
     scene = write_sequence(tmp_path / "scene", FRAMES[:4])
     (scene / "999.ply").write_bytes(b"ply\n")

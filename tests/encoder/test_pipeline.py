@@ -1,6 +1,7 @@
 """The steps of encoding are declared once, and frames are read once where memory holds them."""
 
 import inspect
+import itertools
 import pickle
 from collections import Counter
 from dataclasses import replace
@@ -10,7 +11,7 @@ import pytest
 
 from airgs_codec.analysis.rows import LOOKED_FRAMES
 from airgs_codec.encoder import measure, prepare
-from airgs_codec.encoder.pipeline import KEY, STEPS, SURVEY, Step
+from airgs_codec.encoder.pipeline import AHEAD, KEY, STEPS, SURVEY, Step, with_rows_of_others
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import ViewPlan
@@ -112,3 +113,12 @@ def test_a_step_that_is_taken_at_once_makes_its_value_known():
     known = {"a": 2, "b": 5}
     step = Step("sum", lambda a, b: a + b, ("a", "b"), "c")
     assert step.do(known) == 7 and known["c"] == 7
+
+
+def test_a_key_has_rows_of_other_groups_up_to_a_quarter_more_and_of_so_many_groups():
+    own, few, many = np.arange(8), np.array([7, 8]), np.array([8, 9, 10])
+    rows, groups = with_rows_of_others([own, few, own, np.array([9]), many, few])
+    assert rows.tolist() == [*range(10)] and groups == 4
+    rows, groups = with_rows_of_others([own, many, few])
+    assert rows.tolist() == own.tolist() and groups == 1
+    assert with_rows_of_others(itertools.repeat(own))[1] == AHEAD
