@@ -109,6 +109,9 @@ MEASUREMENTS = (
         "rivals", "baselines",
         "rivals fox/=fox/transforms.json head10/=head_views.json spinach10/=spinach_views.json",
     ),
+    Measurement(
+        "omissions", "size", "omissions fox/=fox/transforms.json head/ spinach10/=spinach_views.json"
+    ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
     Measurement("tracked-fox", "size", "tracked fox_alone/ fox/transforms.json --fps 24 --frames 24 --as-it-is"),
