@@ -114,7 +114,7 @@ MEASUREMENTS = (
     ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),
-    Measurement("tracked-fox", "size", "tracked fox_alone/ fox/transforms.json --fps 24 --frames 24 --as-it-is"),
+    Measurement("tracked-fox", "size", "tracked fox_alone/ fox_alone/transforms.json --fps 24 --frames 24 --as-it-is"),
     Measurement(
         "paper", "paper",
         "reproduce --scenes fox=fox_views/,held=cam01+cam05+cam09+cam13 head=head_views/ spinach=spinach_views/ "
