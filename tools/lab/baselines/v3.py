@@ -115,7 +115,7 @@ class V3Settings:
     temporal: float = 1e-3  # weight of the temporal loss
     entropy: float = 1e-4  # weight of the residual entropy loss
     qp: int = 14  # of the attribute videos
-    preset: str = "medium"  # of x264
+    preset: str = "veryslow"  # of x264: as much effort as airgs has
     form: str = V3_FORMS[0]  # in which the videos, and the losses, have scales and opacities
     seed: int = 0
 
