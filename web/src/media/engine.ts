@@ -127,7 +127,8 @@ export class Engine {
     const read = await this.#gather([where], signal);
     const file = { ...of, segment: index, level, positions, bytes: read(where), where };
     const give = (t: number, frame: StateFrame) => {
-      this.#ahead.give(id, index, t, frame.luma.length + frame.means.byteLength);
+      const { luma, means, bases } = frame;
+      this.#ahead.give(id, index, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
       emit({ t, frame });
     };
     const options = { signal, room: () => this.#ahead.room(id, signal) };

@@ -109,7 +109,7 @@ export async function decodeStates(
   if (line) await decoder.decode({ ...unit, ...line, frames: 1, where }, rise, options);
   const show = (t: number, luma: Uint8Array) => {
     const time = line ? (2 * t) / (frames - 1) - 1 : 0;
-    const changes = bases.next(t, (t === 0 && slopes?.slice()) || null); // the page gets them, others stay here
+    const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
     const means = movedMeans(positions, carried, bases, steps, { luma, slopes, time });
     take(t, { luma, bases: changes, time, means });
   };

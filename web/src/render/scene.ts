@@ -117,9 +117,8 @@ export class Scene {
   state(atlas: Atlas, luma: Uint8Array | null, time = 0): void {
     if (this.#gone) return;
     const view = this.#coming;
-    if (luma && !view) throw new RenderError("a state: expected a level before it, got none");
     if (luma && view?.atlas !== atlas) {
-      throw new RenderError(`a state: expected the atlas of level ${view?.level}, got another`);
+      throw new RenderError(`a state: expected ${view ? `level ${view.level}` : "none"}, got another`);
     }
     this.projectedFor = null;
     this.moving = luma !== null;
