@@ -12,11 +12,11 @@ from typing import Any
 
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
 from airgs_codec.analysis.importance import WrittenRows
+from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.batch import calibrate_sequence
 from airgs_codec.encoder.measure import Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import (
-    AHEAD,
     DIFFERENCE,
     KEY,
     QUALITY,
@@ -66,7 +66,7 @@ class _Publisher:
     sh_degree: int  # bands above it are not worth their bytes
     rounds: Rounds  # of pictures that measure a segment
     bases: list[tuple[CodedKey, GroupFiles]]  # one: the next group may differ from it
-    seen: list[tuple[Survey, WrittenRows]]  # of the groups so far, the newest first
+    seen: list[tuple[Survey, WrittenRows]]  # of groups whose rows a next key by itself might have, the newest first
 
     def publish(self, sequence: GaussianSequence, start: int, stop: int) -> None:
         """Encode, measure and publish one more group, by the steps of `pipeline` one after the other."""
@@ -84,8 +84,9 @@ class _Publisher:
         difference = None
         if self.settings.keys == KEPT:
             difference = DIFFERENCE.do(known)
-            self._remember(known)
-        known["coded"] = difference or self._alone(known)
+            shared = self._share(known)
+            known |= {} if difference else shared
+        known["coded"] = difference or KEY.do(known)
         group = STATES.do(known)
         if difference is None:
             self.bases[:] = [(known["coded"], group)]
@@ -93,22 +94,23 @@ class _Publisher:
             write_file(self.package.files, path, data)
         self.package.add(self._measured(sequence, known, base_files if difference else None))
 
-    def _remember(self, known: dict[str, Any]) -> None:
-        """Put what a group needs before that of the others, of which those go whose rows are not its own."""
-        survey: Survey = known["survey"]
-        sequence, start = known["sequence"], survey.span.start
-        kept = [of for of in self.seen if sequence.count(of[0].span.start) == sequence.count(start)]
-        self.seen[:] = [(survey, known["written"]), *([] if start in sequence.breaks else kept)][:AHEAD]
+    def _share(self, known: dict[str, Any]) -> dict[str, Any]:
+        """What the key of a group by itself is made of, with rows that groups before it needed: others may need them.
 
-    def _alone(self, known: dict[str, Any]) -> CodedKey:
-        """The key of a group by itself, with rows that groups before it needed: those to come may need them, too."""
-        if self.settings.keys == KEPT:
-            rows, together = with_rows_of_others([written.rows for _, written in self.seen])
-            known["survey"] = join_surveys([survey for survey, _ in self.seen[:together]])
-            known["written"] = replace(known["written"], rows=rows)
-        key = KEY.do(known)
-        assert isinstance(key, CodedKey)
-        return key
+        Only groups count whose frames have their rows as they come, in one order. Others are forgotten, and those whose
+        rows would be too many.
+        """
+        survey, written, sequence = known["survey"], known["written"], known["sequence"]
+        start, frames = survey.span.start, range(survey.span.start, survey.span.stop)
+        if any(frame in sequence.orders for frame in frames):
+            self.seen.clear()
+            return {}
+        if self.seen and not _in_order(sequence, start):
+            self.seen.clear()
+        self.seen.insert(0, (survey, written))
+        rows, together = with_rows_of_others(some.rows for _, some in self.seen)
+        del self.seen[together:]
+        return {"survey": join_surveys([one for one, _ in self.seen]), "written": replace(written, rows=rows)}
 
     def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
         """The table of a group whose files are known, with its quality where that is measured."""
@@ -180,6 +182,12 @@ def _whole_groups(
     folder.check_finished()
 
 
+def _in_order(sequence: GaussianSequence, frame: int) -> bool:
+    """Whether the rows of a frame are those of the one before it, as their files have them."""
+    before, here = (sequence.read(number) for number in (frame - 1, frame))
+    return len(before) == len(here) and compare_order(before, here)[0] == IN_ORDER
+
+
 def _parts(rows: Restored, first: int, last: int) -> list[tuple[int, int]]:
     """Groups [start, stop) of frames [first, last), which were to be one, where some rows could not be matched."""
     starts = [first, *(frame for frame in rows.sequence.breaks if first < frame < last)]
@@ -212,11 +220,11 @@ def _begin(
         finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
         base = verified.encoded.base_key(), verified.encoded.group(0)
         needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, verified.settings))
-        survey, written = (work.result(job) for job in needed)
+        shared = verified.settings.keys == KEPT and not any(frame in sequence.orders for frame in range(stop))
+        first = [tuple(work.result(job) for job in needed)] if shared else []
     turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(place, manifest, available)
     sh_degree = found.prepared.sequence.sh_degree
-    first = [(survey, written)]
     return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base], first)
 
 

@@ -45,7 +45,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 WORTH = 0.25  # share of a key's bytes that coding it as a difference must save
 MORE = 0.25  # share of its rows that a group may have more than it needs, for those that differ from it
-AHEAD = 16  # groups, itself among them, whose rows a group has as well so that they may differ from it
+AHEAD = 16  # groups, itself among them, whose rows a group has so that others may differ from it
 POSTER_SIDE = 640  # pixels of the longer side
 POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
@@ -88,14 +88,15 @@ def with_rows_of_others(needed: Iterable[NDArray[np.intp]]) -> tuple[NDArray[np.
 
     As long as they are AHEAD groups at most, and their rows at most MORE than the first needs.
     """
-    own, *others = itertools.islice(needed, AHEAD)
-    rows = own
-    for count, some in enumerate(others, 1):
+    groups = itertools.islice(needed, AHEAD)
+    rows, count = next(groups), 1
+    most = (1 + MORE) * len(rows)
+    for some in groups:
         union = np.union1d(rows, some)
-        if len(union) > (1 + MORE) * len(own):
-            return rows, count
-        rows = union
-    return rows, 1 + len(others)
+        if len(union) > most:
+            break
+        rows, count = union, count + 1
+    return rows, count
 
 
 def _load(sequence: GaussianSequence, survey: Survey) -> Repaired:

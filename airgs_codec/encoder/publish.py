@@ -61,7 +61,7 @@ class EncodeReport:
     manifest_bytes: int  # all tables and manifest.mpd together
     rows: Restored  # which frames were put into order
     rows_s: float
-    survey_s: float  # views, lengths of groups and what pictures show
+    survey_s: float  # views and lengths of groups
     calibrate_s: float
     search_s: float  # for a goal
     encode_s: float

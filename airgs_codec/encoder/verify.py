@@ -131,20 +131,28 @@ def _drop(settings: EncodeSettings, better: Mapping[int, int], quality: Sequence
 
 
 def _drop_idle(settings: EncodeSettings, m: Manifest, unsure: float) -> Repair | None:
-    """Do without levels that have no rung on the ladder, even if each showed IDLE_DB more, or more by its doubt."""
+    """Do without levels that would have no rung on the ladder if all of them showed more: IDLE_DB, or the top's doubt.
+
+    Nor on that of rungs in their own key quality alone, which more pictures measure. A level stays with which a key
+    quality would go that is on the ladder.
+    """
     if math.isnan(unsure):
         return None
     more = max(IDLE_DB, doubt_db(unsure))
     rungs = list(itertools.product(range(len(m.qualities)), range(len(m.levels))))
-    known = [(m.bytes_of(m.rung_files(q, j)), _psnr(m, j, q)) for q, j in rungs]
-    idle = []
-    for level in range(1, len(m.levels)):
-        raised = [(size, shown + more * (j == level)) for (size, shown), (_, j) in zip(known, rungs, strict=True)]
-        if not any(best for best, (_, j) in zip(on_ladder(raised), rungs, strict=True) if j == level):
-            idle.append(level)
-    names = ", ".join(f"L{j}" for j in idle)
+    own = [(level.quality, j) for j, level in enumerate(m.levels)]
+    known = {(q, j): (m.bytes_of(m.rung_files(q, j)), _psnr(m, j, q)) for q, j in rungs}
+
+    def best(some: Sequence[tuple[int, int]], raised: int | None = None) -> set[tuple[int, int]]:
+        shown = [(known[q, j][0], known[q, j][1] + more * (j == raised)) for q, j in some]
+        return {rung for rung, there in zip(some, on_ladder(shown), strict=True) if there}
+
+    idle = {j for j in range(1, len(own)) if not any(rung[1] == j for some in (rungs, own) for rung in best(some, j))}
+    needed = {q for q, _ in best(rungs)} - {q for q, j in own if j not in idle}
+    idle -= {j for q, j in own if q in needed}
+    names = ", ".join(f"L{j}" for j in sorted(idle))
     story = f"{names} dropped: mixtures of other rungs show {more:.1f} dB more for as many bytes"
-    return Repair(_without(settings, idle), story) if idle else None
+    return Repair(_without(settings, sorted(idle)), story) if idle else None
 
 
 def _find_better(quality: Sequence[float], sizes: Sequence[int]) -> dict[int, int]:

@@ -40,7 +40,7 @@ class Measured:
     bound: float  # `max_error` of the atlas
     error: float
     rows: int  # compared
-    ambiguous: int  # rows left out: more of them than there are such originals have the same nearest original
+    ambiguous: int  # rows left out: more of them than there are such originals are matched with one
 
 
 def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
@@ -102,24 +102,30 @@ def _nearest(
     originals: NDArray[np.float64], found: NDArray[np.float64], promised: NDArray[np.float64]
 ) -> NDArray[np.intp]:
     """(n,) original of each row found, (n, 19 F): of the NEAREST the first within what is promised, (n, 19)."""
-    frames = originals.shape[1] // sum(FEATURES)
     _, near = cKDTree(originals).query(found, range(1, 1 + min(NEAREST, len(originals))), workers=-1)
-    errors = [np.abs(found - originals[rows]).reshape(len(found), frames, sum(FEATURES)) for rows in near.T]
-    kept = np.stack([(error <= promised[:, None]).all((1, 2)) for error in errors], axis=1)
+    allowed = np.tile(promised, originals.shape[1] // promised.shape[1])
+    kept = np.stack([(np.abs(found - originals[rows]) <= allowed).all(1) for rows in near.T], axis=1)
     return np.asarray(np.take_along_axis(near, kept.argmax(1)[:, None], axis=1)[:, 0])
 
 
 def _promised(group: Group, base: Canonical, tiers: int) -> NDArray[np.float64]:
-    """(N, 19) steps that each feature may err by: of rows with states in the top level, of others in their key."""
-    steps = [*(getattr(group.state_steps, run.attribute) for run in STATE.runs), 1.0]
+    """(N, 19) what each feature may err by: of rows with states in the top level, of others in their key.
+
+    Colours have it from all C channels; a key that is no difference promises nothing of means.
+    """
+    steps, still = group.state_steps, base.depths == STATIC
     rows, first = [], 0
     for k, unit in enumerate(group.units):
-        still = base.depths[first : first + unit.count] == STATIC
-        first += unit.count
+        part = slice(first, first := first + unit.count)
         level, key = group.tiles[k // tiers].levels[0].max_error, unit.qualities[0].max_error
-        key = [np.inf] * (len(level) - len(key)) + key  # a key that is no difference promises nothing of means
-        rows.append(np.where(still[:, None], key, level))
-    return np.repeat(np.concatenate(rows) / steps, FEATURES, axis=1)
+        key = [np.inf] * (len(level) - len(key)) + key
+        rows.append(np.where(still[part, None], key, level))
+    units = [*(getattr(steps, run.attribute) for run in STATE.runs), 1.0]
+    promised = np.repeat(np.concatenate(rows) / units, FEATURES, axis=1)
+    promised[:, :3] *= (base.motion_units / np.median(base.motion_units))[:, None]
+    promised[:, -3:] *= np.abs(base.transform)[:, :3].sum(axis=0)
+    promised[still, -3:] *= group.key_steps.sh_dc / steps.sh_dc
+    return promised
 
 
 def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np.float64]:

@@ -10,11 +10,12 @@ from airgs_codec.encoder import live as module
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
+from airgs_codec.encoder.survey import join_surveys
 from airgs_codec.errors import SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GrowingFolder, open_sequence
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
@@ -102,6 +103,17 @@ def test_a_base_has_rows_that_groups_before_it_needed(tmp_path):
     list(follow(GrowingFolder(scene), tmp_path / "grown", SETTINGS, more=lambda count: False))
     assert [group.keeps for group in open_package(tmp_path / "grown").manifest.groups] == [None, None, 2, 2]
     assert validate(tmp_path / "grown") == []
+
+
+def test_groups_with_other_rows_share_no_key(tmp_path, monkeypatch):
+    """The second group has a row more after its first frame, the third is another scene, and the fourth goes on."""
+    shared = []
+    monkeypatch.setattr(module, "join_surveys", lambda surveys: shared.append(len(surveys)) or join_surveys(surveys))
+    more, others = join_rows([FRAMES[1], random_gaussians(5, seed=3)]), 6 * [random_gaussians(150, seed=5)]
+    scene = write_sequence(tmp_path / "scene", [*FRAMES[:4], more, FRAMES[2], *others])
+    list(follow(GrowingFolder(scene), tmp_path / "grown", SETTINGS, more=lambda count: False))
+    assert [group.keeps for group in open_package(tmp_path / "grown").manifest.groups] == [None, None, None, 3]
+    assert shared == [1, 2] and validate(tmp_path / "grown") == []
 
 
 def test_the_first_group_is_calibrated(tmp_path):

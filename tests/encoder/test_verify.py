@@ -94,6 +94,17 @@ def test_a_level_that_only_mixtures_beat_is_dropped_where_that_is_beyond_doubt(a
     assert find_repair(replace(attempt, given=True), encoded, m, unsure=0.01) is None
 
 
+def test_a_level_stays_whose_key_quality_the_ladder_needs(attempt, encoded):
+    """With the coarsest states, the keys of L1 are the best between the others; its own rung is not."""
+    m = measured(encoded, [44.0, 24.2, 24.0])
+    segments = []
+    for segment in m.segments:
+        coarsest = replace(segment.levels[2], psnr=[24.0, 43.0, 23.0])
+        segments.append(replace(segment, levels=[*segment.levels[:2], coarsest]))
+    assert find_repair(attempt, encoded, m, unsure=0.01) is not None
+    assert find_repair(attempt, encoded, with_segments(m, segments), unsure=0.01) is None
+
+
 def test_levels_that_were_asked_for_stay(attempt, encoded):
     assert find_repair(replace(attempt, given=True), encoded, measured(encoded, [30.0, 36.0, 36.0])) is None
 

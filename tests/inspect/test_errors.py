@@ -10,6 +10,7 @@ from airgs_codec.decoder.decode import decode_canonical
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, read_levels
 from airgs_codec.errors import ConfigError
+from airgs_codec.inspect import errors
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.validate import exceeded, validate
 from airgs_codec.package.layout import KEY, STATE
@@ -41,8 +42,8 @@ def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(demo_package):
 
 def test_coarser_levels_promise_less(demo_package):
     for group in open_package(demo_package).manifest.groups:
-        errors = np.array([atlas.max_error for atlas in group.tiles[0].levels])
-        assert (errors[-1] >= errors[0]).all() and (errors[-1] > errors[0]).any()
+        bounds = np.array([atlas.max_error for atlas in group.tiles[0].levels])
+        assert (bounds[-1] >= bounds[0]).all() and (bounds[-1] > bounds[0]).any()
 
 
 def test_a_lie_is_found(demo_copy, capsys):
@@ -86,3 +87,25 @@ def test_promises_hold_of_rows_whose_axes_have_other_names(tmp_path):
     assert all(e.error <= e.bound for e in measured)
     base = decode_canonical(open_package(tmp_path / "package"), 0, 0)
     assert np.linalg.norm(to_rotation_vector(base.quaternions), axis=1).max() < np.radians(70)  # 62.8, and a step
+
+
+def test_the_nearest_original_that_keeps_the_promise_is_taken_or_the_nearest():
+    """One row is off by a little in all, and by too much in one; the other is further away, and within the promise."""
+    originals, promised = np.zeros((3, 19)), np.full((2, 19), 0.5)
+    originals[0, 0], originals[1, :], originals[2, :] = 0.6, 0.4, 9.0
+    found = np.zeros((2, 19))
+    assert errors._nearest(originals, found, promised).tolist() == [1, 1]
+    promised[1, 18] = 0.1
+    assert errors._nearest(originals, found, promised).tolist() == [1, 0]
+
+
+def test_promises_are_in_the_units_of_what_is_compared(demo_package):
+    """Means of a row with twice the motion unit may err by twice as much."""
+    package = open_package(demo_package)
+    base, group = decode_canonical(package, 0, 0), package.manifest.groups[0]
+    promised = errors._promised(group, base, package.manifest.tiers)
+    moving = base.depths != STATIC
+    ratio = base.motion_units / np.median(base.motion_units)
+    bound = group.tiles[0].levels[0].max_error[0] / group.state_steps.means
+    np.testing.assert_allclose(promised[moving, 0], bound * ratio[moving], rtol=1e-6)
+    assert moving.any() and len(np.unique(ratio[moving])) > 1
