@@ -73,6 +73,7 @@ def draw_times(rows: Rows, figure: Figure) -> None:
             axis.plot(times, range(len(times)), style, color=COLOURS.get(row["method"]), label=name)
         axis.set_xscale("log")
         plain_log_ticks(axis.xaxis)
+        axis.set_xticks([1, 100, 10_000])
         axis.set(xlabel="transmission of a frame, ms", ylabel="share of frames, %")
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
 
