@@ -125,6 +125,7 @@ MEASUREMENTS = (
         "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
         "--traces raca2018_4g_car/ --jobs 1",
     ),
+    Measurement("dense", "paper", "dense fox.airgs/ --against fox/ --views fox/transforms.json"),
     Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
     Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
     Measurement(
