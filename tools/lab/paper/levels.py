@@ -88,10 +88,12 @@ def page(levels: Sequence[DenseLevel], frames: int) -> Page:
     picture = Picture("dense", "Quality by pruned share and by bytes of the state", draw, (12, 4.8))
     return Page(
         [
-            Section("", "What does pruning updates cost?", [picture], [pruned]),
-            Section(" ".join(answers), "Which levels does Algorithm 1 keep?", tables=[Table("ladders", rows, LADDERS)]),
+            Section(
+                " ".join(answers), "What does pruning updates cost, and which levels does Algorithm 1 keep?", [picture]
+            )
         ],
         "PSNR is that of the squared error pooled over views and frames.",
+        data=[pruned, Table("ladders", rows, LADDERS)],
         more={"levels": [_plain(level) for level in levels]},
     )
 
