@@ -179,7 +179,4 @@ FIGURES = (
     *_of("docs/tracking.md", "airgs-encode noisy/ -o OUT --report OUT",
          "docs/tracking.png"),
     *_of("docs/results/training.md", "airgs-train fox/ -o OUT --report OUT", "docs/results/training.png"),
-    *_of("docs/results/paper.md", "python -m tools.lab reproduce -o OUT",
-         *(f"docs/results/paper-{name}" for name in
-           ("quality.png", "ablations.png", "methods.csv", "streams.csv", "ablations.csv"))),
 )  # fmt: skip
