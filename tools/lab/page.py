@@ -108,8 +108,7 @@ class Made:
 
     def said(self) -> str:
         """How it came about, in a line."""
-        code = f"commit {self.commit}, format {self.format}"
-        return f"Measured {self.date} in {self.seconds:,.0f} s, {code} ({self.machine})."
+        return f"Measured {self.date} in {self.seconds:,.0f} s, commit {self.commit}, format {self.format}."
 
 
 def rows_of(values: Iterable[Any]) -> list[Row]:

@@ -51,7 +51,8 @@ def test_dense_levels_fall_and_bytes_are_those_of_the_package(moving, cameras, t
     kept, left = split_at_cliff(pruning_levels(levels_of_all, "hits", HOLD))
     assert kept[0].pruning.pruned == 0 and len(kept) + len(left) == 10
     made = page(levels_of_all, m.frames)
-    assert "100 %" in text_of(made) and "last level before the cliff saves" in text_of(made)
+    assert "last level before the cliff saves" in text_of(made)
+    assert {row["pruned"] for row in made.tables()[0].rows} >= {0.0, 1.0}
     write_picture(made.sections[0].pictures[0], tmp_path / "dense.png")
     assert (tmp_path / "dense.png").stat().st_size > 10_000
 

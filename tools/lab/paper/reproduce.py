@@ -128,7 +128,8 @@ def run(options: Options, lab: Lab) -> Page:
     traces = [Trace.open(str(file)) for file in files]
     jobs = [Job(s, m, options.quick, folder(lab, s, m)) for s in subjects for m in options.methods]
     trained = in_processes(train, jobs, options.jobs, lab.progress)
-    sections = [quality(subjects, trained, lab, options)]
+    first = quality(subjects, trained, lab, options)
+    sections, data = [replace(first, tables=[])], [*first.tables]
     if "stream" in options.only:
         rows = [row for s in subjects for row in streams(lab, s, trained, traces, 2 if options.quick else 8)]
         picture = Picture(
@@ -144,7 +145,8 @@ def run(options: Options, lab: Lab) -> Page:
             Table(f"{options.name}-streams", rows, STREAM_COLUMNS),
             Table(f"{options.name}-overhead", times, TIME_COLUMNS),
         ]
-        sections.append(Section(streamed_in_words(rows, len(traces)), "Streams, frame by frame", [picture], tables))
+        data += tables
+        sections.append(Section(streamed_in_words(rows, len(traces)), "Streams, frame by frame", [picture]))
     if "ablate" in options.only:
         settings = trainer_settings(ablated, options.quick)
         settings = settings if options.quick else shortened(settings)
@@ -153,11 +155,11 @@ def run(options: Options, lab: Lab) -> Page:
         picture = Picture(
             f"{options.name}-ablations", "What every change moves", partial(pictures.draw_ablations, rows), (10, 5.5)
         )
-        sections.append(
-            Section("", "Ablations", [picture], [Table(f"{options.name}-ablations", rows, ABLATION_COLUMNS)])
-        )
-    published = Table(f"{options.name}-published", [asdict(row) for row in TABLE], PUBLISHED_COLUMNS)
-    return Page([*sections, Section(PROTOCOL, "What the paper publishes", tables=[published])])
+        data.append(Table(f"{options.name}-ablations", rows, ABLATION_COLUMNS))
+        sections.append(Section("", "Ablations", [picture]))
+        data.append(Table(f"{options.name}-published", [asdict(row) for row in TABLE], PUBLISHED_COLUMNS))
+        sections.append(Section(PROTOCOL, "What the paper publishes"))
+    return Page(sections, data=data)
 
 
 def folder(lab: Lab, subject: Subject, method: str) -> Path:

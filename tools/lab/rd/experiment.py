@@ -29,17 +29,12 @@ from tools.lab.rd.written import written_trials
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COUNTED = (
-    "Bytes are everything a viewer fetches for the sequence, divided by its frames: of airgs the whole top rung with "
-    "both manifests, tables and sidecars; of the layouts every packet, parameter set and range; of the other "
-    "formats their files."
-)
 STYLES = {"published": ":", "veryslow": "-", "keeps all": "--"}  # by the last words of a coder's name
 COLUMNS = {
     "format": ("format", ""), "kb": ("kB a frame", ".1f"), "psnr": ("PSNR, dB", ".1f"),
     "times": ("times airgs at that PSNR", ".1f"), "variant": ("its variant", ""),
 }  # fmt: skip
-BRIEF = 6  # formats that the README shows: ours and the nearest
+BRIEF = 5  # formats that pages show, the README too: ours and the nearest
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,14 +60,13 @@ def run(options: Options, lab: Lab) -> Page:
     rows = beside(points, options.at)
     how = (
         f"{name}, {len(sequence)} frames of at most {max(header.count for header in sequence.headers):,} Gaussians, in "
-        f"{options.frames} of them from {len(cameras)} held-out cameras. {COUNTED}"
+        f"{options.frames} of them from {len(cameras)} held-out cameras."
     )
     table = Table(f"rd-{name}", rows, COLUMNS)
-    data = [Table(f"rd-{name}-points", _with_ours(points))]
-    brief = [
-        Table("brief", [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF], dict(list(COLUMNS.items())[:3]))
-    ]
-    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=[table])], how, data=data, brief=brief)
+    data = [table, Table(f"rd-{name}-points", _with_ours(points))]
+    nearest = [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF]
+    brief = [Table("brief", nearest, dict(list(COLUMNS.items())[:3]))]
+    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=brief)], how, data=data, brief=brief)
 
 
 def trials(options: Options) -> Iterator[Trial]:
