@@ -39,12 +39,13 @@ NUMBER = re.compile(r"(?<![\w.,^#-])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?!\w)")
 
 
 def publish(measurement: Measurement, page: Page, made: Made, pictures: Path) -> None:
-    """Put a page into its document, its pictures beside it, its figures into figures.json, what is brief into READMEs.
+    """Put a page into its document, its pictures beside it, its figures into figures.json, and into README what is
+    brief of pages that README has marks for.
 
     `pictures`: the folder where they are. Raises ConfigError where the document has no marks for it, OSError.
     """
     update(RESULTS / f"{measurement.document}.md", made.name, body_of(page, made))
-    if page.brief:
+    if page.brief and f"tools.lab {made.name}: begin" in README.read_text(encoding="utf-8"):
         update(README, made.name, "\n\n".join(map(markdown_table, page.brief)))
     for picture in (picture for section in page.sections for picture in section.pictures):
         shutil.copyfile(pictures / f"{picture.name}.png", RESULTS / f"{picture.name}.png")

@@ -84,7 +84,7 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     folder.mkdir()
     (tmp_path / "line.png").write_bytes(b"picture")
     marks = "<!-- tools.lab {0}: begin -->\n<!-- tools.lab {0}: end -->\n"
-    (folder / "thing.md").write_text("# A thing\n" + marks.format("thing"))
+    (folder / "thing.md").write_text("# A thing\n" + marks.format("thing") + marks.format("second"))
     (folder / "README.md").write_text(marks.format("answers"))
     (tmp_path / "README.md").write_text(marks.format("thing"))
     monkeypatch.setattr(published, "RESULTS", folder)
@@ -104,6 +104,8 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
         "rows": [["a|b", 1.25, True, 1], ["c", None, False, None]],
     }  # fmt: skip
     assert published.unsourced(text, {"thing": entry}) == []
+    published.publish(Measurement("second", "thing", "second"), shown, replace(MADE, name="second"), tmp_path)
+    assert (tmp_path / "README.md").read_text().count("| time |") == 1  # where README has no marks it shows nothing
     with pytest.raises(ConfigError, match="other: begin"):
         published.publish(Measurement("other", "thing", "other"), page(), replace(MADE, name="other"), tmp_path)
 
