@@ -10,6 +10,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
@@ -84,8 +87,10 @@ class _Publisher:
         difference = None
         if self.settings.keys == KEPT:
             difference = DIFFERENCE.do(known)
-            shared = self._share(known)
-            known |= {} if difference else shared
+            rows = self._remember(known)
+            if difference is None and rows is not None:
+                known["written"] = replace(known["written"], rows=rows)
+                known["survey"] = join_surveys([survey for survey, _ in self.seen])
         known["coded"] = difference or KEY.do(known)
         group = STATES.do(known)
         if difference is None:
@@ -94,23 +99,23 @@ class _Publisher:
             write_file(self.package.files, path, data)
         self.package.add(self._measured(sequence, known, base_files if difference else None))
 
-    def _share(self, known: dict[str, Any]) -> dict[str, Any]:
-        """What the key of a group by itself is made of, with rows that groups before it needed: others may need them.
+    def _remember(self, known: dict[str, Any]) -> NDArray[np.intp] | None:
+        """The rows of a key of this group by itself: its own, and those that groups before it needed (`seen`).
 
-        Only groups count whose frames have their rows as they come, in one order. Others are forgotten, and those whose
-        rows would be too many.
+        None, and nothing is remembered, where its frames were put in order: rows of the next group are others. Groups
+        before it are forgotten where they have other rows than it, or too many.
         """
         survey, written, sequence = known["survey"], known["written"], known["sequence"]
         start, frames = survey.span.start, range(survey.span.start, survey.span.stop)
         if any(frame in sequence.orders for frame in frames):
             self.seen.clear()
-            return {}
+            return None
         if self.seen and not _in_order(sequence, start):
             self.seen.clear()
         self.seen.insert(0, (survey, written))
         rows, together = with_rows_of_others(some.rows for _, some in self.seen)
         del self.seen[together:]
-        return {"survey": join_surveys([one for one, _ in self.seen]), "written": replace(written, rows=rows)}
+        return rows
 
     def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
         """The table of a group whose files are known, with its quality where that is measured."""

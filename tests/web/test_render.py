@@ -166,7 +166,7 @@ def test_what_cannot_be_drawn_is_said(levels):
     atlas = json.loads((levels / "scene.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
     samples = atlas["width"] * atlas["height"]
     assert [line.removeprefix("RenderError: ") for line in said] == [
-        "a state: expected a level, got another",
+        "a state: expected a level first, got another",
         f"luma: expected {samples} samples, got {samples - 1}",
         "a state: expected level 0, got another",
         "an order: expected at most 900 rows, got 901",

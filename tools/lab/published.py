@@ -39,8 +39,9 @@ NUMBER = re.compile(r"(?<![\w.,^#-])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?!\w)")
 
 
 def publish(measurement: Measurement, page: Page, made: Made, pictures: Path) -> None:
-    """Put a page into its document, its pictures beside it, its figures into figures.json, and into README what is
-    brief of pages that README has marks for.
+    """Put a page into its document, its pictures beside it, and its figures into figures.json.
+
+    README gets what is brief of pages that it has marks for.
 
     `pictures`: the folder where they are. Raises ConfigError where the document has no marks for it, OSError.
     """

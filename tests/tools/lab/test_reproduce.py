@@ -181,7 +181,7 @@ def test_words_on_methods_follow_from_their_rows():
     ]
     assert reproduce.in_words(rows) == (
         "On fox airgs has 33.95 dB, 0.05 dB under 4dgs, the best of the others, with 30.0 times fewer bytes; v3, the "
-        "smallest of them, takes 4.5 times as many for 28.00 dB."
+        "smallest of them, takes 4.5 times as many for 28.00 dB. airgs-paper has 39.00 dB at 1.0 kB a frame."
     )
     assert "0.95 dB above 4dgs" in reproduce.in_words([*rows[:3], method("4dgs", 33.0, 300.0)])
     assert reproduce.in_words(rows[:2]) == ""

@@ -215,6 +215,8 @@ def in_words(rows: Rows) -> str:
             f"times fewer bytes; {small['method']}, the smallest of them, takes "
             f"{small['kb_frame'] / ours['kb_frame']:.1f} times as many for {small['psnr']:.2f} dB."
         )
+        other = [row for name, row in by_method.items() if name in OURS and name != "airgs"]
+        sentences += [f"{row['method']} has {row['psnr']:.2f} dB at {row['kb_frame']:.1f} kB a frame." for row in other]
     return " ".join(sentences)
 
 

@@ -118,7 +118,7 @@ export class Scene {
     if (this.#gone) return;
     const view = this.#coming;
     if (luma && view?.atlas !== atlas) {
-      throw new RenderError(`a state: expected ${view ? `level ${view.level}` : "a level"}, got another`);
+      throw new RenderError(`a state: expected ${view ? `level ${view.level}` : "a level first"}, got another`);
     }
     this.projectedFor = null;
     this.moving = luma !== null;
