@@ -194,7 +194,8 @@ def encode_sequence(
         manifest, shared = _package_of(prepared, settings, tables, poster)
         encoded = Encoded(manifest, shared, tuple(files), keys.base, work)
         if measuring and measuring.rounds.count and len(prepared.windows) > 1:
-            work.run(_quality_jobs(encoded, measuring.original, Round(0, measuring.rounds.count), window, firsts[-1]))
+            first = Round.first(manifest, measuring.rounds.count)
+            work.run(_quality_jobs(encoded, measuring.original, first, window, firsts[-1]))
     return encoded
 
 

@@ -231,12 +231,12 @@ class Manifest(Header):
             self.bytes_of(self.group_files(group)) for group in range(len(self.groups))
         )
 
-    def rung_files(self, quality: int, level: int) -> list[str]:
-        """Every file a viewer of one rung fetches from start to end, without tables."""
-        units, groups = self.units_of(level), range(len(self.groups))
+    def rung_files(self, quality: int, level: int, groups: Sequence[int] | None = None) -> list[str]:
+        """Every file a viewer of one rung fetches of some groups, by default of all, without tables."""
+        units, groups = self.units_of(level), range(len(self.groups)) if groups is None else groups
         sound = [path for g in groups for path in self.sound_files(g)]
         keys = [path for g in groups for k in units for path in self.key_files(g, k, quality)]
-        return sound + keys + [path for s in range(len(self.segments)) for path in self.state_files(s, level)]
+        return sound + keys + [path for g in groups for s in self.segments_of(g) for path in self.state_files(s, level)]
 
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:

@@ -3,6 +3,7 @@
 import math
 from collections import defaultdict
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.media.metrics import psnr
+from airgs_codec.package.manifest import on_ladder, pooled_quality
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence
@@ -30,8 +32,11 @@ def small(tmp_path_factory):
     return open_package(folder / "out"), sequence
 
 
-def measured(small, monkeypatch, unsure):
-    """The squared errors of every rung (segment, level, key quality), 24 pictures at a time, and the tables."""
+def measured(small, monkeypatch, unsure, lower):
+    """For every rung (segment, level, key quality) squared errors of it and of the top rung; and the tables.
+
+    24 pictures a round, until doubts are as small as `unsure` and `lower`.
+    """
     package, sequence = small
     errors = defaultdict(list)
 
@@ -41,27 +46,58 @@ def measured(small, monkeypatch, unsure):
         for segment, of_segment in enumerate(found):
             for level, of_level in enumerate(of_segment):
                 for key, of_rung in enumerate(of_level):
-                    errors[segment, level, key] += [picture.mse for picture in of_rung]
+                    top = of_segment[0][0][:: asked.strides[level][key] or 1]
+                    errors[segment, level, key] += [(p.mse, t.mse) for p, t in zip(of_rung, top, strict=False)]
         return [found]
 
     monkeypatch.setattr(measure, "UNSURE", unsure)
+    monkeypatch.setattr(measure, "UNSURE_LOWER", lower)
     views = ViewPlan.of(sequence, 24)  # small pictures: twice as many
     found = measure_groups(package.manifest, [0], views, Rounds(12), ask)
     assert len(package.manifest.groups) == 1 and len(errors) == len(package.manifest.segments) * 4
     return errors, found.whole(package.manifest)
 
 
-def test_the_top_rung_is_measured_with_all_pictures_and_others_with_fewer(small, monkeypatch):
-    """What is measured in few pictures is scaled by what the top rung, and the level's own quality, show in others."""
-    errors, m = measured(small, monkeypatch, unsure=100.0)
-    assert m.views.measured == 24
-    check_scaled(errors, m, 24)
+def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(small, monkeypatch):
+    """What is measured in few pictures is scaled by what the top rung shows in others."""
+    errors, m = measured(small, monkeypatch, unsure=100.0, lower=100.0)
+    few = -(-24 // OFF_LADDER)
+    check_scaled(errors, m, {(0, 0): 24, (1, 1): 24 // LOWER, (0, 1): few, (1, 0): few})
 
 
 def test_more_pictures_of_the_top_rung_are_measured_until_its_error_is_sure(small, monkeypatch):
-    errors, m = measured(small, monkeypatch, unsure=0.0)
-    assert m.views.measured == 24 * ROUNDS
-    check_scaled(errors, m, 24 * ROUNDS)
+    errors, m = measured(small, monkeypatch, unsure=0.0, lower=100.0)
+    few = -(-24 // OFF_LADDER)
+    check_scaled(errors, m, {(0, 0): 24 * ROUNDS, (1, 1): 24 // LOWER, (0, 1): few, (1, 0): few})
+
+
+def test_more_pictures_are_measured_of_unsure_rungs_that_no_mixture_beats(small, monkeypatch):
+    """Here finest keys with coarse states are such a mixture."""
+    more = 24 * (ROUNDS - 1)
+    errors, m = measured(small, monkeypatch, unsure=100.0, lower=0.0)
+    rungs = [(j, q) for j in range(2) for q in range(2)]
+    ladder = on_ladder([(m.bytes_of(m.rung_files(q, j)), pooled_quality(m, j, q).psnr) for j, q in rungs])
+    assert [rung for rung, there in zip(rungs, ladder, strict=True) if there] == [(0, 0), (0, 1), (1, 1)]
+    few = -(-24 // OFF_LADDER)
+    check_scaled(errors, m, {(0, 0): 24 + more, (1, 1): 24 // LOWER + more, (0, 1): few + more, (1, 0): few})
+
+
+def test_the_doubt_of_a_rung_is_what_its_ratio_to_the_top_one_spreads_by():
+    """Of ratios that are the same in all pictures there is none, however pictures differ; without error neither."""
+    m = SimpleNamespace(segments=[SimpleNamespace(start=0, stop=4), SimpleNamespace(start=4, stop=8)])
+
+    def doubt(*segments):
+        pairs = {
+            s: [[[(SimpleNamespace(mse=y), SimpleNamespace(mse=x)) for y, x in of]]] for s, of in enumerate(segments)
+        }
+        return measure._doubt_of_ratio(m, pairs, 0, 0)
+
+    assert doubt([(2.0, 1.0), (6.0, 3.0)], [(4.0, 2.0)]) == 0.0
+    assert doubt([(0.0, 1.0), (0.0, 3.0)], [(0.0, 2.0)]) == 0.0
+    # Own errors 1, 3 and 2, 2 about a ratio of 2: left are -1, 1, 0, 0, their variance 2 / 3, of the mean of four.
+    assert doubt([(1.0, 1.0), (3.0, 1.0)], [(2.0, 1.0), (2.0, 1.0)]) == pytest.approx((2 / 3 / 4) ** 0.5 / 2)
+    # The top one shows no error: the spread is that of the rung's own errors.
+    assert doubt([(1.0, 0.0), (3.0, 0.0)], [(2.0, 0.0), (2.0, 0.0)]) == pytest.approx((2 / 3 / 4) ** 0.5 / 2)
 
 
 @pytest.mark.parametrize(("rounds", "known"), [(1, False), (2, True)])
@@ -77,15 +113,13 @@ def test_one_picture_of_each_segment_does_not_tell_its_doubt(small, rounds, know
     assert found.pictures == rounds and math.isfinite(found.unsure) is known
 
 
-def check_scaled(errors, m, pictures):
-    """Two levels in two key qualities, the first with so many pictures, 24 a round."""
-    few = -(-24 // OFF_LADDER)
-    counts = {(0, 0): pictures, (1, 1): 24 // LOWER, (0, 1): few, (1, 0): few}
+def check_scaled(errors, m, counts):
+    """Two levels in two key qualities, with so many pictures each; the first one of all has most."""
+    assert m.views.measured == counts[0, 0]
     for (segment, level, key), of in errors.items():
         assert len(of) == counts[level, key]
-        top, own, table = errors[segment, 0, 0], errors[segment, level, level], m.segments[segment].levels[level]
-        scale = np.mean(top) / np.mean(top[:24:LOWER]) if level else 1
-        if key != level:
-            scale *= np.mean(own) / np.mean(own[:24:OFF_LADDER] if level == 0 else own[:: OFF_LADDER // LOWER])
-        assert table.psnr[key] == round(psnr(scale * np.mean(of)), 2)
-        assert table.worst[key] == round(psnr(scale * np.max(of)), 2)
+        own, top = np.transpose(of)
+        scale = np.mean(errors[segment, 0, 0]) / top.mean()
+        table = m.segments[segment].levels[level]
+        assert table.psnr[key] == round(psnr(scale * own.mean()), 2)
+        assert table.worst[key] == round(psnr(scale * own.max()), 2)
