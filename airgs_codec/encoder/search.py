@@ -187,12 +187,13 @@ def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> I
 def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     """Find the quality factor that brings the top rung to its goal: an attempt at it, from which nothing is expected.
 
-    It is measured with the pictures that the search took. Raises ConfigError for a goal out of reach. The error then
-    names what holds pictures back from a better one.
+    It is measured with the pictures of the first trial. Others are measured with those of one round, and taken to miss
+    the goal by as much more in all of them as the first one does, since a view that is hard at one factor is hard at
+    all. Raises ConfigError for a goal out of reach. The error then names what holds pictures back from a better one.
     """
     prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
-    rounds = Rounds(settings.measure_pictures or TRIAL_PICTURES)
+    rounds, beyond = Rounds(settings.measure_pictures or TRIAL_PICTURES), 0.0
     found: list[tuple[float, float]] = []
 
     def trial(factor: float) -> float:
@@ -200,17 +201,19 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
         return found[-1][1]
 
     def measure(factor: float) -> float:
-        nonlocal rounds
+        nonlocal rounds, beyond
         work.progress(f"trial {len(found) + 1}: quality factor {factor:.3g}", 0, 1)
         measuring = Measuring(original, rounds)
         encoded = encode_sequence(prepared, top.at(factor), work, measuring if goal.metric.figure else None)
         if not goal.metric.figure:
             return kilobytes_a_frame(encoded.manifest, settings)
-        tables = measure_quality(encoded, measuring).whole(encoded.manifest)
-        rounds = rounds.again(tables.views.measured // original.views.measured(rounds.count))  # the same ones for all
-        measured = pooled_quality(tables, 0, 0)
-        assert measured is not None
-        return float(getattr(measured, goal.metric.figure))
+        if not found:
+            got, turns = _figure(encoded, measuring, goal.metric)
+            rounds = rounds.again(turns)  # the same ones for all
+        once, _ = _figure(encoded, Measuring(original, rounds.again(1)), goal.metric)
+        if not found:
+            beyond = goal.misses(got) - goal.misses(once)
+        return goal.got(goal.misses(once) + beyond)
 
     try:
         factor = find_quality(goal, trial, settings.quality)
@@ -222,6 +225,15 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
         raise OutOfReachError(goal, error.got, error.factor, why) from None
     measured = rounds if attempt.rounds.count else attempt.rounds
     return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured, trials=tuple(found))
+
+
+def _figure(encoded: Encoded, measuring: Measuring, metric: Metric) -> tuple[float, int]:
+    """What the only rung of a package has of a metric, and the rounds of pictures that tell it."""
+    tables = measure_quality(encoded, measuring).whole(encoded.manifest)
+    measured = pooled_quality(tables, 0, 0)
+    assert measured is not None
+    turn = measuring.original.views.measured(measuring.rounds.count)
+    return float(getattr(measured, metric.figure)), tables.views.measured // turn
 
 
 def weigh_colours(settings: EncodeSettings, original: PreparedSequence) -> EncodeSettings:

@@ -101,11 +101,14 @@ def test_what_is_left_out_is_taken_back_one_by_one(tmp_path, monkeypatch):
     """Without states that are still or rows that nobody sees a small scene takes more bytes, and shows no less."""
     frames = moving_frames(300, 3, 1)
     scene = write_sequence(tmp_path / "scene", frames)
-    taken_back = {name: omissions.TAKEN_BACK[name] for name in ("as it is", "rows nobody sees", "planes", "segments")}
+    taken_back = {
+        name: omissions.TAKEN_BACK[name] for name in (omissions.AS_IT_IS, "rows that nobody sees", "planes", "segments")
+    }
     monkeypatch.setattr(omissions, "TAKEN_BACK", taken_back)
     options = omissions.Options((str(scene),), x264_preset="ultrafast")
     (rows,) = rows_of(omissions.run(options, Lab.at(tmp_path / "out", quiet=True)))
-    assert rows[0]["taken back"] == "as it is" and rows[0]["bytes, %"] == rows[0]["dB"] == 0
-    assert all(row["scene"] == "scene" and row["PSNR, dB"] > 20 for row in rows)
-    assert "nobody" in omissions.answer([rows[0], rows[0] | {"taken back": "rows nobody sees", "bytes, %": 3.0}])
+    assert rows[0]["taken_back"] == omissions.AS_IT_IS and rows[0]["more"] == rows[0]["gained"] == 0
+    assert all(row["scene"] == "scene" and row["psnr"] > 20 for row in rows)
+    with_all = rows[0] | {"taken_back": "planes", "more": 3.0, "gained": -0.1}
+    assert "planes saves most: with them" in omissions.answer([rows[0], with_all])
     assert omissions.answer(rows[:1]) == "Nothing is left out."

@@ -27,7 +27,12 @@ from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 
 BANDS = "SH bands"
+AS_IT_IS = "as it is"
 ROUNDS = Rounds(10).again(2)  # of pictures of a segment, the same ones for all
+COLUMNS = {
+    "scene": ("scene", ""), "taken_back": ("with", ""), "kilobytes": ("kB a frame", ".2f"), "psnr": ("PSNR, dB", ".2f"),
+    "more": ("bytes, %", "+.1f"), "gained": ("dB", "+.2f"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +57,10 @@ def _both(*patches: AbstractContextManager[object]) -> AbstractContextManager[ob
 
 
 TAKEN_BACK: dict[str, Callable[[], AbstractContextManager[object]]] = {
-    "as it is": nullcontext,
-    "rows nobody sees": lambda: patch.object(pipeline, "keep_rows", lambda frames, *_: WrittenRows.all(len(frames[0]))),
+    AS_IT_IS: nullcontext,
+    "rows that nobody sees": lambda: patch.object(
+        pipeline, "keep_rows", lambda frames, *_: WrittenRows.all(len(frames[0]))
+    ),
     "static rows": lambda: patch.object(states, "rank_updates", _rank_all),
     BANDS: nullcontext,
     "planes": lambda: _both(_free(KeyOmissions, "planes"), _free(StateOmissions, "planes")),
@@ -69,7 +76,7 @@ def _rank_all(states: Any, changes: Any, weights: Any, usage: Any, rank: str, _:
 def run(options: Options, lab: Lab) -> Page:
     """A row for each scene and thing that is left out."""
     rows = [row for scene in options.scenes for row in measure(scene, options.x264_preset, lab)]
-    return Page([Section(answer(rows), tables=[Table("omissions", rows)])])
+    return Page([Section(answer(rows), tables=[Table("omissions", rows, COLUMNS)])])
 
 
 def measure(scene: str, preset: str, lab: Lab) -> Iterator[Row]:
@@ -81,10 +88,10 @@ def measure(scene: str, preset: str, lab: Lab) -> Iterator[Row]:
         with taken_back():
             got = _top_rung(sequence, EncodeSettings(preset=preset), what == BANDS, lab)
         with_all = with_all or got
-        if what == "as it is" or got != with_all:
-            row: Row = {"scene": name.rstrip("/").rpartition("/")[2], "taken back": what}
-            row |= {"kB/frame": got[0] / 1e3, "PSNR, dB": got[1]}
-            yield row | {"bytes, %": 100 * (got[0] / with_all[0] - 1), "dB": got[1] - with_all[1]}
+        if what == AS_IT_IS or got != with_all:
+            row: Row = {"scene": name.rstrip("/").rpartition("/")[2], "taken_back": what}
+            row |= {"kilobytes": got[0] / 1e3, "psnr": got[1]}
+            yield row | {"more": 100 * (got[0] / with_all[0] - 1), "gained": got[1] - with_all[1]}
 
 
 def _top_rung(sequence: GaussianSequence, settings: EncodeSettings, bands: bool, lab: Lab) -> tuple[float, float]:
@@ -104,10 +111,10 @@ def _top_rung(sequence: GaussianSequence, settings: EncodeSettings, bands: bool,
 
 def answer(rows: Sequence[Row]) -> str:
     """What saves most, and what costs most."""
-    taken = [row for row in rows if row["taken back"] != "as it is"]
+    taken = [row for row in rows if row["taken_back"] != AS_IT_IS]
     if not taken:
         return "Nothing is left out."
-    most, dearest = (max(taken, key=lambda row: row[key]) for key in ("bytes, %", "dB"))
-    share = f"Without {most['taken back']} {most['scene']} takes {most['bytes, %']:.1f} % more"
-    cost = f"what is left out costs {max(0.0, dearest['dB']):.2f} dB at most"
-    return f"{share}; {cost} ({dearest['taken back']} of {dearest['scene']})."
+    most, dearest = (max(taken, key=lambda row: row[key]) for key in ("more", "gained"))
+    saved = f"Leaving out {most['taken_back']} saves most: with them {most['scene']} takes {most['more']:.1f} % more"
+    cost = f"What is left out costs {max(0.0, dearest['gained']):.2f} dB at most"
+    return f"{saved}. {cost} ({dearest['taken_back']} of {dearest['scene']})."
