@@ -67,6 +67,7 @@ PARTS = {
 }
 LEAST_SEEN = 1e-3  # of the squared ΔE of an error along the direction that is seen best: along any other
 LEFT_OUT = "Gaussians left out"
+SOME = 3  # one round in so many of the first trial measures the others
 TRIAL_PICTURES = 12  # measured in each segment for a quality, where the package itself is not measured
 
 
@@ -187,13 +188,13 @@ def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> I
 def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     """Find the quality factor that brings the top rung to its goal: an attempt at it, from which nothing is expected.
 
-    It is measured with the pictures of the first trial. Others are measured with those of one round, and taken to miss
+    It is measured with the pictures of the first trial. Others are measured with one in SOME of them, and taken to miss
     the goal by as much more in all of them as the first one does, since a view that is hard at one factor is hard at
     all. Raises ConfigError for a goal out of reach. The error then names what holds pictures back from a better one.
     """
     prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
-    rounds, beyond = Rounds(settings.measure_pictures or TRIAL_PICTURES), 0.0
+    rounds, some, beyond = Rounds(settings.measure_pictures or TRIAL_PICTURES), 1, 0.0
     found: list[tuple[float, float]] = []
 
     def trial(factor: float) -> float:
@@ -201,7 +202,7 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
         return found[-1][1]
 
     def measure(factor: float) -> float:
-        nonlocal rounds, beyond
+        nonlocal rounds, some, beyond
         work.progress(f"trial {len(found) + 1}: quality factor {factor:.3g}", 0, 1)
         measuring = Measuring(original, rounds)
         encoded = encode_sequence(prepared, top.at(factor), work, measuring if goal.metric.figure else None)
@@ -209,11 +210,11 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
             return kilobytes_a_frame(encoded.manifest, settings)
         if not found:
             got, turns = _figure(encoded, measuring, goal.metric)
-            rounds = rounds.again(turns)  # the same ones for all
-        once, _ = _figure(encoded, Measuring(original, rounds.again(1)), goal.metric)
+            rounds, some = rounds.again(turns), -(-turns // SOME)
+        shown, _ = _figure(encoded, Measuring(original, rounds.again(some)), goal.metric)
         if not found:
-            beyond = goal.misses(got) - goal.misses(once)
-        return goal.got(goal.misses(once) + beyond)
+            beyond = goal.misses(got) - goal.misses(shown)
+        return goal.got(goal.misses(shown) + beyond)
 
     try:
         factor = find_quality(goal, trial, settings.quality)

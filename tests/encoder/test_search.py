@@ -12,10 +12,23 @@ from airgs_codec.cli import encode as command
 from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.batch import encode_sequence
-from airgs_codec.encoder.search import DELTA_E, LEFT_OUT, PSNR, SIZE, Goal, find_limit, find_quality, weigh_colours
+from airgs_codec.encoder import search
+from airgs_codec.encoder.batch import Measuring, encode_sequence, measure_quality
+from airgs_codec.encoder.measure import ROUNDS, Rounds
+from airgs_codec.encoder.search import (
+    DELTA_E,
+    LEFT_OUT,
+    PSNR,
+    SIZE,
+    Goal,
+    find_limit,
+    find_quality,
+    search_quality,
+    weigh_colours,
+)
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
+from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs.work import temporary_work
@@ -194,6 +207,42 @@ def limit_at(steps, prepared, work, metric=PSNR):
         preset="ultrafast",
     )
     return find_limit(encode_sequence(prepared, settings, work), prepared, metric)
+
+
+def test_trials_after_the_first_are_measured_once_and_taken_for_the_rest(scene, monkeypatch):
+    """Where pictures of the first rounds are easier than others, all trials are believed to be as far below them."""
+    prepared, work = scene
+    settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=2)
+    rounds = []
+
+    def measure(encoded, measuring):
+        rounds.append((measuring.rounds.least, measuring.rounds.most))
+        found = measure_quality(encoded, measuring)
+        return found if len(rounds) == 1 else eased(found)
+
+    monkeypatch.setattr(search, "measure_quality", measure)
+    attempt = search_quality(Attempt(prepared, prepared, settings, work, None, Rounds(2)), Goal(PSNR, 38.0))
+    taken = attempt.rounds.most
+    assert taken == attempt.rounds.least > 3 and len(rounds) == 1 + len(attempt.trials) > 2
+    assert rounds == [(1, ROUNDS), *[(-(-taken // 3), -(-taken // 3))] * len(attempt.trials)]
+    top = replace(attempt.settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+    encoded = encode_sequence(prepared, top, work)
+    m = measure_quality(encoded, Measuring(prepared, attempt.rounds)).whole(encoded.manifest)
+    assert pooled_quality(m, 0, 0).psnr == pytest.approx(38, abs=0.3)
+
+
+def eased(found):
+    """The same pictures, 5 dB better."""
+    groups = [
+        replace(
+            g,
+            segments=[
+                replace(s, levels=[replace(v, psnr=[p + 5 for p in v.psnr]) for v in s.levels]) for s in g.segments
+            ],
+        )
+        for g in found.groups
+    ]
+    return replace(found, groups=groups)
 
 
 @pytest.mark.parametrize("part", COARSE)
