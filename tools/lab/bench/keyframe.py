@@ -91,7 +91,7 @@ def page(rows: int, fast: Sequence[Row], slow: Sequence[Row]) -> Page:
         )
     else:
         words.insert(0, "No fit from the frame before shows what one from scratch does.")
-    return Page([Section(" ".join(words), tables=[Table("keyframe", [*fast, *slow], COLUMNS)])])
+    return Page([Section(" ".join(words))], data=[Table("keyframe", [*fast, *slow], COLUMNS)])
 
 
 def _added(rows: int, fast: Sequence[Row]) -> float:

@@ -202,20 +202,20 @@ def saved_words(links: Sequence[Row]) -> str:
         shares = [
             row[key] for row in links if row["scene"] == scene for key in ("least", "most") if row[key] is not None
         ]
-        parts.append(f"of {scene} {span_words(shares)}")
-    return f"Fetching the tiles in sight, at equal PSNR of what is seen: {'; '.join(parts)}."
+        parts.append(f"{span_words(shares)} ({scene})")
+    return f"At equal PSNR of what is seen, fetching the tiles in sight {listed(parts)}."
 
 
 def span_words(shares: Sequence[float]) -> str:
     """What these shares of the bytes mean that are saved."""
     if not shares:
-        return "it is not comparable"
+        return "is not comparable"
     least, most = 100 * min(shares), 100 * max(shares)
     if least >= 1:
-        return f"it saves {between(least, most)} % of the bytes"
+        return f"saves {between(least, most)} % of the bytes"
     if most <= -1:
-        return f"it takes {between(-most, -least)} % more"
-    return f"it saves nothing for sure, {between(least, most)} % of the bytes"
+        return f"takes {between(-most, -least)} % more"
+    return f"saves nothing for sure, {between(least, most)} % of the bytes"
 
 
 def between(least: float, most: float) -> str:
