@@ -40,7 +40,7 @@ class Options:
 
     files: tuple[Path, ...] = required("static splats, or sequences, of which the first frame")
     above: float = setting(0.5, "dB that packages have to be better than SPZ")
-    draws: int = setting(12, "cameras")
+    draws: int = setting(96, "cameras")
 
 
 @dataclass(frozen=True, slots=True)
