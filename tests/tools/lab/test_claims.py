@@ -52,11 +52,12 @@ def test_the_verdict_names_the_largest_errors_and_what_is_beaten():
     rows = [row(4.0, 39.0), row(3.0, 39.5, 39.6), row(2.0, 35.0, 35.5, ladder=False), row(1.0, 36.0, 36.0)]
     assert [is_beaten(r, rows) for r in rows] == [True, False, True, False]
     assert verdict(rows) == (
-        "Top rungs of 1 packages are found -1.00 to -1.00 dB from their claims; the worst picture found is at most 0.0 "
-        "dB below the worst one claimed; rungs of ladders are off by -1.00 dB at most; a cheaper rung beats fox 40: 4."
+        "Of 1 top rungs 0 are found within 0.5 dB of their claims, all -1.00 to -1.00 dB from them; the worst picture "
+        "found is at most 0.0 dB below the worst one claimed; rungs of ladders are off by -1.00 dB at most; a cheaper "
+        "rung beats fox 40: 4."
     )
     good = [replace(row(4.0, 40.2), target="36", claimed_worst=37.5), row(1.0, 36.0, 35.8)]
-    assert verdict(good).startswith("Top rungs of 2 packages are found +0.20 to +0.20 dB from their claims")
+    assert verdict(good).startswith("Of 2 top rungs 2 are found within 0.5 dB of their claims, all +0.20")
     assert "at most 2.5 dB below" in verdict(good) and verdict(good).endswith(
         "no rung of a ladder is beaten by a cheaper one."
     )
@@ -75,7 +76,7 @@ def test_it_goes_on_after_a_target_out_of_reach(tmp_path, capsys):
     )
     made = run(options, Lab.at(tmp_path / "out"))
     assert "clip 99.9: target: 99.9 PSNR is out of reach" in capsys.readouterr().err
-    assert "Top rungs of 1 packages are found" in made.sections[0].answer
+    assert "Of 1 top rungs" in made.sections[0].answer
     top = made.data[0].rows[0]
     manifest = open_package(tmp_path / "out" / "clip-default.airgs").manifest
     assert top["claimed"] == pytest.approx(manifest.segments[0].levels[0].psnr[0], abs=1e-3)
