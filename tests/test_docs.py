@@ -23,7 +23,7 @@ USER_PAGES = [
 ]
 USER_PAGE_WORDS = 1100
 USER_WORDS = 8100
-WORDS = 22_700
+WORDS = 22_850
 
 
 @pytest.fixture(scope="module")

@@ -161,10 +161,7 @@ def viewer_rows(sequence: GaussianSequence, bench: Bench, name: str, options: Op
 def page(options: Options, rows: Sequence[Row]) -> Page:
     """What the rows say."""
     links = links_over(rows)
-    section = Section(
-        " ".join([saved_words(links), wait_words(links, options.seconds), price_words(rows)]),
-        tables=[Table("tiles-links", links, COLUMNS)],
-    )
+    section = Section(" ".join([saved_words(links), wait_words(links, options.seconds), price_words(rows)]))
     turns = {row["viewer"]: f"{row['viewer']} {row['turning']:.0f}" for row in rows}
     rules, times = SessionSettings(view_buffer_s=options.view_buffer), listed([f"{n:g}" for n in options.times])
     how = (
@@ -173,7 +170,7 @@ def page(options: Options, rows: Sequence[Row]) -> Page:
         f"{listed(list(turns.values()))}. Tiles in sight are fetched with {rules.view_buffer_s:g} s of buffer, all "
         f"tiles with {rules.buffer_s:g} s."
     )
-    return Page([section], how, data=[Table("tiles", rows)])
+    return Page([section], how, data=[Table("tiles-links", links, COLUMNS), Table("tiles", rows)])
 
 
 def links_over(rows: Sequence[Row]) -> list[Row]:
