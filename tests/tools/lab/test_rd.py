@@ -68,9 +68,8 @@ def test_of_the_variants_of_a_format_the_one_with_the_fewest_bytes_at_the_psnr_i
         ("V", "two", 63.2, 44),
     ]
     assert rows[1]["times"] == pytest.approx(63.16 / 20, rel=1e-3) and rows[0]["times"] is None
-    assert (
-        verdict(rows, 44)
-        == "At 44 dB airgs takes 20.0 kB a frame. Nearest is V (two) with 63.2: airgs takes 32 % of it."
+    assert verdict("fox", rows, 44) == (
+        "At 44 dB airgs takes 20.0 kB a frame of fox, 32 % of the nearest other, V (two), which takes 63.2."
     )
 
 
@@ -81,9 +80,9 @@ def test_a_format_that_does_not_reach_the_psnr_is_shown_at_its_nearest_point_and
     assert [row["format"] for row in rows] == ["airgs", "V", "low", "high"]
     assert (rows[2]["variant"], rows[2]["kb"], rows[2]["psnr"]) == ("1", 7, 40)
     assert rows[2]["times"] == pytest.approx(7 / kb_at(OURS, 40)) and rows[3]["times"] is None
-    assert verdict(rows, 44).endswith("Nearest is V (as it is) with 15.0: airgs takes 133 % of it.")
-    assert verdict(beside(OURS, 60), 60) == "No package of airgs was measured on both sides of 60 dB."
-    assert "No other format" in verdict(beside(OURS, 44), 44)
+    assert verdict("fox", rows, 44).endswith("133 % of the nearest other, V, which takes 15.0.")
+    assert verdict("fox", beside(OURS, 60), 60) == "No package of airgs was measured on both sides of 60 dB."
+    assert "No other format" in verdict("fox", beside(OURS, 44), 44)
 
 
 @pytest.mark.parametrize("preset", [PRESET, PUBLISHED])

@@ -66,7 +66,9 @@ def run(options: Options, lab: Lab) -> Page:
     data = [table, Table(f"rd-{name}-points", _with_ours(points))]
     nearest = [row for row in rows if row["format"] != OURS_WHOLE][:BRIEF]
     brief = [Table("brief", nearest, dict(list(COLUMNS.items())[:3]))]
-    return Page([Section(verdict(rows, options.at), pictures=[picture], tables=brief)], how, data=data, brief=brief)
+    return Page(
+        [Section(verdict(name, rows, options.at), pictures=[picture], tables=brief)], how, data=data, brief=brief
+    )
 
 
 def trials(options: Options) -> Iterator[Trial]:
@@ -131,19 +133,19 @@ def beside(points: Sequence[RdPoint], at: float) -> list[Row]:
     return sorted(rows, key=lambda row: (row["format"] != OURS, abs(row["psnr"] - at) > 0, row["kb"]))
 
 
-def verdict(rows: Sequence[Row], at: float) -> str:
-    """How many bytes airgs takes at the PSNR, and which other format comes nearest."""
+def verdict(scene: str, rows: Sequence[Row], at: float) -> str:
+    """How many bytes airgs takes for a scene at the PSNR, and which other format comes nearest."""
     found = {row["format"]: row for row in rows if row["psnr"] == at}
     if OURS not in found:
         return f"No package of airgs was measured on both sides of {at:g} dB."
-    words = f"At {at:g} dB airgs takes {found[OURS]['kb']:.1f} kB a frame."
+    words = f"At {at:g} dB airgs takes {found[OURS]['kb']:.1f} kB a frame of {scene}"
     others = [row for name, row in found.items() if not name.startswith(OURS)]
     if not others:
-        return f"{words} No other format that was run reaches that PSNR from both sides."
+        return f"{words}. No other format that was run reaches that PSNR from both sides."
     best = min(others, key=lambda row: row["kb"])
     share = 100 * found[OURS]["kb"] / best["kb"]
-    nearest = f"{best['format']} ({best['variant'] or 'as it is'}) with {best['kb']:.1f}"
-    return f"{words} Nearest is {nearest}: airgs takes {share:.0f} % of it."
+    variant = f" ({best['variant']})" if best["variant"] else ""
+    return f"{words}, {share:.0f} % of the nearest other, {best['format']}{variant}, which takes {best['kb']:.1f}."
 
 
 def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
