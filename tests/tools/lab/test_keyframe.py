@@ -47,8 +47,8 @@ def test_frames_that_cannot_be_compared_are_refused(scene, model, frame, message
 def test_both_curves_are_followed(scene, model, tmp_path, monkeypatch):
     monkeypatch.setattr(keyframe, "WARM", (2,))
     monkeypatch.setattr(keyframe, "SCRATCH", (2, 4))
-    (section,) = keyframe.run(keyframe.Options(scene, model.folder, frame=1), Lab.at(tmp_path)).sections
-    rows = section.tables[0].rows
+    page = keyframe.run(keyframe.Options(scene, model.folder, frame=1), Lab.at(tmp_path))
+    (section,), rows = page.sections, page.data[0].rows
     assert [(row["fitted"], row["iterations"]) for row in rows] == [
         ("from the frame before", 2),
         ("from scratch", 2),
