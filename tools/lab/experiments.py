@@ -143,7 +143,7 @@ MEASUREMENTS = (
     Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
     Measurement("crowd", "crowd", "crowd fox/ raca2018_4g_car/"),
-    Measurement("soak-live", "crowd", "soak-live --hours 6"),
+    Measurement("soak-live", "crowd", "soak-live"),
     Measurement("tiles", "tiles", "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv"),
     Measurement(
         "viewpoints",
