@@ -28,7 +28,7 @@ from airgs_codec.play.downloader import (
 )
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
-from airgs_codec.play.metrics import mean_quality
+from airgs_codec.play.metrics import SHORTEST_S, mean_quality, session_metrics
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
@@ -560,3 +560,24 @@ def test_a_report_that_cannot_be_written(tmp_path):
     log = play(tiny_manifest(), link([8e6]))
     with pytest.raises(ConfigError, match="cannot write"):
         write_report(log, tmp_path / "file")
+
+
+def test_figures_of_a_session_are_what_its_batches_and_segments_say():
+    """Two segments, of 5 and 10 frames, whose batches take 0.76 and 2.2156 s of a link that is never idle."""
+    over = link([40_000, 8_000, 3_000, 90_000])
+    log = play(tiny_manifest(), over, "throughput")
+    fetches = [replace(f, retries=2, fits=False) if i == 2 else f for i, f in enumerate(log.fetches)]
+    shown = [replace(log.shown[0], frames=5), replace(log.shown[1], rung=0, psnr=40.0)]
+    m = session_metrics(log.offers, over, fetches, shown, {})
+    assert m.rungs == {"Q1+L0": 1, "Q0+L0": 1} and (m.switches, m.lost_frames, m.stalls) == (1, 0, 1)
+    assert m.change_db == pytest.approx(4.0) and m.infeasible == 0.5
+    assert m.qoe == pytest.approx((36 + 40 - 4 - STALL_DB * shown[1].stall_s) / 2)
+    assert m.startup_requests == 1 + 1 + 5 + 2 and m.startup_bytes == 1000 + 100 + 3800
+    took = fetches[4].arrival_s - fetches[4].request_s
+    assert (m.frame_ms_p50, m.frame_ms_max) == pytest.approx((100 * took, 100 * took))
+    assert m.frame_ms_mean == pytest.approx(1e3 * (0.76 + took) / 15)
+    assert m.utilisation == pytest.approx(1.0) and (m.trace, m.trace_end, m.rtt_s) == ("t", "loop", 0.0)
+    lost = [shown[0], replace(shown[1], rung=None, psnr=None, stall_s=SHORTEST_S)]
+    m = session_metrics(log.offers, None, fetches, lost, {})
+    assert m.rungs == {"Q1+L0": 1, "lost": 1} and (m.lost_frames, m.stalls, m.change_db) == (10, 0, 0.0)
+    assert m.utilisation is m.trace_end is None
