@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.package.layout import FileKind
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
@@ -566,11 +567,14 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     """Two segments, of 5 and 10 frames, whose batches take 0.76 and 2.2156 s of a link that is never idle."""
     over = link([40_000, 8_000, 3_000, 90_000])
     log = play(tiny_manifest(), over, "throughput")
-    fetches = [replace(f, retries=2, fits=False) if i == 2 else f for i, f in enumerate(log.fetches)]
+    fetches = [replace(f, fits=f.kind is BatchKind.TABLES) for f in log.fetches]
+    fetches[2] = replace(fetches[2], retries=2, wasted=100)
     shown = [replace(log.shown[0], frames=5), replace(log.shown[1], rung=0, psnr=40.0)]
-    m = session_metrics(log.offers, over, fetches, shown, {})
+    m = session_metrics(log.offers, over, fetches, shown, {next(iter(FileKind)): 3000})
+    assert (m.bytes_per_frame, m.wasted) == (200.0, 100 / sum(f.bytes for f in fetches))
+    assert (m.retries, m.late, m.replaced, m.trace_ended) == (2, 0.5, 0, False)
     assert m.rungs == {"Q1+L0": 1, "Q0+L0": 1} and (m.switches, m.lost_frames, m.stalls) == (1, 0, 1)
-    assert m.change_db == pytest.approx(4.0) and m.infeasible == 0.5
+    assert m.change_db == pytest.approx(4.0) and m.infeasible == 1.0
     assert m.qoe == pytest.approx((36 + 40 - 4 - STALL_DB * shown[1].stall_s) / 2)
     assert m.startup_requests == 1 + 1 + 5 + 2 and m.startup_bytes == 1000 + 100 + 3800
     took = fetches[4].arrival_s - fetches[4].request_s
