@@ -7,7 +7,7 @@ import pytest
 from tests.support.paths import REPOSITORY
 from tools import check_docs
 
-MOST_WORDS = {"README.md": 700, "CHANGELOG.md": 400, "CONTRIBUTING.md": 950, "FORMAT.md": 4800}
+MOST_WORDS = {"README.md": 800, "CHANGELOG.md": 400, "CONTRIBUTING.md": 1000, "FORMAT.md": 5200}
 USER_PAGES = [
     "README",
     "browser",
@@ -21,9 +21,9 @@ USER_PAGES = [
     "tracking",
     "training",
 ]
-USER_PAGE_WORDS = 1100
-USER_WORDS = 8100
-WORDS = 22_850
+USER_PAGE_WORDS = 1200
+USER_WORDS = 9000
+WORDS = 24_000
 
 
 @pytest.fixture(scope="module")
@@ -45,8 +45,7 @@ def test_commands_parse_and_paths_names_and_links_exist(page):
 
 
 def words(page):
-    """The words of a page, those of its commands and tables too; the bars of tables are none."""
-    return sum(any(map(str.isalnum, word)) for word in page.read_text().split())
+    return len(page.read_text().split())
 
 
 def test_pages_are_short():

@@ -67,7 +67,7 @@ PARTS = {
 }
 LEAST_SEEN = 1e-3  # of the squared ΔE of an error along the direction that is seen best: along any other
 LEFT_OUT = "Gaussians left out"
-SOME = 3  # one round in so many of the first trial measures the others
+ONE_IN = 3  # rounds of the first trial one measures the trials after it
 TRIAL_PICTURES = 12  # measured in each segment for a quality, where the package itself is not measured
 
 
@@ -188,7 +188,7 @@ def _made_exact(whole: Gaussians, shown: Gaussians, rows: NDArray[np.intp]) -> I
 def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
     """Find the quality factor that brings the top rung to its goal: an attempt at it, from which nothing is expected.
 
-    It is measured with the pictures of the first trial. Others are measured with one in SOME of them, and taken to miss
+    It is measured with the pictures of the first trial. Others are measured with one round in ONE_IN, and taken to miss
     the goal by as much more in all of them as the first one does, since a view that is hard at one factor is hard at
     all. Raises ConfigError for a goal out of reach. The error then names what holds pictures back from a better one.
     """
@@ -210,7 +210,7 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
             return kilobytes_a_frame(encoded.manifest, settings)
         if not found:
             got, turns = _figure(encoded, measuring, goal.metric)
-            rounds, some = rounds.again(turns), -(-turns // SOME)
+            rounds, some = rounds.again(turns), -(-turns // ONE_IN)
         shown, _ = _figure(encoded, Measuring(original, rounds.again(some)), goal.metric)
         if not found:
             beyond = goal.misses(got) - goal.misses(shown)

@@ -209,7 +209,7 @@ def limit_at(steps, prepared, work, metric=PSNR):
     return find_limit(encode_sequence(prepared, settings, work), prepared, metric)
 
 
-def test_trials_after_the_first_are_measured_once_and_taken_for_the_rest(scene, monkeypatch):
+def test_trials_after_the_first_are_measured_with_fewer_pictures_and_taken_for_all(scene, monkeypatch):
     """Where pictures of the first rounds are easier than others, all trials are believed to be as far below them."""
     prepared, work = scene
     settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=2)

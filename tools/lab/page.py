@@ -174,15 +174,14 @@ def _parts(page: Page, made: Made) -> Iterator[str]:
         if section.answer:
             yield wrapped(section.answer)
         yield from (markdown_table(one) for one in section.tables if one.rows)
-    yield f"```sh not-run\n{made.command}\n```"
     yield wrapped(made.said())
 
 
 def markdown_table(one: Table) -> str:
-    """A table of a document."""
+    """A table of a document, without blanks that its reader does not see."""
     rule = ["---:" if number else "---" for number in one.numeric()]
     cells = [[cell.replace("|", "\\|") for cell in line] for line in one.cells()]
-    return "\n".join(f"| {' | '.join(line)} |" for line in (one.head, rule, *cells))
+    return "\n".join(f"|{'|'.join(line)}|" for line in (one.head, rule, *cells))
 
 
 def write_page(page: Page, made: Made, folder: Path) -> None:

@@ -190,4 +190,4 @@ def test_a_page_that_is_kept_is_written(tmp_path, monkeypatch):
     with pytest.raises((KeyboardInterrupt, SystemExit)):
         raise SystemExit(main(["devices", "fox", "-o", str(tmp_path)]))
     assert json.loads((tmp_path / "devices.json").read_text())["figures"]["fits"] == [{"scene": "fox"}]
-    assert "| fox |" in (tmp_path / "devices.md").read_text()
+    assert "|fox|" in (tmp_path / "devices.md").read_text()

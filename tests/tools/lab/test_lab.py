@@ -125,8 +125,8 @@ def test_a_page_is_markdown_with_everything_beside_it(tmp_path):
         "By hand.",
         "## More?",
         "![A line](line.png)",
-        "| name | ms | good |",
-        "| c | - | no |",
+        "|name|ms|good|",
+        "|c|-|no|",
     ):
         assert f"\n{line}\n" in f"\n{text}"
     with (tmp_path / "times.csv").open() as file:

@@ -90,8 +90,8 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     monkeypatch.setattr(published, "MEASUREMENTS", (Measurement("thing", "thing", "thing"),))
     shown = replace(page(), brief=[Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})])
     published.publish(Measurement("thing", "thing", "thing"), shown, MADE, tmp_path)
-    assert "| time |\n| ---: |\n| 1.25 |\n" in (tmp_path / "README.md").read_text()
-    assert "| [A thing](thing.md) | It takes 1 ms. |" in (folder / "README.md").read_text()
+    assert "|time|\n|---:|\n|1.25|\n" in (tmp_path / "README.md").read_text()
+    assert "|[A thing](thing.md)|It takes 1 ms.|" in (folder / "README.md").read_text()
     assert (folder / "line.png").read_bytes() == b"picture"
     text = (folder / "thing.md").read_text()
     assert "It takes 1 ms." in text and "Measured 2026-11-26 in 3 s, commit abc1234, format 4." in text
@@ -102,7 +102,7 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     }  # fmt: skip
     assert published.unsourced(text, {"thing": entry}) == []
     published.publish(Measurement("second", "thing", "second"), shown, replace(MADE, name="second"), tmp_path)
-    assert (tmp_path / "README.md").read_text().count("| time |") == 1  # where README has no marks it shows nothing
+    assert (tmp_path / "README.md").read_text().count("|time|") == 1  # where README has no marks it shows nothing
     with pytest.raises(ConfigError, match="other: begin"):
         published.publish(Measurement("other", "thing", "other"), page(), replace(MADE, name="other"), tmp_path)
 
