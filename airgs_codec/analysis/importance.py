@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +19,8 @@ from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 
 PRECISION = 0.01  # of the rows
+CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
+GUESSES = 6  # of their number, before it is halved
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
 LEAST_PIXELS = 0.05  # that a row gives to such places, all pictures together
 DETAIL_ROUNDS = 5
@@ -109,18 +113,34 @@ class RowPruning:
     def within(self, allowed: float) -> WrittenRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
-        Their number is found by bisection to PRECISION, beginning with the rows of importance 0.
+        Their number is found to PRECISION of the rows, or to CLOSE of the allowed squared error, beginning with the
+        rows of importance 0 and with all.
         """
+        most, least = allowed**2, max(1, math.ceil(PRECISION * len(self._order)))
         self.error_of(len(self._order) - self._unused)
-        low = max(count for count, error in self._errors.items() if error <= allowed**2)
-        high = min((count for count in self._errors if count > low), default=len(self._order))
-        while high - low > max(1, PRECISION * len(self._order)):
-            middle = (low + high) // 2
-            if self._error(middle) <= allowed**2:
-                low = middle
-            else:
-                high = middle
+        self.error_of(0)
+        for guesses in itertools.count():
+            low = max(count for count, error in self._errors.items() if error <= most)
+            high = min((count for count in self._errors if count > low), default=low)
+            if high - low <= least or self._errors[low] >= CLOSE * most > 0:
+                break
+            middle, near = (low + high) // 2, min(least, (high - low) // 2)
+            if guesses < GUESSES and most > 0:
+                middle = self._guess(middle, (1 + CLOSE) / 2 * most)
+            self._error(min(max(middle, low + near), high - near))
         return WrittenRows(np.sort(self._order[low:]), self._errors[low])
+
+    def _guess(self, middle: int, error: float) -> int:
+        """The count with such an error, by the line through the two known ones next to it, in logarithms of both.
+
+        `middle` where none tell.
+        """
+        known = {count: math.log(e / error) for count, e in self._errors.items() if e > 0}
+        a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (middle, middle)
+        if a == b or known[a] == known[b]:
+            return middle
+        share = known[a] / (known[a] - known[b])
+        return round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(len(self._order)))))
 
     def with_details(self, written: WrittenRows, allowed: float) -> WrittenRows:
         """Add those of the rows left out `within` an error that matter where pictures without them are plainly others.
@@ -129,19 +149,24 @@ class RowPruning:
         """
         keep = np.zeros(len(self._order), bool)
         keep[written.rows] = True
-        for _ in range(DETAIL_ROUNDS):
-            lacking = np.zeros(len(keep))
-            for (g, camera), (without, full) in zip(self._pictures, self._seen, strict=True):
-                mask = np.abs(without(keep) - full).max(axis=-1) > DETAIL * allowed
-                if mask.any():
-                    w = self._renderer.load(g).weights(camera, mask)
-                    lacking += np.bincount(w.ids, w.inside, len(keep))
-            fresh = ~keep & (lacking > LEAST_PIXELS)
-            if not fresh.any():
+        for rounds in itertools.count(1):
+            pictures = [without(keep) for without, _ in self._seen]
+            fresh = ~keep & (self._lacking(pictures, allowed) > LEAST_PIXELS)
+            if not fresh.any() or rounds > DETAIL_ROUNDS:
                 break
             keep |= fresh
-        errors = [mse(without(keep), full) for without, full in self._seen]
+        errors = [mse(shown, full) for shown, (_, full) in zip(pictures, self._seen, strict=True)]
         return WrittenRows(np.flatnonzero(keep), pooled_error(errors))
+
+    def _lacking(self, pictures: Sequence[NDArray[np.float32]], allowed: float) -> NDArray[np.float64]:
+        """(N,) pixels that each row gives to places where pictures without some rows are plainly others."""
+        lacking = np.zeros(len(self._order))
+        for (g, camera), shown, (_, full) in zip(self._pictures, pictures, self._seen, strict=True):
+            mask = np.abs(shown - full).max(axis=-1) > DETAIL * allowed
+            if mask.any():
+                w = self._renderer.load(g).weights(camera, mask)
+                lacking += np.bincount(w.ids, w.inside, len(lacking))
+        return lacking
 
     def error_of(self, written: int) -> float:
         """Pooled error of pictures of only the `written` most important rows."""
