@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.importance import ExpectedError, WrittenRows
 from airgs_codec.encoder.calibrate import Calibration
-from airgs_codec.encoder.measure import Measured, Round, RoundErrors, Rounds, measure_groups, pictures_of
+from airgs_codec.encoder.measure import Quest, Round, RoundErrors, Rounds, pictures_of
 from airgs_codec.encoder.pipeline import (
     BANDS,
     CALIBRATION,
@@ -194,8 +194,8 @@ def encode_sequence(
         manifest, shared = _package_of(prepared, settings, tables, poster)
         encoded = Encoded(manifest, shared, tuple(files), keys.base, work)
         if measuring and measuring.rounds.count and len(prepared.windows) > 1:
-            first = Round.first(manifest, measuring.rounds.count)
-            work.run(_quality_jobs(encoded, measuring.original, first, window, firsts[-1]))
+            for first in Round.first(manifest, measuring.rounds.count):
+                work.run(_quality_jobs(encoded, measuring.original, first, window, firsts[-1]))
     return encoded
 
 
@@ -273,11 +273,8 @@ class _Keys:
         return prepared.job(KEY, first, self._settings, given)
 
 
-def measure_quality(encoded: Encoded, measuring: Measuring) -> Measured:
-    """Measure every segment, level and key quality of an encoded package.
-
-    `measure.measure_groups` says how.
-    """
+def ask_quality(encoded: Encoded, measuring: Measuring) -> Quest:
+    """What `measure` takes to measure an encoded package by jobs."""
     m, work = encoded.manifest, encoded.work
     everyone = range(len(m.groups))
 
@@ -286,7 +283,7 @@ def measure_quality(encoded: Encoded, measuring: Measuring) -> Measured:
         work.run(jobs)
         return [work.result(one) for one in jobs]
 
-    return measure_groups(m, everyone, measuring.original.views, measuring.rounds, ask)
+    return Quest(m, everyone, measuring.original.views, measuring.rounds, ask)
 
 
 def _quality_jobs(

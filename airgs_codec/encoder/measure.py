@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.survey import Pictures, ViewPlan
-from airgs_codec.media.metrics import Difference, Quality, pool, psnr
+from airgs_codec.media.metrics import Difference, Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder
 from airgs_codec.package.package import Package
-from airgs_codec.package.tables import Group, Segment, SegmentLevel
+from airgs_codec.package.tables import Group, Segment
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, in_order
 from airgs_codec.scene.sequence import GaussianSequence
@@ -28,6 +28,7 @@ OFF_LADDER = 6  # one in so many measures key qualities that are not those of a 
 UNSURE = 0.035
 UNSURE_LOWER = 0.06
 ROUNDS = 12  # of pictures, at most
+MANY = 2  # pictures of each place, on average, from which places tell how much of an error is theirs
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,11 +44,8 @@ class Rounds:
         return Rounds(self.count, rounds, rounds)
 
 
-SegmentErrors = list[list[list[Difference]]]  # level x key quality x picture, of one segment
-RoundErrors = list[SegmentErrors]  # of the segments of a group
-Pair = tuple[Difference, Difference]  # of a rung, and of the top one in the same picture
-SegmentPairs = list[list[list[Pair]]]  # level x key quality x picture, of one segment
-Strides = tuple[tuple[int, ...], ...]  # level x key quality: one picture in so many measures the rung; 0: none does
+Rung = tuple[int, int]  # level, key quality
+Strides = Mapping[Rung, int]  # one picture in so many measures a rung; none does of those that are not there
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +54,12 @@ class Round:
 
     number: int
     count: int  # pictures of a segment, at least
-    strides: Strides  # of the rungs that are measured; 1 of the top one
+    strides: Strides
 
-    @classmethod
-    def first(cls, m: Manifest, count: int) -> Round:
-        """The one that measures every rung of a package."""
-        strides = [[OFF_LADDER] * len(m.qualities) for _ in m.levels]
-        for j, level in enumerate(m.levels):
-            strides[j][level.quality] = LOWER if j else 1
-        return cls(0, count, tuple(map(tuple, strides)))
+    @staticmethod
+    def first(m: Manifest, count: int) -> list[Round]:
+        """Those that measure every rung of a package once."""
+        return [Round(0, count, strides) for strides in ({_top(m): 1}, _first_strides(m)) if strides]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,42 +67,68 @@ class AskedPictures:
     """What a round measures in a group."""
 
     pictures: list[Pictures]  # of each segment
-    strides: Strides
+    strides: tuple[tuple[int, int, int], ...]  # level, key quality and stride
+    alike: bool  # SSIM and CIEDE2000 are measured, too
 
 
+@dataclass(frozen=True, slots=True)
+class RungErrors:
+    """What some pictures of a segment show of a rung."""
+
+    squared: list[float]  # mean squared errors
+    alike: list[Difference]  # of these pictures, where SSIM and CIEDE2000 are measured
+
+
+SegmentErrors = list[RungErrors]  # of a segment, in the order of the strides
+RoundErrors = list[SegmentErrors]  # of the segments of a group
 Ask = Callable[[Round], Sequence[RoundErrors]]  # measures a round of some groups
 
 
-def measure_groups(m: Manifest, numbers: Sequence[int], views: ViewPlan, rounds: Rounds, ask: Ask) -> Measured:
-    """Tables of some groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
+@dataclass(frozen=True, slots=True)
+class RungSeen:
+    """What all rounds so far have shown of a rung in a segment."""
 
-    PSNR is of the mean squared error, SSIM and CIEDE2000 are means. The reference is the original after repairs, in
-    `rounds.count` pictures a segment, which `ask` measures; again and again in so many others, until the standard error
-    of the top rung is at most UNSURE, and of all that no mixture of others beats at most UNSURE_LOWER. Errors are
-    heavy-tailed: a large Gaussian close to a view outweighs many others.
+    squared: list[float] = field(default_factory=list)  # mean squared errors
+    top: list[float] = field(default_factory=list)  # those of the top rung in the same pictures
+    places: list[int] = field(default_factory=list)  # that these are seen from
+    alike: list[Difference] = field(default_factory=list)  # of the first round's
 
-    Rungs below the top one are measured in one of LOWER pictures of the first round, key qualities that are not the
-    level's own in one of OFF_LADDER, and in later rounds those alone that are unsure. Their squared errors are scaled
-    by what the error of the top rung in all pictures is to its error in these (a ratio estimator; Cochran, Sampling
-    Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
-    """
-    indices = [s for number in numbers for s in m.segments_of(number)]
-    pairs: dict[int, SegmentPairs] = {s: [[[] for _ in m.qualities] for _ in m.levels] for s in indices}
-    asked, done, top = Round.first(m, rounds.count), 0, m.levels[0].quality
-    while any(map(any, asked.strides)) and done < rounds.most:
-        found = [of_segment for of_group in ask(asked) for of_segment in of_group]
-        for index, of_segment in zip(indices, found, strict=True):
-            for j, q in itertools.product(range(len(m.levels)), range(len(m.qualities))):
-                if stride := asked.strides[j][q]:
-                    pairs[index][j][q] += zip(of_segment[j][q], of_segment[0][top][::stride], strict=True)
-        done += 1
-        asked = Round(done, rounds.count, _unsure(m, numbers, pairs, done < rounds.least))
-    groups = []
-    for number in numbers:
-        segments = [_with_errors(m.segments[s], pairs[s]) for s in m.segments_of(number)]
-        groups.append(replace(m.groups[number], segments=segments))
-    pictures = done * views.measured(rounds.count)
-    return Measured(groups, pictures, _doubt_of_top(m, pairs) if pictures > 1 else math.nan)
+
+Seen = dict[int, dict[Rung, RungSeen]]  # by segment
+
+
+@dataclass(frozen=True, slots=True)
+class Quest:
+    """Groups of a package whose quality is asked for, in `rounds.count` pictures a segment and round."""
+
+    manifest: Manifest
+    numbers: Sequence[int]
+    views: ViewPlan
+    rounds: Rounds
+    ask: Ask
+
+    @property
+    def shares(self) -> NDArray[np.float64]:
+        """(S,) share of each segment in the frames of all."""
+        segments = [self.manifest.segments[s] for s in self.segments]
+        frames = np.array([segment.stop - segment.start for segment in segments])
+        return frames / frames.sum()
+
+    @property
+    def segments(self) -> list[int]:
+        """Numbers of the segments of all groups."""
+        return [s for number in self.numbers for s in self.manifest.segments_of(number)]
+
+
+@dataclass(frozen=True, slots=True)
+class TopMeasured:
+    """What pictures of the top rung show."""
+
+    seen: Seen
+    rounds: int
+    unsure: float  # relative standard error of its mean squared error; infinite: one picture tells none
+    psnr: float  # of all segments, dB
+    delta_e: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,11 +137,74 @@ class Measured:
 
     groups: list[Group]
     pictures: int  # of each segment that were measured
-    unsure: float  # relative standard error of the top rung's mean squared error; NaN: one picture tells none
+    unsure: float  # as in `TopMeasured`
 
     def whole(self, m: Manifest) -> Manifest:
         """The tables of a package of which these are all groups."""
         return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
+
+
+def measure_top(quest: Quest) -> TopMeasured:
+    """Measure the top rung in ever more pictures until its standard error is at most UNSURE.
+
+    PSNR is of the mean squared error, SSIM and CIEDE2000 are means over the pictures of the first round. The reference
+    is the original after repairs. Errors are heavy-tailed: a large Gaussian close to a view outweighs many others.
+    """
+    top, shares = _top(quest.manifest), quest.shares
+    seen: Seen = {s: {top: RungSeen()} for s in quest.segments}
+    for done in itertools.count(1):
+        _look(quest, Round(done - 1, quest.rounds.count, {top: 1}), seen)
+        parts = [of[top] for of in seen.values()]
+        unsure = _doubt_of_top(parts, shares)
+        if done >= quest.rounds.most or (done >= quest.rounds.least and unsure <= UNSURE):
+            break
+    error, colour = shares @ [(np.mean(p.squared), np.mean([d.delta_e for d in p.alike])) for p in parts]
+    return TopMeasured(seen, done, unsure, psnr(float(error)), float(colour))
+
+
+def measure_others(quest: Quest, top: TopMeasured) -> Measured:
+    """Tables of the groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
+
+    Rungs below the top one are measured in one of LOWER pictures of the first round, key qualities that are not the
+    level's own in one of OFF_LADDER; then all that no mixture of others beats in further rounds, until their standard
+    error is at most UNSURE_LOWER. Their squared errors are scaled by what the error of the top rung in all pictures is
+    to its error in these (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6), since a view that is hard
+    for one rung is hard for all.
+    """
+    m, first = quest.manifest, _top(quest.manifest)
+    seen = {s: {rung: RungSeen() for rung in _rungs(m)} | of for s, of in top.seen.items()}
+    strides, rounds = _first_strides(m), top.rounds
+    for number in range(quest.rounds.most):
+        if not strides:
+            break
+        if number == rounds:
+            strides, rounds = {first: 1} | strides, rounds + 1
+        _look(quest, Round(number, quest.rounds.count, strides), seen)
+        strides = dict.fromkeys(_unsure(quest, seen), 1)
+    groups = []
+    for number in quest.numbers:
+        segments = [_with_errors(m, m.segments[s], seen[s]) for s in m.segments_of(number)]
+        groups.append(replace(m.groups[number], segments=segments))
+    unsure = _doubt_of_top([of[first] for of in seen.values()], quest.shares)
+    return Measured(groups, rounds * quest.views.measured(quest.rounds.count), unsure)
+
+
+def measure_groups(quest: Quest) -> Measured:
+    """Measure the top rung, and then all others."""
+    return measure_others(quest, measure_top(quest))
+
+
+def _top(m: Manifest) -> Rung:
+    return 0, m.levels[0].quality
+
+
+def _rungs(m: Manifest) -> list[Rung]:
+    return list(itertools.product(range(len(m.levels)), range(len(m.qualities))))
+
+
+def _first_strides(m: Manifest) -> dict[Rung, int]:
+    """Strides of all rungs but the top one in the first round."""
+    return {(j, q): LOWER if q == m.levels[j].quality else OFF_LADDER for j, q in _rungs(m) if (j, q) != _top(m)}
 
 
 def doubt_db(unsure: float) -> float:
@@ -135,99 +219,131 @@ def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: i
         views.measure(first + place, segment.start, segment.stop, asked.count, asked.number)
         for place, segment in enumerate(m.groups[group].segments)
     ]
-    return AskedPictures(pictures, asked.strides)
+    strides = tuple((level, quality, stride) for (level, quality), stride in asked.strides.items())
+    return AskedPictures(pictures, strides, asked.number == 0)
 
 
 def measure_round(
     package: Package, sequence: GaussianSequence, renderer: Renderer, group: int, asked: AskedPictures
 ) -> RoundErrors:
-    """Render the rungs of a group of a package beside the original; those that are not asked for have no errors."""
+    """Render rungs of a group of a package beside the original."""
     m, found = package.manifest, []
-    used = [q for q in range(len(m.qualities)) if any(of_level[q] for of_level in asked.strides)]
-    bases = {quality: decode_canonical(package, group, quality) for quality in used}
+    bases = {quality: decode_canonical(package, group, quality) for quality in {q for _, q, _ in asked.strides}}
     for index, pictures in zip(m.segments_of(group), asked.pictures, strict=True):
-        originals = draw_ahead(_originals(sequence, pictures, renderer), pictures)
-        errors: SegmentErrors = [[[] for _ in m.qualities] for _ in m.levels]
-        for j, quality in itertools.product(range(len(m.levels)), used):
-            if stride := asked.strides[j][quality]:
-                looked_at = pictures[::stride]
-                shown = _rung(package, (index, j), bases[quality], looked_at, renderer)
-                errors[j][quality] = list(compare(originals, shown, looked_at, Difference.of))
+        seen = [view for at, view in enumerate(pictures) if any(at % stride == 0 for *_, stride in asked.strides)]
+        originals = draw_ahead(_originals(sequence, seen, renderer), seen)
+        errors: SegmentErrors = []
+        for level, quality, stride in asked.strides:
+            looked_at = pictures[::stride]
+            shown = _rung(package, (index, level), bases[quality], looked_at, renderer)
+            if asked.alike:
+                alike = list(compare(originals, shown, looked_at, Difference.of))
+                errors.append(RungErrors([d.mse for d in alike], alike))
+            else:
+                errors.append(RungErrors(list(compare(originals, shown, looked_at, Picture.mse)), []))
         found.append(errors)
     return found
 
 
-def _unsure(m: Manifest, numbers: Sequence[int], pairs: Mapping[int, SegmentPairs], again: bool) -> Strides:
-    """What the next round measures: the top rung and all that are unsure, or nothing where none is, nor asks `again`.
+def _look(quest: Quest, asked: Round, seen: Seen) -> None:
+    """Measure a round, and add what it shows to what was seen before."""
+    m, top = quest.manifest, _top(quest.manifest)
+    count, turn = quest.views.measured(asked.count), asked.number * len(m.segments)
+    for group, found in zip(quest.numbers, quest.ask(asked), strict=True):
+        for segment, errors in zip(m.segments_of(group), found, strict=True):
+            places = quest.views.places_of(turn + segment, asked.count)
+            by_rung = dict(zip(asked.strides, errors, strict=True))
+            of = seen[segment]
+            whole = by_rung[top].squared if top in by_rung else of[top].squared[asked.number * count :][:count]
+            for rung, stride in asked.strides.items():
+                of[rung].squared.extend(by_rung[rung].squared)
+                of[rung].alike.extend(by_rung[rung].alike)
+                of[rung].top.extend(whole[::stride])
+                of[rung].places.extend(places[::stride])
 
-    Of the others those count alone that would be on the ladder, so far as is known.
-    """
-    levels, qualities = range(len(m.levels)), range(len(m.qualities))
-    rungs, top, certain = list(itertools.product(levels, qualities)), (0, m.levels[0].quality), _doubt_of_top(m, pairs)
-    sizes = [m.bytes_of(m.rung_files(q, j, numbers)) for j, q in rungs]
-    shown = [psnr(float(_weights(m, pairs) @ [_scaled(of, j, q) for of in pairs.values()])) for j, q in rungs]
-    ladder = on_ladder(list(zip(sizes, shown, strict=True)))
-    asked = {
+
+def _unsure(quest: Quest, seen: Seen) -> list[Rung]:
+    """The rungs below the top one that are unsure, of those that would be on the ladder, so far as is known."""
+    m, rungs, shares = quest.manifest, _rungs(quest.manifest), quest.shares
+    parts = {rung: [of[rung] for of in seen.values()] for rung in rungs}
+    errors = [shares @ [_ratio(of, of[rung]) * np.mean(of[rung].squared) for of in seen.values()] for rung in rungs]
+    sizes = [m.bytes_of(m.rung_files(q, j, quest.numbers)) for j, q in rungs]
+    ladder = on_ladder(list(zip(sizes, map(psnr, errors), strict=True)))
+    certain = _doubt_of_top(parts[_top(m)], shares)
+    return [
         rung
         for rung, counts in zip(rungs, ladder, strict=True)
-        if counts and rung != top and math.hypot(certain, _doubt_of_ratio(m, pairs, *rung)) > UNSURE_LOWER
-    }
-    if asked or again or certain > UNSURE:
-        asked.add(top)
-    return tuple(tuple(int((j, q) in asked) for q in qualities) for j in levels)
+        if counts and rung != _top(m) and math.hypot(certain, _doubt_of_ratio(parts[rung], shares)) > UNSURE_LOWER
+    ]
 
 
-def _weights(m: Manifest, pairs: Mapping[int, SegmentPairs]) -> NDArray[np.float64]:
-    """(S,) share of each segment in the frames of all."""
-    frames = np.array([m.segments[s].stop - m.segments[s].start for s in pairs])
-    return frames / frames.sum()
+def _doubt_of_top(parts: Sequence[RungSeen], shares: NDArray[np.float64]) -> float:
+    """Relative standard error of the mean squared error of the top rung in some segments; 0 without error."""
+    squared = [np.array(part.squared) for part in parts]
+    mean = float(shares @ [of.mean() for of in squared])
+    return _standard_error(squared, parts, shares) / mean if mean else 0.0
 
 
-def _doubt_of_top(m: Manifest, pairs: Mapping[int, SegmentPairs]) -> float:
-    """Relative standard error of the top rung's mean squared error, from the errors of segments; 0 without error."""
-    weights = _weights(m, pairs)
-    squared = [[own.mse for own, _ in of[0][m.levels[0].quality]] for of in pairs.values()]
-    mean = float(weights @ [np.mean(of) for of in squared])
-    variance = float(weights**2 @ [np.var(of) / max(1, len(of) - 1) for of in squared])
-    return variance**0.5 / mean if mean else 0.0
-
-
-def _doubt_of_ratio(m: Manifest, pairs: Mapping[int, SegmentPairs], level: int, quality: int) -> float:
+def _doubt_of_ratio(parts: Sequence[RungSeen], shares: NDArray[np.float64]) -> float:
     """Relative standard error of what a rung's mean squared error is to that of the top one; 0 without error.
 
-    One ratio for all segments: what is left of errors then is at most too large where segments have others.
+    One ratio for all segments.
     """
-    squared = [np.array([(own.mse, top.mse) for own, top in of[level][quality]]) for of in pairs.values()]
-    weights, counts = _weights(m, pairs), np.array([len(of) for of in squared])
-    own, top = weights @ [of.mean(axis=0) for of in squared]
+    own, top = shares @ [(np.mean(part.squared), np.mean(part.top)) for part in parts]
     if not own:
         return 0.0
-    left = np.concatenate([of[:, 0] - (own / top * of[:, 1] if top else own) for of in squared])
-    variance = float(left @ left) / max(1, len(left) - 1)
-    return float((variance * (weights**2 / counts).sum()) ** 0.5 / own)
+    left = [np.array(part.squared) - (own / top * np.array(part.top) if top else 0.0) for part in parts]
+    return _standard_error(left, parts, shares) / float(own)
 
 
-def _scaled(pairs: SegmentPairs, level: int, quality: int) -> float:
-    """Mean squared error of a rung of a segment, as all pictures would show it."""
-    return _ratio(pairs, level, quality) * float(np.mean([own.mse for own, _ in pairs[level][quality]]))
+def _standard_error(errors: Sequence[NDArray], parts: Sequence[RungSeen], shares: NDArray[np.float64]) -> float:
+    """Standard error of the mean of errors in pictures of some segments, each with its share; infinite for one picture.
+
+    Segments and places differ, and all of them are looked at: only what neither explains is left to chance, and that
+    not all places are looked at equally often (post-stratification; Cochran, chapter 5A). Places tell nothing where
+    pictures are too few.
+    """
+    counts = np.array([len(of) for of in errors])
+    segments, left = np.repeat(np.arange(len(counts)), counts), np.concatenate(errors)
+    if len(left) < 2:
+        return math.inf
+    means = np.array([of.mean() for of in errors]) if len(left) > len(counts) else np.full(len(counts), left.mean())
+    left, free = left - means[segments], len(left) - (len(counts) if len(left) > len(counts) else 1)
+    weights, uneven = (shares / counts)[segments], 0.0
+    _, places = np.unique(np.concatenate([part.places for part in parts]), return_inverse=True)
+    looked = np.bincount(places)
+    if len(left) >= MANY * len(looked) and free >= len(looked):
+        effects = np.bincount(places, left) / looked
+        left, free = left - effects[places], free - len(looked) + 1
+        uneven = float(effects @ (np.bincount(places, weights) - 1 / len(looked)))
+    return float((left @ left / free * (weights @ weights) + uneven**2) ** 0.5)
 
 
-def _ratio(pairs: SegmentPairs, level: int, quality: int) -> float:
+def _ratio(of: Mapping[Rung, RungSeen], part: RungSeen) -> float:
     """What the top rung's mean squared error in all pictures of a segment is to that in those of a rung.
 
     1 where these show no error. The top rung is the one with most pictures.
     """
-    everywhere = max(itertools.chain(*pairs), key=len)
-    part = np.mean([top.mse for _, top in pairs[level][quality]])
-    return float(np.mean([top.mse for _, top in everywhere]) / part) if part else 1.0
+    everywhere = max(of.values(), key=lambda one: len(one.squared))
+    mean = np.mean(part.top)
+    return float(np.mean(everywhere.top) / mean) if mean else 1.0
 
 
-def _with_errors(segment: Segment, pairs: SegmentPairs) -> Segment:
+def _with_errors(m: Manifest, segment: Segment, of: Mapping[Rung, RungSeen]) -> Segment:
     """A segment with the quality that was measured."""
     levels = []
     for j, level in enumerate(segment.levels):
-        row = [pool([own for own, _ in of], _ratio(pairs, j, q)) for q, of in enumerate(pairs[j])]
-        levels.append(_with_quality(level, row))
+        row = [of[j, q] for q in range(len(m.qualities))]
+        scaled = [_ratio(of, part) * np.array(part.squared) for part in row]
+        levels.append(
+            replace(
+                level,
+                psnr=[round(psnr(float(squared.mean())), 2) for squared in scaled],
+                worst=[round(psnr(float(squared.max())), 2) for squared in scaled],
+                ssim=[round(float(np.mean([d.ssim for d in part.alike])), 4) for part in row],
+                delta_e=[round(float(np.mean([d.delta_e for d in part.alike])), 2) for part in row],
+            )
+        )
     return replace(segment, levels=levels)
 
 
@@ -258,14 +374,3 @@ def _fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
         return base.first(sum(counts[:tiers]))
     there = [unit % len(group.tiles[0].tiers) < tiers for unit in range(len(counts))]
     return base.part(np.flatnonzero(np.repeat(there, counts)))
-
-
-def _with_quality(level: SegmentLevel, row: Sequence[Quality]) -> SegmentLevel:
-    """An entry of a level with its quality at each key quality."""
-    return replace(
-        level,
-        psnr=[round(q.psnr, 2) for q in row],
-        worst=[round(q.worst, 2) for q in row],
-        ssim=[round(q.ssim, 4) for q in row],
-        delta_e=[round(q.delta_e, 2) for q in row],
-    )

@@ -78,9 +78,9 @@ def choose_bands(
     return omit_bands(sequence, survey, calibration.apply(settings))
 
 
-def choose_rows(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> WrittenRows:
-    """Give the rows that pictures of a group need. Raises SceneError."""
-    return keep_rows(_load(sequence, survey).frames, survey, settings)
+def choose_rows(sequence: GaussianSequence, survey: Survey, allowed: float | None) -> WrittenRows:
+    """Give the rows that pictures of a group need, by `EncodeSettings.allowed`. Raises SceneError."""
+    return keep_rows(_load(sequence, survey).frames, survey, allowed)
 
 
 def with_rows_of_others(needed: Iterable[NDArray[np.intp]]) -> tuple[NDArray[np.intp], int]:
@@ -227,7 +227,7 @@ class Step:
 SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
 CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
 BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "settings"), "bands")
-ROWS = Step("rows", choose_rows, ("sequence", "survey", "settings"), "written")
+ROWS = Step("rows", choose_rows, ("sequence", "survey", "allowed"), "written")
 KEY = Step("keys", code_key, ("sequence", "survey", "written", "settings"), "key")
 DIFFERENCE = Step("differences", code_difference, ("sequence", "survey", "written", "base", "settings"), "difference")
 STATES = Step("states", code_group, ("sequence", "coded", "settings", "first_segment"), "files")
@@ -284,7 +284,7 @@ class PreparedSequence:
             "span": Read(span, span),
             "views": Read(self.views, self._seen),
             "renderer": Read(self.views.renderer, self.views.renderer),
-            **({"settings": chosen(settings)} if settings else {}),
+            **({"settings": chosen(settings), "allowed": Read(settings.allowed, settings.allowed)} if settings else {}),
             **given,
         }
         for name in step.reads:

@@ -318,11 +318,14 @@ def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
     return RowPruning(ShownPictures(frames, survey.checks), survey.importance, survey.removals, survey.renderer)
 
 
-def keep_rows(frames: Sequence[Gaussians], survey: Survey, settings: EncodeSettings) -> WrittenRows:
-    """Rows of a group that are written: all, or those that pictures cannot do without."""
-    if settings.keep_all or not survey.trusted:
+def keep_rows(frames: Sequence[Gaussians], survey: Survey, allowed: float | None) -> WrittenRows:
+    """Rows of a group that are written: those that pictures cannot do without, or all.
+
+    `allowed` is as in `EncodeSettings.allowed`.
+    """
+    if allowed is None or not survey.trusted:
         return WrittenRows.all(len(frames[0]))
-    pruning, allowed = prune_rows(frames, survey), settings.steps.rows * settings.quality
+    pruning = prune_rows(frames, survey)
     return pruning.with_details(pruning.within(allowed), allowed)
 
 

@@ -100,7 +100,7 @@ class EncodeReport:
 
 def doubt_words(unsure: float) -> str:
     """How far a claim may be off; one picture of each segment does not tell."""
-    return "whose doubt is not known" if math.isnan(unsure) else f"good to {doubt_db(unsure):.1f} dB"
+    return "whose doubt is not known" if math.isinf(unsure) else f"good to {doubt_db(unsure):.1f} dB"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

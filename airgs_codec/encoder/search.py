@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, measure_quality
-from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.batch import Encoded, Measuring, ask_quality, encode_sequence
+from airgs_codec.encoder.measure import Rounds, measure_top
 from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.colour import delta_e_metric
 from airgs_codec.media.metrics import PSNR_CAP, Picture, psnr
-from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
+from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import root_of
 from airgs_codec.package.parse import pack_json
@@ -39,7 +39,7 @@ class Metric:
     # How it in dB, or the logarithm of it or of its inverse, falls with the logarithm of the factor, before two trials
     # say it better: error grows with the square of the steps; sizes were seen to fall by 0.6 to 1, ΔE to grow by 0.6.
     slope: float
-    figure: str = ""  # of `Quality`; "": it is told by the files
+    figure: str = ""  # of `TopMeasured`; "": it is told by the files
     most: float = math.inf
     words: str = ""  # on `most`
     rounding: float = 0.0  # of it in tables
@@ -230,11 +230,8 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
 
 def _figure(encoded: Encoded, measuring: Measuring, metric: Metric) -> tuple[float, int]:
     """What the only rung of a package has of a metric, and the rounds of pictures that tell it."""
-    tables = measure_quality(encoded, measuring).whole(encoded.manifest)
-    measured = pooled_quality(tables, 0, 0)
-    assert measured is not None
-    turn = measuring.original.views.measured(measuring.rounds.count)
-    return float(getattr(measured, metric.figure)), tables.views.measured // turn
+    top = measure_top(ask_quality(encoded, measuring))
+    return float(getattr(top, metric.figure)), top.rounds
 
 
 def weigh_colours(settings: EncodeSettings, original: PreparedSequence) -> EncodeSettings:

@@ -270,6 +270,11 @@ class EncodeSettings:
         return tuple(min(power, MAX_BITS) for power in itertools.accumulate(powers, max))
 
     @property
+    def allowed(self) -> float | None:
+        """Error of pictures that leaving out rows may make (RMS, samples in 0..1); None: none are left out."""
+        return None if self.keep_all else self.steps.rows * self.quality
+
+    @property
     def scaled_price(self) -> float:
         """`byte_price` at this quality: error grows with the square of the steps. 0 where nothing is left out."""
         return 0.0 if self.keep_all else self.byte_price * self.quality**2

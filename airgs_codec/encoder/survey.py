@@ -20,7 +20,16 @@ from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.package.region import DECIDING, MEASURING, draw_views, up_of, with_background, world_from, world_words
+from airgs_codec.package.region import (
+    DECIDING,
+    MEASURING,
+    draw_places,
+    draw_views,
+    up_of,
+    with_background,
+    world_from,
+    world_words,
+)
 from airgs_codec.package.tables import Region, Views, World
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
@@ -47,6 +56,7 @@ class ViewPlan:
     trusted: bool  # what no view of the region shows may be left out
     deciding: Sequence[Camera]
     measuring: Sequence[Camera]
+    places: Sequence[int]  # of the region, about which each of `measuring` is
     decided: int  # pictures of a group that decide: the first of `deciding`
     small: bool  # pictures are small, so that twice as many decide and measure
     notes: tuple[str, ...] = ()  # how the region was found, for people
@@ -95,9 +105,16 @@ class ViewPlan:
         count = self.measured(least)
         numbers = middle_frames(start, stop, count, turn)
         rounds = -(-count // len(numbers))
-        first = index * count % len(self.measuring)
-        views = itertools.islice(itertools.cycle(self.measuring), first, first + count)
+        views = [self.measuring[place] for place in self._turns(index, count)]
         return list(zip(sorted((numbers * rounds)[:count]), views, strict=True))
+
+    def places_of(self, index: int, least: int) -> list[int]:
+        """The places that pictures of `measure` are seen from."""
+        return [self.places[place] for place in self._turns(index, self.measured(least))]
+
+    def _turns(self, index: int, count: int) -> list[int]:
+        """Which of the views measure a segment: the next ones after those of the segment before."""
+        return [number % len(self.measuring) for number in range(index * count, (index + 1) * count)]
 
     def measured(self, least: int) -> int:
         """How many pictures measure a segment, where `least` do of large pictures."""
@@ -147,9 +164,11 @@ def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> Vie
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
     deciding = [resized(camera, share) for camera in draw_views(region, DRAWS, DECIDING)]
-    measuring = list(held_out) if point and held_out else draw_views(region, DRAWS, MEASURING)
+    measuring, places = draw_views(region, DRAWS, MEASURING), draw_places(region, DRAWS, MEASURING)
+    if point and held_out:
+        measuring, places = list(held_out), list(range(len(held_out)))
     small = region.width * region.height <= SMALL_PIXELS
-    return ViewPlan(region, True, deciding, measuring, 2 * pictures if small else pictures, small)
+    return ViewPlan(region, True, deciding, measuring, places, 2 * pictures if small else pictures, small)
 
 
 def _spread(frames: int, cameras: Sequence[Camera]) -> Pictures:

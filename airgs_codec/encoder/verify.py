@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import ExpectedError
-from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, measure_quality
-from airgs_codec.encoder.measure import Rounds, doubt_db
+from airgs_codec.encoder.batch import Encoded, Measuring, ask_quality, encode_sequence
+from airgs_codec.encoder.measure import Rounds, doubt_db, measure_groups
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.work import Work
@@ -75,9 +75,9 @@ class Verified:
 def encode_verified(attempt: Attempt) -> Verified:
     """Encode and measure, again with other settings while a rung must be repaired.
 
-    Rungs that a cheaper one beats are dropped, and then levels that mixtures of others beat; what a top rung leaves out
-    or withholds is taken back where it made more error than expected. Where steps alone explain a shortfall, the rung
-    is worth its bytes, and stays.
+    What the top rung leaves out or withholds is taken back where it makes more error than expected, before anything is
+    measured. Rungs that a cheaper one beats are dropped, and then levels that mixtures of others beat. Where steps
+    alone explain a shortfall, the rung is worth its bytes, and stays.
     """
     stories: list[str] = []
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
@@ -87,9 +87,12 @@ def encode_verified(attempt: Attempt) -> Verified:
         encode_s += watch.lap()
         if not attempt.rounds.count:
             return Verified(encoded.manifest, encoded, attempt.settings, (), encode_s, 0.0)
-        measured = measure_quality(encoded, measuring)
-        manifest = measured.whole(encoded.manifest)
-        repair = find_repair(attempt, encoded, manifest, measured.unsure) if number < ATTEMPTS else None
+        last = attempt.given or number == ATTEMPTS
+        repair = None if last else repair_parts(attempt, encoded)
+        if repair is None:
+            measured = measure_groups(ask_quality(encoded, measuring))
+            manifest = measured.whole(encoded.manifest)
+            repair = None if last else repair_levels(attempt, encoded, manifest, measured.unsure)
         measure_s += watch.lap()
         if repair is None:
             ends = f"; top rung now {_psnr(manifest, 0, manifest.levels[0].quality):.2f} dB" if stories else ""
@@ -100,25 +103,31 @@ def encode_verified(attempt: Attempt) -> Verified:
     raise AssertionError("unreachable")
 
 
-def find_repair(attempt: Attempt, encoded: Encoded, measured: Manifest, unsure: float = math.nan) -> Repair | None:
+def repair_parts(attempt: Attempt, encoded: Encoded) -> Repair | None:
+    """Say what the top rung must take back that costs SHORTFALL_DB more than all was expected to; None: nothing."""
+    expected = attempt.expected
+    if expected is None:
+        return None
+    beyond = squared_error(psnr(expected.total) - SHORTFALL_DB) - expected.total
+    return _take_back(attempt, encoded, expected, beyond)
+
+
+def repair_levels(attempt: Attempt, encoded: Encoded, measured: Manifest, unsure: float = math.inf) -> Repair | None:
     """Say what must change in a package whose quality was measured; None where every rung is as it should be.
 
-    `unsure` is as in `Measured`; NaN: nobody knows whether a mixture beats a level.
+    `unsure` is as in `Measured`; infinite: nobody knows whether a mixture beats a level.
     """
-    if attempt.given:
-        return None
     quality = [_psnr(measured, j, level.quality) for j, level in enumerate(measured.levels)]
     sizes = [measured.bytes_of(measured.rung_files(level.quality, j)) for j, level in enumerate(measured.levels)]
     better = _find_better(quality, sizes)
     lower = [j for j in better if j > 0]
     if lower:
         return _drop(attempt.settings, {j: better[j] for j in lower}, quality)
-    beaten = 0 in better and quality[better[0]] > quality[0]
-    expected = attempt.expected or ExpectedError(steps=squared_error(quality[better[0]] if beaten else quality[0]))
-    short = quality[0] < psnr(expected.total) - SHORTFALL_DB
-    if (short or beaten) and (repair := _take_back(attempt, encoded, quality[0], expected)):
-        return repair
-    return _drop(attempt.settings, better, quality) if beaten else _drop_idle(attempt.settings, measured, unsure)
+    if 0 not in better or quality[better[0]] <= quality[0]:
+        return _drop_idle(attempt.settings, measured, unsure)
+    expected = attempt.expected or ExpectedError(steps=squared_error(quality[better[0]]))
+    beyond = BLAME * max(0.0, squared_error(quality[0]) - expected.total)
+    return _take_back(attempt, encoded, expected, beyond) or _drop(attempt.settings, better, quality)
 
 
 def _drop(settings: EncodeSettings, better: Mapping[int, int], quality: Sequence[float]) -> Repair:
@@ -136,7 +145,7 @@ def _drop_idle(settings: EncodeSettings, m: Manifest, unsure: float) -> Repair |
     Nor on that of rungs in their own key quality alone, which more pictures measure. A level stays with which a key
     quality would go that is on the ladder.
     """
-    if math.isnan(unsure):
+    if math.isinf(unsure):
         return None
     more = max(IDLE_DB, doubt_db(unsure))
     rungs = list(itertools.product(range(len(m.qualities)), range(len(m.levels))))
@@ -179,26 +188,27 @@ def _without(settings: EncodeSettings, beaten: Sequence[int]) -> EncodeSettings:
     return replace(settings, levels=tuple(levels), key_factors=tuple(settings.key_factors[q] for q in used))
 
 
-def _take_back(attempt: Attempt, encoded: Encoded, measured: float, expected: ExpectedError) -> Repair | None:
-    """Less left out or fewer updates withheld, whichever is to blame for a shortfall of the top rung; None: neither.
+def _take_back(attempt: Attempt, encoded: Encoded, expected: ExpectedError, beyond: float) -> Repair | None:
+    """Less left out or fewer updates withheld, whichever makes more error than is expected of it; None: neither.
 
-    A part is to blame that makes more error than was expected of it, by BLAME of what all parts make beyond that.
+    `beyond` is the error that is taken besides.
     """
-    settings, total = attempt.settings, squared_error(measured)
-    story = f"top rung {measured:.2f} dB where {psnr(expected.total):.2f} dB were expected"
-    beyond = BLAME * max(0.0, total - expected.total)
+    settings = attempt.settings
     rows, held = _part_errors(attempt, encoded)
     if rows - expected.rows > beyond and rows - expected.rows >= held - expected.held:
-        finer = settings.steps.rows * min(1.0, expected.total / total) ** 0.5 / 2
-        fewer = replace(settings, steps=replace(settings.steps, rows=finer))
-        return Repair(fewer, f"{story}: Gaussians left out cost {psnr(rows):.1f} dB, fewer are")
+        fewer = replace(settings, steps=replace(settings.steps, rows=settings.steps.rows / 2))
+        return Repair(fewer, f"Gaussians left out {_cost(rows, expected.rows)}: fewer are")
     if held - expected.held > beyond:
         pruned = settings.levels[0].pruned
         top = replace(settings.levels[0], pruned=pruned / 2 if pruned > 0.1 else 0.0)
         keep_all = pruned == 0  # nothing was withheld: rows held to be static are to blame
         fixed = replace(settings, levels=(top, *settings.levels[1:]), keep_all=settings.keep_all or keep_all)
-        return Repair(fixed, f"{story}: updates withheld cost {psnr(held):.1f} dB, fewer are")
+        return Repair(fixed, f"updates withheld {_cost(held, expected.held)}: fewer are")
     return None
+
+
+def _cost(error: float, expected: float) -> str:
+    return f"cost {psnr(error):.1f} dB" + (f" where {psnr(expected):.1f} dB were expected" if expected else "")
 
 
 def _part_errors(attempt: Attempt, encoded: Encoded) -> tuple[float, float]:

@@ -3,19 +3,28 @@
 import math
 from collections import defaultdict
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from airgs_codec.encoder import measure
-from airgs_codec.encoder.measure import LOWER, OFF_LADDER, ROUNDS, Rounds, measure_groups, measure_round, pictures_of
+from airgs_codec.encoder.measure import (
+    LOWER,
+    OFF_LADDER,
+    ROUNDS,
+    Quest,
+    Rounds,
+    RungSeen,
+    measure_groups,
+    measure_round,
+    pictures_of,
+)
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.media.metrics import psnr
-from airgs_codec.package.manifest import on_ladder, pooled_quality
-from airgs_codec.package.package import open_package
+from airgs_codec.package.manifest import Groups, on_ladder, pooled_quality
+from airgs_codec.package.package import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -38,22 +47,25 @@ def measured(small, monkeypatch, unsure, lower):
     24 pictures a round, until doubts are as small as `unsure` and `lower`.
     """
     package, sequence = small
-    errors = defaultdict(list)
+    errors, tops = defaultdict(list), {}
 
     def ask(asked):
         pictures = pictures_of(views, package.manifest, 0, asked, len(package.manifest.segments))
         found = measure_round(package, sequence, views.renderer, 0, pictures)
         for segment, of_segment in enumerate(found):
-            for level, of_level in enumerate(of_segment):
-                for key, of_rung in enumerate(of_level):
-                    top = of_segment[0][0][:: asked.strides[level][key] or 1]
-                    errors[segment, level, key] += [(p.mse, t.mse) for p, t in zip(of_rung, top, strict=False)]
+            by_rung = dict(zip(asked.strides, of_segment, strict=True))
+            if (0, 0) in by_rung:
+                tops[segment, asked.number] = by_rung[0, 0].squared
+            for (level, key), of_rung in by_rung.items():
+                assert len(of_rung.alike) == (len(of_rung.squared) if asked.number == 0 else 0)
+                top = tops[segment, asked.number][:: asked.strides[level, key]]
+                errors[segment, level, key] += zip(of_rung.squared, top, strict=True)
         return [found]
 
     monkeypatch.setattr(measure, "UNSURE", unsure)
     monkeypatch.setattr(measure, "UNSURE_LOWER", lower)
     views = ViewPlan.of(sequence, 24)  # small pictures: twice as many
-    found = measure_groups(package.manifest, [0], views, Rounds(12), ask)
+    found = measure_groups(Quest(package.manifest, [0], views, Rounds(12), ask))
     assert len(package.manifest.groups) == 1 and len(errors) == len(package.manifest.segments) * 4
     return errors, found.whole(package.manifest)
 
@@ -82,34 +94,72 @@ def test_more_pictures_are_measured_of_unsure_rungs_that_no_mixture_beats(small,
     check_scaled(errors, m, {(0, 0): 24 + more, (1, 1): 24 // LOWER + more, (0, 1): few + more, (1, 0): few})
 
 
+def seen(*segments, places=None):
+    """What was seen in segments: (error of a rung, of the top one) of each picture, all from one place by default."""
+    numbers = places or [[0] * len(of) for of in segments]
+    return [
+        RungSeen([own for own, _ in of], [top for _, top in of], at, [])
+        for of, at in zip(segments, numbers, strict=True)
+    ]
+
+
 def test_the_doubt_of_a_rung_is_what_its_ratio_to_the_top_one_spreads_by():
     """Of ratios that are the same in all pictures there is none, however pictures differ; without error neither."""
-    m = SimpleNamespace(segments=[SimpleNamespace(start=0, stop=4), SimpleNamespace(start=4, stop=8)])
 
     def doubt(*segments):
-        pairs = {
-            s: [[[(SimpleNamespace(mse=y), SimpleNamespace(mse=x)) for y, x in of]]] for s, of in enumerate(segments)
-        }
-        return measure._doubt_of_ratio(m, pairs, 0, 0)
+        return measure._doubt_of_ratio(seen(*segments), np.full(len(segments), 1 / len(segments)))
 
     assert doubt([(2.0, 1.0), (6.0, 3.0)], [(4.0, 2.0)]) == 0.0
     assert doubt([(0.0, 1.0), (0.0, 3.0)], [(0.0, 2.0)]) == 0.0
-    # Own errors 1, 3 and 2, 2 about a ratio of 2: left are -1, 1, 0, 0, their variance 2 / 3, of the mean of four.
-    assert doubt([(1.0, 1.0), (3.0, 1.0)], [(2.0, 1.0), (2.0, 1.0)]) == pytest.approx((2 / 3 / 4) ** 0.5 / 2)
+    # Own errors 1, 3 and 2, 2 about a ratio of 2: left are -1, 1, 0, 0, their variance 2 / 2, of the mean of four.
+    assert doubt([(1.0, 1.0), (3.0, 1.0)], [(2.0, 1.0), (2.0, 1.0)]) == pytest.approx((2 / 2 / 4) ** 0.5 / 2)
     # The top one shows no error: the spread is that of the rung's own errors.
-    assert doubt([(1.0, 0.0), (3.0, 0.0)], [(2.0, 0.0), (2.0, 0.0)]) == pytest.approx((2 / 3 / 4) ** 0.5 / 2)
+    assert doubt([(1.0, 0.0), (3.0, 0.0)], [(2.0, 0.0), (2.0, 0.0)]) == pytest.approx((2 / 2 / 4) ** 0.5 / 2)
+    # One picture of each segment: segments tell their spread, 1 and 3 about 2.
+    assert doubt([(1.0, 0.0)], [(3.0, 0.0)]) == pytest.approx((2 / 1 / 2) ** 0.5 / 2)
+    assert doubt([(1.0, 1.0)]) == math.inf
+
+
+def test_what_places_and_segments_explain_is_no_doubt():
+    """Errors of 1 from one place and 3 from another, in two segments of which one has twice the error of the other."""
+    shares, at = np.array([0.25, 0.75]), [[0, 1, 0, 1], [0, 1, 0, 1]]
+    even = seen([(1.0, 0.0), (3.0, 0.0)] * 2, [(4.0, 0.0), (6.0, 0.0)] * 2, places=at)
+    assert measure._doubt_of_top(even, shares) == 0.0
+    blind = seen([(1.0, 0.0), (3.0, 0.0)] * 2, [(4.0, 0.0), (6.0, 0.0)] * 2)
+    # Left are -1, 1, -1, 1 in either: a variance of 8 / 6, in each mean over 4, of which the shares are a mean.
+    assert measure._doubt_of_top(blind, shares) == pytest.approx((8 / 6 / 4 * (0.25**2 + 0.75**2)) ** 0.5 / 4.25)
+
+
+def test_places_that_are_looked_at_less_often_than_others_leave_a_doubt():
+    """One of two places is seen in three of four pictures: the mean is off by a quarter of what they differ by."""
+    uneven = seen([(1.0, 0.0), (1.0, 0.0), (1.0, 0.0), (5.0, 0.0)], places=[[0, 0, 0, 1]])
+    assert measure._doubt_of_top(uneven, np.ones(1)) == pytest.approx(0.25 * 4 / 2)
+
+
+def test_doubts_hold_for_pictures_that_are_drawn_anew():
+    """Of 400 draws from places that differ, the true mean is off by two standard errors in about one of twenty."""
+    rng, means = np.random.default_rng(5), np.array([1.0, 2.0, 4.0, 9.0])
+    off = []
+    for _ in range(400):
+        at = [rng.permutation(np.repeat(np.arange(4), 3)).tolist()[:10] for _ in range(2)]
+        errors = [[(float(means[p] * rng.gamma(4.0, 0.25)), 0.0) for p in of] for of in at]
+        found = np.mean([[own for own, _ in of] for of in errors])
+        doubt = measure._doubt_of_top(seen(*errors, places=at), np.full(2, 0.5))
+        off.append(abs(found - means.mean()) > 2 * doubt * found)
+    assert 0.02 < np.mean(off) < 0.1
 
 
 @pytest.mark.parametrize(("rounds", "known"), [(1, False), (2, True)])
-def test_one_picture_of_each_segment_does_not_tell_its_doubt(small, rounds, known):
+def test_one_picture_does_not_tell_its_doubt(small, rounds, known):
     package, sequence = small
     m, views = package.manifest, replace(ViewPlan.of(sequence, 24), small=False)
+    m = replace(m, groups=Groups.of([replace(m.groups[0], segments=m.groups[0].segments[:1])]))
 
     def ask(asked):
         pictures = pictures_of(views, m, 0, asked, len(m.segments))
-        return [measure_round(package, sequence, views.renderer, 0, pictures)]
+        return [measure_round(Package(package.files, m, 0), sequence, views.renderer, 0, pictures)]
 
-    found = measure_groups(m, [0], views, Rounds(1).again(rounds), ask)
+    found = measure_groups(Quest(m, [0], views, Rounds(1).again(rounds), ask))
     assert found.pictures == rounds and math.isfinite(found.unsure) is known
 
 

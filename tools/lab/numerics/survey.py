@@ -14,7 +14,16 @@ from itertools import cycle, islice
 
 import numpy as np
 
-from airgs_codec.encoder.measure import ROUNDS, Round, RoundErrors, Rounds, measure_groups, measure_round, pictures_of
+from airgs_codec.encoder.measure import (
+    ROUNDS,
+    Quest,
+    Round,
+    RoundErrors,
+    Rounds,
+    measure_groups,
+    measure_round,
+    pictures_of,
+)
 from airgs_codec.encoder.survey import Pictures, plan_views
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import pooled_quality
@@ -112,6 +121,6 @@ def _own(subject: Subject, count: int, trial: int) -> float:
             for group, pictures in zip(groups, drawn, strict=True)
         ]
 
-    quality = pooled_quality(measure_groups(m, groups, views, Rounds(count), ask).whole(m), 0, 0)
+    quality = pooled_quality(measure_groups(Quest(m, groups, views, Rounds(count), ask)).whole(m), 0, 0)
     assert quality is not None
     return quality.psnr
