@@ -52,6 +52,16 @@ def pooled_error(errors: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
+def pooled_within(errors: Iterable[float], count: int, most: float) -> float:
+    """`pooled_error` of so many errors; infinite, and no more are asked for, where it is sure to be beyond `most`."""
+    total = 0.0
+    for error in errors:
+        total += error**2
+        if total > count * most**2:
+            return math.inf
+    return math.sqrt(total / count)
+
+
 @dataclass(frozen=True, slots=True)
 class ExpectedError:
     """The mean squared error that pictures are expected to have, part by part."""
@@ -184,21 +194,23 @@ class RowPruning:
 def select_omissions(
     sizes: NDArray[np.float64],
     guesses: NDArray[np.float64],
-    error: Callable[[NDArray[np.bool_]], float],
+    error: Callable[[NDArray[np.bool_], float], float],
     price: float,
 ) -> tuple[NDArray[np.bool_], float]:
     """Which of (c,) things to leave out, as a mask, and the mean squared error that this makes in rendered pictures.
 
     `sizes` are bytes a frame, `guesses` are estimates of the error of leaving each one out, which only rank the
-    things; `error` renders without those of a mask. As many are left out as together cost at most half of `price`
-    (squared error a byte), so that the last one pays as well; none where the price is 0.
+    things; `error` renders without those of a mask, and may be infinite beyond its second argument. As many are left
+    out as together cost at most half of `price` (squared error a byte), so that the last one pays as well; none where
+    the price is 0.
     """
     order = np.argsort(guesses - price * sizes, kind="stable")
     most = int(np.count_nonzero(guesses < price * sizes))
     while most:
         trial = np.isin(np.arange(len(sizes)), order[:most])
-        cost = error(trial)
-        if cost <= price / 2 * float(sizes[trial].sum()):
+        worth = price / 2 * float(sizes[trial].sum())
+        cost = error(trial, worth)
+        if cost <= worth:
             return trial, cost
         most //= 2
     return np.zeros(len(sizes), bool), 0.0

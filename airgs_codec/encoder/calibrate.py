@@ -37,7 +37,7 @@ from airgs_codec.media.h264 import BETWEEN
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
-from airgs_codec.render.compare import compare, draw_ahead, draw_frames
+from airgs_codec.render.compare import compare, draw_frames, draw_once
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
@@ -221,7 +221,7 @@ class Withholding:
         depths = assign_depths(score, moving, SHARES)
         views = [(i, camera) for i, (_, camera) in enumerate(pictures)]
         renderer = subject.layout.renderer
-        whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
+        whole = draw_once(draw_frames(frames.__getitem__, renderer))
 
         def error(share: int) -> float:
             updated = moving & (depths >= share)

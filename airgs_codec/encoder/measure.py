@@ -18,7 +18,7 @@ from airgs_codec.package.manifest import Groups, Manifest, on_ladder
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Group, Segment
 from airgs_codec.render.backend import Renderer
-from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, in_order
+from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, in_order
 from airgs_codec.scene.sequence import GaussianSequence
 
 LOWER = 2  # one picture of the first round in so many measures the rungs below the top one
@@ -230,8 +230,7 @@ def measure_round(
     m, found = package.manifest, []
     bases = {quality: decode_canonical(package, group, quality) for quality in {q for _, q, _ in asked.strides}}
     for index, pictures in zip(m.segments_of(group), asked.pictures, strict=True):
-        seen = [view for at, view in enumerate(pictures) if any(at % stride == 0 for *_, stride in asked.strides)]
-        originals = draw_ahead(_originals(sequence, seen, renderer), seen)
+        originals = draw_once(_originals(sequence, pictures, renderer))
         errors: SegmentErrors = []
         for level, quality, stride in asked.strides:
             looked_at = pictures[::stride]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, select_omissions
+from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, pooled_within, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.encoder.plan import GroupLayout
@@ -24,7 +24,7 @@ from airgs_codec.encoder.survey import Pictures, Survey
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, LeftOut, StateSteps
-from airgs_codec.render.compare import Source, compare, draw_ahead, draw_frames, draw_still
+from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, draw_still
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -129,7 +129,7 @@ def omit_bands(sequence: GaussianSequence, survey: Survey, settings: EncodeSetti
     if not sequence.sh_degree or price == 0:
         return sequence.sh_degree, None
     g = sequence.load([survey.span.middle]).frames[0]
-    whole = draw_ahead(draw_still(g, survey.renderer), survey.checks)
+    whole = draw_once(draw_still(g, survey.renderer))
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = draw_still(g.with_degree(bands - 1), survey.renderer)
@@ -182,11 +182,11 @@ class KeyOmissions:
         if price == 0:
             return np.zeros(len(self.sizes), bool), None
         pictures = self.layout.pictures
-        whole = draw_ahead(self._show(self.values), pictures)
+        whole = draw_once(self._show(self.values))
 
-        def error(omitted: NDArray[np.bool_]) -> float:
+        def error(omitted: NDArray[np.bool_], most: float) -> float:
             without = self._show(np.where(omitted[:, None], self.centres[:, None], self.values))
-            return pooled_error(list(compare(whole, without, pictures, Picture.mse)))
+            return pooled_within(compare(whole, without, pictures, Picture.mse), len(pictures), most)
 
         chosen, cost = select_omissions(self.sizes, self.guesses, error, price)
         saved = float(self.sizes[chosen].sum())
@@ -244,10 +244,11 @@ class StateOmissions:
         centres = np.array([np.median(self.values.channel(c, rows)) for c in range(count)])
         sizes, guesses = self._estimate(centres, slice(None))
         pictures = self.layout.pictures
-        whole = draw_ahead(self._show(np.zeros(count, bool), centres), pictures)
+        whole = draw_once(self._show(np.zeros(count, bool), centres))
 
-        def error(omitted: NDArray[np.bool_]) -> float:
-            return pooled_error(list(compare(whole, self._show(omitted, centres), pictures, Picture.mse)))
+        def error(omitted: NDArray[np.bool_], most: float) -> float:
+            errors = compare(whole, self._show(omitted, centres), pictures, Picture.mse)
+            return pooled_within(errors, len(pictures), most)
 
         chosen, cost = select_omissions(sizes / frames, guesses, error, price)
         saved = float(sizes[chosen].sum()) / frames
@@ -266,7 +267,7 @@ class StateOmissions:
         sizes, guesses = (np.array([sum(pair[i]) for pair in pairs]) for i in (0, 1))
         shares = np.array([len(p) for p in parts]) / frames
 
-        def error(omitted: NDArray[np.bool_]) -> float:
+        def error(omitted: NDArray[np.bool_], _: float) -> float:
             costs = []
             for part in (parts[i] for i in np.flatnonzero(omitted)):
                 errors = list(compare(whole, still, self._of_segment(part), Picture.mse))

@@ -24,7 +24,7 @@ from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import root_of
 from airgs_codec.package.parse import pack_json
 from airgs_codec.package.tables import FileEntry, Group, SegmentLevel, digest
-from airgs_codec.render.compare import compare, draw_ahead, draw_still
+from airgs_codec.render.compare import compare, draw_once, draw_still
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 
@@ -167,7 +167,7 @@ def find_limit(encoded: Encoded, original: PreparedSequence, metric: Metric = PS
         number, _ = view
         span = next(span for span in original.spans if number < span.stop)
         whole = turn_least(original.sequence.load(range(span.start, span.stop))).frames[number - span.start]
-        reference = draw_ahead(draw_still(whole, renderer), [view])
+        reference = draw_once(draw_still(whole, renderer))
         for name, shown in _made_exact(whole, decode(package, number), encoded.group(span.index).rows):
             found = compare(reference, draw_still(shown, renderer), [view], differs)
             errors.setdefault(name, []).extend(found)

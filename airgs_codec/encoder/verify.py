@@ -26,7 +26,7 @@ from airgs_codec.package.region import draw_views
 from airgs_codec.package.tables import STATIC
 from airgs_codec.progress import Stopwatch
 from airgs_codec.render.backend import Renderer
-from airgs_codec.render.compare import View, compare, draw_ahead, draw_frames
+from airgs_codec.render.compare import View, compare, draw_frames, draw_once
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows
 
 ATTEMPTS = 4  # encodes at most
@@ -232,7 +232,7 @@ def _errors_of_group(
 ) -> Iterator[tuple[float, float]]:
     """Give the errors of `_part_errors` for each view of a group; views count its frames from 0."""
     canonical, rows, static = mean_frame(frames), np.sort(coded.rows), coded.rows[coded.depths == STATIC]
-    whole = draw_ahead(draw_frames(frames.__getitem__, renderer), views)
+    whole = draw_once(draw_frames(frames.__getitem__, renderer))
     parts = (lambda place: frames[place].take(rows)), (lambda place: _held(frames[place], canonical, static))
     fewer, held = (compare(whole, draw_frames(part, renderer), views, Picture.mse) for part in parts)
     return zip(fewer, held, strict=True)

@@ -28,7 +28,7 @@ from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress, silent, told
 from airgs_codec.render import Camera, Render, render_views
-from airgs_codec.render.compare import View, draw_ahead, draw_frames, draw_still, in_order
+from airgs_codec.render.compare import View, draw_frames, draw_once, draw_still, in_order
 from airgs_codec.render.compare import compare as compare_views
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.frames import repair
@@ -62,7 +62,7 @@ def compare_streams(
     frames = [(number, list(seen)) for number, seen in itertools.groupby(views, key=lambda view: view[0])]
     for done, (number, seen) in enumerate(frames):
         progress("rendering", done, len(frames))
-        reference = draw_ahead(draw_still(original.load([number]).frames[0]), seen)
+        reference = draw_once(draw_still(original.load([number]).frames[0]))
         for name, stream in streams.items():
             found[name] += compare_views(reference, draw_still(next(stream)), seen, measure)
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import TypeVar
 
 from airgs_codec._settings import available_cores
@@ -78,7 +78,6 @@ def draw_still(gaussians: Gaussians, renderer: Renderer = CPU) -> Source:
     return lambda _, camera: Picture.of(loaded.draw(camera).rgb)
 
 
-def draw_ahead(source: Source, views: Sequence[View]) -> Source:
-    """The pictures of some views, drawn now and held: for a reference that several sources are compared with."""
-    pictures = {view: source(*view) for view in views}
-    return lambda frame, camera: pictures[frame, camera]
+def draw_once(source: Source) -> Source:
+    """Pictures that are held once they are drawn: for a reference that several sources are compared with."""
+    return cache(source)

@@ -1,6 +1,7 @@
 """What a scene does not need, against rendering without it."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.importance import (
+    CLOSE,
     DETAIL,
     CostSums,
     ExpectedError,
@@ -16,6 +18,7 @@ from airgs_codec.analysis.importance import (
     estimate_cost,
     importance,
     pooled_error,
+    pooled_within,
     select_omissions,
 )
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, MAX_VIEWS, measure_sensitivity, measure_usage
@@ -95,6 +98,32 @@ def test_the_worst_pictures_weigh_more_in_a_pooled_error():
     assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4
 
 
+def test_no_more_pictures_are_drawn_of_what_is_sure_to_be_beyond():
+    """The root of (0.3^2 + 0.4^2) / 4 is 0.25: the first two of four are enough to know that it is more than less."""
+    errors = iter([0.3, 0.4, 0.1, 0.2])
+    assert pooled_within(errors, 4, 0.28) < math.inf and list(errors) == []
+    errors = iter([0.3, 0.4, 0.1, 0.2])
+    assert pooled_within(errors, 4, 0.249) == math.inf and list(errors) == [0.1, 0.2]
+    assert pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
+
+
+def test_the_number_of_rows_is_guessed_from_errors_that_are_known(scene, monkeypatch):
+    """Errors that grow with the fourth power of the number: two lines through their logarithms meet the allowed one."""
+    _, frames = scene
+    rows = len(frames[0])
+    pruning = RowPruning([], np.concatenate([np.zeros(100), np.ones(rows - 100)]), {})
+    looked = []
+
+    def error(count):
+        looked.append(count)
+        return pruning._errors.setdefault(count, (count / rows) ** 4)
+
+    monkeypatch.setattr(pruning, "_error", error)
+    kept = pruning.within(0.2)  # squared: (0.447 of the rows) ^ 4
+    assert kept.error <= 0.2**2 and kept.error >= CLOSE * 0.2**2 and len(kept.rows) == rows - looked[-1]
+    assert looked[:2] == [100, rows] and len(looked) == 3
+
+
 def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):
     """A picture is linear in an alpha; what is left is the chance in the signs of `measure_sensitivity`."""
     training, (_, frame, _) = scene
@@ -115,29 +144,29 @@ def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):
 def test_things_go_as_long_as_they_pay():
     sizes, errors = np.array([10.0, 10.0, 10.0]), np.array([1.0, 100.0, 3.0])
 
-    def error(chosen):
+    def error(chosen, _):
         return float(errors[chosen].sum())
 
     assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
     assert select_omissions(sizes, errors, error, 1.0)[0].tolist() == [True, False, True]
     # guesses that are too low: fewer are left out
     assert select_omissions(sizes, np.zeros(3), error, 1.0)[0].tolist() == [True, False, False]
-    assert select_omissions(sizes, np.zeros(3), lambda chosen: 1e9, 1.0)[0].tolist() == [False] * 3
+    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 1e9, 1.0)[0].tolist() == [False] * 3
     # at half of what their bytes are worth, and no dearer
-    assert select_omissions(sizes, np.zeros(3), lambda chosen: 4.9 * chosen.sum(), 1.0)[0].tolist() == [True] * 3
-    assert select_omissions(sizes, np.zeros(3), lambda chosen: 5.1 * chosen.sum(), 1.0)[0].tolist() == [False] * 3
+    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 4.9 * chosen.sum(), 1.0)[0].tolist() == [True] * 3
+    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 5.1 * chosen.sum(), 1.0)[0].tolist() == [False] * 3
 
 
 def test_what_pays_most_goes_first_and_the_half_of_it_where_all_is_too_dear():
     sizes, guesses = np.array([100.0, 10.0]), np.array([40.0, 5.0])
-    chosen, cost = select_omissions(sizes, guesses, lambda chosen: 60.0 if chosen.all() else 40.0, 1.0)
+    chosen, cost = select_omissions(sizes, guesses, lambda chosen, _: 60.0 if chosen.all() else 40.0, 1.0)
     assert (chosen.tolist(), cost) == ([True, False], 40.0) and chosen.dtype == bool
     four = np.full(4, 10.0)
-    chosen, _ = select_omissions(four, np.arange(4.0), lambda chosen: 5.0 * 2 if chosen.sum() <= 2 else 1e9, 1.0)
+    chosen, _ = select_omissions(four, np.arange(4.0), lambda chosen, _: 5.0 * 2 if chosen.sum() <= 2 else 1e9, 1.0)
     assert chosen.tolist() == [True, True, False, False]  # at exactly half the price of their bytes
-    nothing, cost = select_omissions(four, four, lambda chosen: 0.0, 1.0)  # a guess that is no less than the price
+    nothing, cost = select_omissions(four, four, lambda chosen, _: 0.0, 1.0)  # a guess that is no less than the price
     assert (nothing.tolist(), nothing.dtype, cost) == ([False] * 4, bool, 0.0)
-    alike = select_omissions(np.ones(64), np.zeros(64), lambda chosen: 0.0 if chosen.sum() < 40 else 1e9, 1.0)[0]
+    alike = select_omissions(np.ones(64), np.zeros(64), lambda chosen, _: 0.0 if chosen.sum() < 40 else 1e9, 1.0)[0]
     assert alike.tolist() == [True] * 32 + [False] * 32  # the first of equals
 
 

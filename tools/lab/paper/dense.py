@@ -33,7 +33,7 @@ from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Ladder, Option
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
-from airgs_codec.render.compare import Source, View, compare, draw_ahead, draw_frames, in_order
+from airgs_codec.render.compare import Source, View, compare, draw_frames, draw_once, in_order
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.lab.paper.states import MEASURED, SHARES, GroupStates, kept_rows, load_states, score_rows
@@ -106,7 +106,7 @@ def measure_dense(
         states, scores = loaded[group]
         source = _open_segment(package, index, states, original)
         views = [(t, camera) for t in source.frames for camera in cameras]
-        reference = draw_ahead(draw_frames(in_order(source.frames, iter(source.reference))), views)
+        reference = draw_once(draw_frames(in_order(source.frames, iter(source.reference))))
         kept = [kept_rows(scores[pruning.ranking], pruning.pruned) for pruning in prunings]
         with ThreadPoolExecutor(jobs) as pool:
             tasks = [pool.submit(_send, source, rows, p.factor) for rows, p in zip(kept, prunings, strict=True)]
