@@ -124,11 +124,11 @@ class RowPruning:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
         Their number is found to PRECISION of the rows, or to CLOSE of the allowed squared error, beginning with the
-        rows of importance 0 and with all.
+        rows of importance 0 and with all but one.
         """
         most, least = allowed**2, max(1, math.ceil(PRECISION * len(self._order)))
         self.error_of(len(self._order) - self._unused)
-        self.error_of(0)
+        self.error_of(1)
         for guesses in itertools.count():
             low = max(count for count, error in self._errors.items() if error <= most)
             high = min((count for count in self._errors if count > low), default=low)

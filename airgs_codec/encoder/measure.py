@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
+from airgs_codec.encoder.doubt import Rung, RungSeen, Seen, doubt_of_ratio, doubt_of_top, ratio_of
 from airgs_codec.encoder.survey import Pictures, ViewPlan
 from airgs_codec.media.metrics import Difference, Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder
@@ -28,7 +29,6 @@ OFF_LADDER = 6  # one in so many measures key qualities that are not those of a 
 UNSURE = 0.035
 UNSURE_LOWER = 0.06
 ROUNDS = 12  # of pictures, at most
-MANY = 2  # pictures of each place, on average, from which places tell how much of an error is theirs
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,6 @@ class Rounds:
         return Rounds(self.count, rounds, rounds)
 
 
-Rung = tuple[int, int]  # level, key quality
 Strides = Mapping[Rung, int]  # one picture in so many measures a rung; none does of those that are not there
 
 
@@ -82,19 +81,6 @@ class RungErrors:
 SegmentErrors = list[RungErrors]  # of a segment, in the order of the strides
 RoundErrors = list[SegmentErrors]  # of the segments of a group
 Ask = Callable[[Round], Sequence[RoundErrors]]  # measures a round of some groups
-
-
-@dataclass(frozen=True, slots=True)
-class RungSeen:
-    """What all rounds so far have shown of a rung in a segment."""
-
-    squared: list[float] = field(default_factory=list)  # mean squared errors
-    top: list[float] = field(default_factory=list)  # those of the top rung in the same pictures
-    places: list[int] = field(default_factory=list)  # that these are seen from
-    alike: list[Difference] = field(default_factory=list)  # of the first round's
-
-
-Seen = dict[int, dict[Rung, RungSeen]]  # by segment
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +141,7 @@ def measure_top(quest: Quest) -> TopMeasured:
     for done in itertools.count(1):
         _look(quest, Round(done - 1, quest.rounds.count, {top: 1}), seen)
         parts = [of[top] for of in seen.values()]
-        unsure = _doubt_of_top(parts, shares)
+        unsure = doubt_of_top(parts, shares)
         if done >= quest.rounds.most or (done >= quest.rounds.least and unsure <= UNSURE):
             break
     error, colour = shares @ [(np.mean(p.squared), np.mean([d.delta_e for d in p.alike])) for p in parts]
@@ -185,7 +171,7 @@ def measure_others(quest: Quest, top: TopMeasured) -> Measured:
     for number in quest.numbers:
         segments = [_with_errors(m, m.segments[s], seen[s]) for s in m.segments_of(number)]
         groups.append(replace(m.groups[number], segments=segments))
-    unsure = _doubt_of_top([of[first] for of in seen.values()], quest.shares)
+    unsure = doubt_of_top([of[first] for of in seen.values()], quest.shares)
     return Measured(groups, rounds * quest.views.measured(quest.rounds.count), unsure)
 
 
@@ -205,11 +191,6 @@ def _rungs(m: Manifest) -> list[Rung]:
 def _first_strides(m: Manifest) -> dict[Rung, int]:
     """Strides of all rungs but the top one in the first round."""
     return {(j, q): LOWER if q == m.levels[j].quality else OFF_LADDER for j, q in _rungs(m) if (j, q) != _top(m)}
-
-
-def doubt_db(unsure: float) -> float:
-    """Two relative standard errors of a mean squared error, in dB of PSNR."""
-    return 10 * math.log10(1 + 2 * unsure)
 
 
 def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> AskedPictures:
@@ -265,67 +246,15 @@ def _unsure(quest: Quest, seen: Seen) -> list[Rung]:
     """The rungs below the top one that are unsure, of those that would be on the ladder, so far as is known."""
     m, rungs, shares = quest.manifest, _rungs(quest.manifest), quest.shares
     parts = {rung: [of[rung] for of in seen.values()] for rung in rungs}
-    errors = [shares @ [_ratio(of, of[rung]) * np.mean(of[rung].squared) for of in seen.values()] for rung in rungs]
+    errors = [shares @ [ratio_of(of, of[rung]) * np.mean(of[rung].squared) for of in seen.values()] for rung in rungs]
     sizes = [m.bytes_of(m.rung_files(q, j, quest.numbers)) for j, q in rungs]
     ladder = on_ladder(list(zip(sizes, map(psnr, errors), strict=True)))
-    certain = _doubt_of_top(parts[_top(m)], shares)
+    certain = doubt_of_top(parts[_top(m)], shares)
     return [
         rung
         for rung, counts in zip(rungs, ladder, strict=True)
-        if counts and rung != _top(m) and math.hypot(certain, _doubt_of_ratio(parts[rung], shares)) > UNSURE_LOWER
+        if counts and rung != _top(m) and math.hypot(certain, doubt_of_ratio(parts[rung], shares)) > UNSURE_LOWER
     ]
-
-
-def _doubt_of_top(parts: Sequence[RungSeen], shares: NDArray[np.float64]) -> float:
-    """Relative standard error of the mean squared error of the top rung in some segments; 0 without error."""
-    squared = [np.array(part.squared) for part in parts]
-    mean = float(shares @ [of.mean() for of in squared])
-    return _standard_error(squared, parts, shares) / mean if mean else 0.0
-
-
-def _doubt_of_ratio(parts: Sequence[RungSeen], shares: NDArray[np.float64]) -> float:
-    """Relative standard error of what a rung's mean squared error is to that of the top one; 0 without error.
-
-    One ratio for all segments.
-    """
-    own, top = shares @ [(np.mean(part.squared), np.mean(part.top)) for part in parts]
-    if not own:
-        return 0.0
-    left = [np.array(part.squared) - (own / top * np.array(part.top) if top else 0.0) for part in parts]
-    return _standard_error(left, parts, shares) / float(own)
-
-
-def _standard_error(errors: Sequence[NDArray], parts: Sequence[RungSeen], shares: NDArray[np.float64]) -> float:
-    """Standard error of the mean of errors in pictures of some segments, each with its share; infinite for one picture.
-
-    Segments and places differ, and all of them are looked at: only what neither explains is left to chance, and that
-    not all places are looked at equally often (post-stratification; Cochran, chapter 5A). Places tell nothing where
-    pictures are too few.
-    """
-    counts = np.array([len(of) for of in errors])
-    segments, left = np.repeat(np.arange(len(counts)), counts), np.concatenate(errors)
-    if len(left) < 2:
-        return math.inf
-    means = np.array([of.mean() for of in errors]) if len(left) > len(counts) else np.full(len(counts), left.mean())
-    left, free = left - means[segments], len(left) - (len(counts) if len(left) > len(counts) else 1)
-    weights, uneven = (shares / counts)[segments], 0.0
-    _, places = np.unique(np.concatenate([part.places for part in parts]), return_inverse=True)
-    looked = np.bincount(places)
-    if len(left) >= MANY * len(looked) and free >= len(looked):
-        effects = np.bincount(places, left) / looked
-        left, free = left - effects[places], free - len(looked) + 1
-        uneven = float(effects @ (np.bincount(places, weights) - 1 / len(looked)))
-    return float((left @ left / free * (weights @ weights) + uneven**2) ** 0.5)
-
-
-def _ratio(of: Mapping[Rung, RungSeen], part: RungSeen) -> float:
-    """What the top rung's mean squared error in all pictures of a segment is to that in those of a rung.
-
-    1 where these show no error. The top rung is the one with most pictures.
-    """
-    everywhere = max(of.values(), key=lambda one: len(one.squared))
-    mean = np.mean(part.top)
-    return float(np.mean(everywhere.top) / mean) if mean else 1.0
 
 
 def _with_errors(m: Manifest, segment: Segment, of: Mapping[Rung, RungSeen]) -> Segment:
@@ -333,12 +262,12 @@ def _with_errors(m: Manifest, segment: Segment, of: Mapping[Rung, RungSeen]) -> 
     levels = []
     for j, level in enumerate(segment.levels):
         row = [of[j, q] for q in range(len(m.qualities))]
-        scaled = [_ratio(of, part) * np.array(part.squared) for part in row]
+        scaled = [ratio_of(of, part) * np.array(part.squared) for part in row]
         levels.append(
             replace(
                 level,
                 psnr=[round(psnr(float(squared.mean())), 2) for squared in scaled],
-                worst=[round(psnr(float(squared.max())), 2) for squared in scaled],
+                worst=[round(psnr(float(squared.max())), 1) for squared in scaled],
                 ssim=[round(float(np.mean([d.ssim for d in part.alike])), 4) for part in row],
                 delta_e=[round(float(np.mean([d.delta_e for d in part.alike])), 2) for part in row],
             )

@@ -11,7 +11,8 @@ from pathlib import Path
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
-from airgs_codec.encoder.measure import Rounds, doubt_db
+from airgs_codec.encoder.doubt import doubt_db
+from airgs_codec.encoder.measure import Rounds
 from airgs_codec.encoder.pipeline import GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours

@@ -297,7 +297,6 @@ def _others(files: list[FileEntry]) -> list[FileEntry]:
 def _measured(level: SegmentLevel, settings: EncodeSettings) -> list[SegmentLevel]:
     """All levels, with figures of the usual length where the package will have them."""
     count = len(settings.key_factors) if settings.measure_pictures else 0
-    decibels = [44.44] * count
-    like = replace(level, psnr=decibels, worst=decibels, ssim=[0.9999] * count, delta_e=[0.44] * count)
+    like = replace(level, psnr=[44.44] * count, worst=[44.4] * count, ssim=[0.9999] * count, delta_e=[0.44] * count)
     files = [_others([file] * len(settings.levels)) for file in level.files]  # tile x level
     return [replace(like, files=list(of_level)) for of_level in zip(*files, strict=True)]

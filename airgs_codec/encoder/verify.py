@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder.batch import Encoded, Measuring, ask_quality, encode_sequence
-from airgs_codec.encoder.measure import Rounds, doubt_db, measure_groups
+from airgs_codec.encoder.doubt import doubt_db
+from airgs_codec.encoder.measure import Rounds, measure_groups
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.work import Work

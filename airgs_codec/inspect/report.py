@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._report import GREY, Page, Picture, html_table, report_folder
-from airgs_codec.encoder.measure import doubt_db
+from airgs_codec.encoder.doubt import doubt_db
 from airgs_codec.encoder.publish import EncodeReport, Stage, doubt_words
 from airgs_codec.encoder.search import DELTA_E
 from airgs_codec.inspect.compare import Comparison, Seen, compare_two, side_by_side

@@ -118,10 +118,8 @@ def draw_places(region: Region, count: int, seed: int) -> list[int]:
 
 
 def _take_turns(region: Region, count: int, rng: np.random.Generator) -> list[int]:
-    order: list[int] = []
-    while len(order) < count:
-        order += [int(i) for i in rng.permutation(len(region.places))]
-    return order[:count]
+    places = len(region.places)
+    return np.concatenate([rng.permutation(places) for _ in range(-(-count // places))])[:count].tolist()
 
 
 def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> Camera:

@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.measure import doubt_db
+from airgs_codec.encoder.doubt import doubt_db
 from airgs_codec.encoder.publish import EncodeReport, doubt_words
 from airgs_codec.encoder.search import DELTA_E, PSNR, Goal
 from airgs_codec.inspect.report import advice, bought, holds_back, write_report
@@ -99,7 +99,7 @@ def test_a_claim_is_as_good_as_two_standard_errors():
 def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():
     assert advice(DONE) == ""
     assert "Fewer --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0))
-    for unsure in (0.2, math.nan):  # NaN: of one picture a segment
+    for unsure in (0.2, math.inf):  # infinite: of one picture
         assert "more --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0, unsure=unsure))
-    assert doubt_words(math.nan) == "whose doubt is not known"
+    assert doubt_words(math.inf) == "whose doubt is not known"
     assert "--calibrate none" in advice(dataclasses.replace(DONE, calibrate_s=60.0))
