@@ -113,6 +113,7 @@ class RowPruning:
         self._errors = errors
         self._errors[0] = 0.0
         self._unused = min(int(np.count_nonzero(rank == 0)), len(rank) - 1)
+        self._last: tuple[int, Sequence[NDArray[np.float32]]] = (-1, ())  # rows left out last, and pictures without
 
     @cached_property
     def _seen(self) -> list[tuple[Without, NDArray[np.float32]]]:
@@ -159,12 +160,15 @@ class RowPruning:
         """
         keep = np.zeros(len(self._order), bool)
         keep[written.rows] = True
+        count, pictures = self._last
+        if count != len(keep) - len(written.rows):
+            pictures = self._draw(keep)
         for rounds in itertools.count(1):
-            pictures = [without(keep) for without, _ in self._seen]
             fresh = ~keep & (self._lacking(pictures, allowed) > LEAST_PIXELS)
             if not fresh.any() or rounds > DETAIL_ROUNDS:
                 break
             keep |= fresh
+            pictures = self._draw(keep)
         errors = [mse(shown, full) for shown, (_, full) in zip(pictures, self._seen, strict=True)]
         return WrittenRows(np.flatnonzero(keep), pooled_error(errors))
 
@@ -187,8 +191,13 @@ class RowPruning:
         """Pooled error of pictures without the `count` least important rows."""
         written = np.ones(len(self._order), bool)
         written[self._order[:count]] = False
-        errors = [mse(without(written), full) for without, full in self._seen]
+        self._last = count, self._draw(written)
+        errors = [mse(shown, full) for shown, (_, full) in zip(self._last[1], self._seen, strict=True)]
         return self._errors.setdefault(count, pooled_error(errors))
+
+    def _draw(self, keep: NDArray[np.bool_]) -> list[NDArray[np.float32]]:
+        """The pictures without the rows that are False in a mask (N,)."""
+        return [without(keep) for without, _ in self._seen]
 
 
 def select_omissions(

@@ -54,7 +54,7 @@ PSNR = Metric("PSNR", "dB", 0.1, -20 / math.log(10), "psnr", PSNR_CAP, ", that o
 DELTA_E = Metric("ΔE", "ΔE", 0.02, -0.6, "delta_e", 100.0, ", that of black and white", 0.01)
 SIZE = Metric("kB/frame", "kB", 0.01, -0.75)
 TRIALS = 8
-ENOUGH = 2.5  # tolerances by which the best of all trials may miss
+ENOUGH = 2.5  # tolerances by which a trial may miss before the last step
 FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
 
 FRAMES = 6  # of the sequence, each looked at from a view of its own
@@ -121,23 +121,25 @@ class Goal:
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
     """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
-    It is met to its tolerance, or as near as TRIALS trials came where some lie on both sides of it, else to ENOUGH of
-    them. The search steps by the metric's slope until two trials lie on both sides of the goal, then by regula falsi
-    between the nearest two: trials are noisy by more than a tolerance where few Gaussians decide, so no slope between
-    two of them can be trusted. Raises OutOfReachError.
+    It is met to its tolerance, or to ENOUGH of them and then stepped to without a trial; or as near as TRIALS trials
+    came where some lie on both sides of it. The search steps by the metric's slope until two trials lie on both sides
+    of the goal, then by regula falsi between the nearest two: trials are noisy by more than a tolerance where few
+    Gaussians decide, so no slope between two of them can be trusted. Raises OutOfReachError.
     """
     slope = goal.metric.slope / goal.tolerance
     seen: dict[float, float] = {}
     factor = start
     for _ in range(TRIALS):
-        seen[factor] = goal.misses(trial(factor))
-        if abs(seen[factor]) <= 1:
+        miss = seen[factor] = goal.misses(trial(factor))
+        if abs(miss) <= 1:
             return factor
         factor = min(max(_next_factor(seen, slope), FACTORS[0]), FACTORS[1])
+        if abs(miss) <= ENOUGH:
+            return factor
         if factor in seen:
             break
     best = min(seen, key=lambda f: abs(seen[f]))
-    if abs(seen[best]) <= ENOUGH or min(seen.values()) < 0 < max(seen.values()):
+    if min(seen.values()) < 0 < max(seen.values()):
         return best
     raise OutOfReachError(goal, goal.got(seen[best]), best)
 
