@@ -91,7 +91,7 @@ def format_comparison(splits: Mapping[str, Mapping[str, Quality | None]]) -> str
 
 
 def _cells(q: Quality | None) -> list[str]:
-    return [f"{q.psnr:.2f}", f"{q.worst:.2f}", f"{q.ssim:.4f}", f"{q.delta_e:.2f}"] if q else ["-"] * 4
+    return [f"{q.psnr:.2f}", f"{q.worst:.1f}", f"{q.ssim:.4f}", f"{q.delta_e:.2f}"] if q else ["-"] * 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)

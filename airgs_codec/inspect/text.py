@@ -152,7 +152,7 @@ def _rungs(rungs: Sequence[RungSummary], marked: bool = True) -> list[str]:
 
 
 def _quality(entry: LevelSummary | RungSummary) -> list[str]:
-    values = ((entry.psnr, 2), (entry.worst, 2), (entry.ssim, 4), (entry.delta_e, 2))
+    values = ((entry.psnr, 2), (entry.worst, 1), (entry.ssim, 4), (entry.delta_e, 2))
     return [f"{value:.{digits}f}" if value is not None else "-" for value, digits in values]
 
 
