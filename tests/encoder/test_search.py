@@ -73,7 +73,7 @@ def test_a_search_ends_at_its_goal():
 
 
 def test_the_last_small_step_needs_no_trial():
-    """A fifth of a decibel too much: the factor grows by it at 20 dB for ten times the steps. A third is tried again."""
+    """Steps grow by a fifth of a decibel that is too much, at 20 dB for ten times the steps. A third is tried again."""
     tried = []
 
     def trial(factor):
