@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.importance import (
     CLOSE,
     DETAIL,
+    LEAST_PIXELS,
     CostSums,
     ExpectedError,
     RowPruning,
@@ -93,6 +95,66 @@ def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
     assert pruning.with_details(without, 1.01 * allowed).rows.tolist() == without.rows.tolist()
 
 
+class Lamps:
+    """Rows in one row of pixels: the first missing one leaves its pixel dark, and those behind it are not seen."""
+
+    def __init__(self, weight=1.0):
+        self.weight, self.drawn = weight, []
+
+    def load(self, g):
+        return self
+
+    def without(self, camera):
+        def draw(keep):
+            if keep is not None:
+                self.drawn.append(int(keep.sum()))
+            picture = np.ones((1, 8, 3), np.float32)
+            if keep is not None and not keep.all():
+                picture[0, np.argmin(keep)] = 0.5
+            return picture
+
+        return draw
+
+    def weights(self, camera, mask):
+        return SimpleNamespace(ids=np.flatnonzero(mask), inside=np.full(mask.sum(), self.weight))
+
+
+def with_lamps(lamps, written, allowed, known=None):
+    pruning = RowPruning([(None, None), (None, None)], np.arange(8.0), {}, lamps)
+    if known is not None:
+        pruning.error_of(known)
+    return pruning.with_details(WrittenRows(np.array(written), 0.0), allowed)
+
+
+def test_details_come_back_in_rounds_since_some_hide_others():
+    found, lamps = with_lamps(Lamps(), [2, 5, 6, 7], 0.01), Lamps()
+    assert found.rows.tolist() == list(range(8)) and found.error == 0.0
+    found = with_lamps(lamps, [7], 0.01)
+    assert found.rows.tolist() == [0, 1, 2, 3, 4, 7]  # five rounds
+    assert found.error == pytest.approx(0.25 / 8) and lamps.drawn == [n for n in range(1, 7) for _ in range(2)]
+
+
+def test_pictures_that_were_drawn_last_are_not_drawn_again():
+    lamps = Lamps()
+    assert with_lamps(lamps, range(1, 8), 0.01, known=7).error == 0.0 and lamps.drawn == [7, 7, 8, 8]
+    lamps = Lamps()
+    assert with_lamps(lamps, range(2, 8), 0.01, known=7).error == 0.0 and lamps.drawn == [7, 7, 6, 6, 7, 7, 8, 8]
+
+
+@pytest.mark.parametrize(
+    ("weight", "allowed", "back"),
+    [
+        (1.0, 0.5 / DETAIL, False),
+        (1.0, 0.49 / DETAIL, True),
+        (LEAST_PIXELS / 2, 0.01, False),
+        (0.6 * LEAST_PIXELS, 0.01, True),
+    ],
+)
+def test_details_are_what_is_plainly_different_in_enough_pixels_of_all_pictures(weight, allowed, back):
+    found = with_lamps(Lamps(weight), range(1, 8), allowed)
+    assert (len(found.rows) == 8) is back and found.error == pytest.approx(0.0 if back else 0.25 / 8)
+
+
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
     assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
     assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4
@@ -144,7 +206,8 @@ def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):
 def test_things_go_as_long_as_they_pay():
     sizes, errors = np.array([10.0, 10.0, 10.0]), np.array([1.0, 100.0, 3.0])
 
-    def error(chosen, _):
+    def error(chosen, most):
+        assert most == 0.5 * sizes[chosen].sum()
         return float(errors[chosen].sum())
 
     assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
@@ -201,7 +264,7 @@ def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_th
 
 
 def test_expected_errors_grow_with_the_square_of_steps():
-    assert ExpectedError(1.0, 2.0, 3.0).at(2.0) == ExpectedError(4.0, 8.0, 12.0)
+    assert ExpectedError(1.0, 2.0, 3.0).at(3.0) == ExpectedError(9.0, 18.0, 27.0)
     assert ExpectedError(1.0, 2.0, 3.0).total == 6.0
     whole = WrittenRows.all(3)
     assert (whole.rows.tolist(), whole.error) == ([0, 1, 2], 0.0)

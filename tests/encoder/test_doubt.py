@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.doubt import RungSeen, doubt_of_ratio, doubt_of_top
+from airgs_codec.encoder.doubt import RungSeen, doubt_db, doubt_of_ratio, doubt_of_top, ratio_of
 
 # Student's t at 97.5 % over that of a normal distribution, by the number of pictures that are free.
-WIDER = {1: 12.706205 / 1.959964, 2: 4.302653 / 1.959964, 6: 2.446912 / 1.959964}
+WIDER = {1: 12.706205 / 1.959964, 2: 4.302653 / 1.959964, 5: 2.570582 / 1.959964, 6: 2.446912 / 1.959964}
 
 
 def seen(*segments, places=None):
@@ -42,6 +42,8 @@ def test_what_places_and_segments_explain_is_no_doubt():
     shares, at = np.array([0.25, 0.75]), [[0, 1, 0, 1], [0, 1, 0, 1]]
     even = seen([(1.0, 0.0), (3.0, 0.0)] * 2, [(4.0, 0.0), (6.0, 0.0)] * 2, places=at)
     assert doubt_of_top(even, shares) == 0.0
+    # Two pictures of two segments are enough for two places.
+    assert doubt_of_top(seen([(1.0, 0.0), (3.0, 0.0)], [(4.0, 0.0), (6.0, 0.0)], places=[[0, 1]] * 2), shares) == 0.0
     blind = seen([(1.0, 0.0), (3.0, 0.0)] * 2, [(4.0, 0.0), (6.0, 0.0)] * 2)
     # Left are -1, 1, -1, 1 in either: a variance of 8 / 6, in each mean over 4, of which the shares are a mean.
     assert doubt_of_top(blind, shares) == pytest.approx(WIDER[6] * (8 / 6 / 4 * (0.25**2 + 0.75**2)) ** 0.5 / 4.25)
@@ -51,6 +53,36 @@ def test_places_that_are_looked_at_less_often_than_others_leave_a_doubt():
     """One of two places is seen in three of four pictures: the mean is off by a quarter of what they differ by."""
     uneven = seen([(1.0, 0.0), (1.0, 0.0), (1.0, 0.0), (5.0, 0.0)], places=[[0, 0, 0, 1]])
     assert doubt_of_top(uneven, np.ones(1)) == pytest.approx(WIDER[2] * 0.25 * 4 / 2)
+
+
+def test_places_that_segments_are_looked_at_from_unevenly_count_by_the_shares_of_these():
+    """Left of segments -1, -1, -1, 3 and -3, 1, 1, 1; of places as well 0.5 thrice and 1.5, and the same below 0."""
+    first, second = [1.0, 1.0, 1.0, 5.0], [1.0, 5.0, 5.0, 5.0]
+    places = [[0, 0, 0, 1], [0, 1, 1, 1]]
+    uneven = seen([(e, 0.0) for e in first], [(e, 0.0) for e in second], places=places)
+    chance, looked = 6 / 5 * 4 * (0.0625**2 + 0.1875**2), 1.5 * (0.625 - 0.375)
+    assert doubt_of_top(uneven, np.array([0.25, 0.75])) == pytest.approx(WIDER[5] * (chance + looked**2) ** 0.5 / 3.5)
+
+
+def test_places_tell_nothing_of_fewer_than_two_pictures_each():
+    """Six pictures of one segment from four places: the spread about their mean, whatever the places."""
+    errors = [(e, 0.0) for e in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)]
+    few = doubt_of_top(seen(errors, places=[[0, 1, 2, 3, 0, 1]]), np.ones(1))
+    assert few == pytest.approx(WIDER[5] * (17.5 / 5 / 6) ** 0.5 / 3.5)
+
+
+def test_what_shows_no_error_is_in_no_doubt():
+    none = seen([(0.0, 0.0)] * 3)
+    assert doubt_of_top(none, np.ones(1)) == doubt_of_ratio(none, np.ones(1)) == 0.0
+    assert doubt_db(0.0) == 0.0 and doubt_db(0.5) == pytest.approx(10 * math.log10(2))
+
+
+def test_a_rung_is_scaled_by_what_the_top_one_shows_in_more_pictures():
+    (top,), (part,) = seen([(2.0, 2.0), (4.0, 4.0), (9.0, 9.0)]), seen([(8.0, 2.0), (20.0, 4.0)])
+    assert ratio_of({(0, 0): top, (1, 0): part}, part) == pytest.approx(5.0 / 3.0)
+    assert ratio_of({(0, 0): top, (1, 0): part}, top) == 1.0
+    (still,) = seen([(8.0, 0.0)])
+    assert ratio_of({(0, 0): top, (1, 0): still}, still) == 1.0
 
 
 def test_doubts_hold_for_pictures_that_are_drawn_anew():

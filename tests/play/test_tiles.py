@@ -2,14 +2,17 @@
 
 import dataclasses
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.buffered import Buffered
-from airgs_codec.play.downloader import BatchKind
-from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.downloader import Arrived, BatchKind, Request, TileReady
+from airgs_codec.play.ladder import Decision, Option
+from airgs_codec.play.offers import NONE, Batch, Offers
+from airgs_codec.play.playout import Slot as Segment
 from airgs_codec.play.playout import tile_of
 from airgs_codec.play.report.session import format_metrics, write_report
 from airgs_codec.play.session import simulate
@@ -144,6 +147,63 @@ def test_a_repair_that_would_come_too_late_takes_the_smallest_rung():
     log = play(m, "const:2.4", view=Turning(450, 2.0, 2.2))
     rungs = {event.rung for event in log.tiles.ready}
     assert 0 in rungs and log.offers.rungs.index((1, 1)) in rungs
+
+
+class Asked:
+    """A fetcher at 10 s on a link of 1000 bytes a second; tile 3 can be had in rungs of 2000, 500 and 700 bytes."""
+
+    now_s, settings = 10.0, SimpleNamespace(decode_frame_s=0.25)
+    options = (Option(0, 2000, 40.0, 0.0), Option(1, 500, 30.0, 0.5), Option(2, 700, 33.0, 0.4))
+
+    def sent_s(self, latency_s):
+        return self.now_s - latency_s / 2
+
+    def throughput_bps(self, at_s):
+        assert at_s == 9.75
+        return 8000.0
+
+    def usable_options(self, position, tiles):
+        assert (position, tiles) == (4, frozenset({3}))
+        return self.options
+
+
+@pytest.mark.parametrize(
+    ("end_s", "rung"),
+    # Waited for half a second, received in 2, 0.5 and 0.7 s, and decoded in a quarter.
+    [(12.76, 0), (12.75, 1), (11.26, 1), (11.25, None)],
+)
+def test_a_repair_comes_in_the_rung_of_its_segment_or_the_smallest_or_not(end_s, rung):
+    buffered = Buffered(None, Asked(), None)
+    option = buffered._repairing(Segment(4, 1.0, 0.0, rung=0, start_s=end_s - 1.0), 3, 0.5)
+    assert (option and option.index) == rung
+    wanted = buffered._repairing(Segment(4, 1.0, 0.0, rung=2, start_s=20.0), 3, 0.5)
+    assert wanted.index == 2
+
+
+@pytest.mark.parametrize("complete", [True, False])
+def test_a_tile_that_is_lacking_is_asked_for_by_itself_until_its_segment_is_over(complete):
+    batch, asked, option = Batch(("key",), ("state",)), [], Option(1, 500, 30.0, 0.5)
+    arrival = SimpleNamespace(complete=complete)
+
+    class Fetching(Asked):
+        def missing(self, position, rung, tiles):
+            assert (position, rung, tiles) == (4, 1, frozenset({3}))
+            return batch
+
+        def receive(self, request, gives_up):
+            asked.append(request)
+            here = [SimpleNamespace(at_s=12.0, left_s=left_s) for left_s in (1.0, 1.1)]
+            assert [gives_up(partial) for partial in here] == [False, True]
+            return arrival
+            yield
+
+    buffered, slot = Buffered(None, Fetching(), None), Segment(4, 1.0, 0.0, rung=0, start_s=12.0)
+    events = list(buffered._fetch_lacking(slot, 3, option, 0.5))
+    assert asked == [Request(BatchKind.REPAIR, 4, 1, batch, 9.75, 0.5)]
+    assert events[0] == Arrived(arrival, Decision(1, True, "tile 4 is lacking", 500), 0.0, 8000.0)
+    assert events[1:] == ([TileReady(4, 3, 1, 10.25)] if complete else [])
+    assert slot.tiles == ({3: 1} if complete else {})
+    assert buffered.no_use == (set() if complete else {(4, 3)})
 
 
 def test_policies_see_the_sizes_of_the_tiles_that_are_chosen():
