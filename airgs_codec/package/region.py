@@ -118,8 +118,8 @@ def draw_places(region: Region, count: int, seed: int) -> list[int]:
 
 
 def _take_turns(region: Region, count: int, rng: np.random.Generator) -> list[int]:
-    places = len(region.places)
-    return np.concatenate([rng.permutation(places) for _ in range(-(-count // places))])[:count].tolist()
+    rounds = range(-(-count // len(region.places)))
+    return [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
 
 
 def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> Camera:
