@@ -15,7 +15,7 @@ from airgs_codec.encoder.batch import Encoded, Measuring, ask_quality, encode_se
 from airgs_codec.encoder.measure import Rounds, measure_top
 from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.verify import Attempt
+from airgs_codec.encoder.verify import ATTEMPTS, Attempt, repair_parts
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.colour import delta_e_metric
 from airgs_codec.media.metrics import PSNR_CAP, Picture, psnr
@@ -192,10 +192,12 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
 
     It is measured with the pictures of the first trial. Others are measured with one round in ONE_IN, and taken to miss
     the goal by as much more in all of them as the first one does, since a view that is hard at one factor is hard at
-    all. Raises ConfigError for a goal out of reach. The error then names what holds pictures back from a better one.
+    all. What costs more than was expected of it is taken back before. Raises ConfigError for a goal out of reach. The
+    error then names what holds pictures back from a better one.
     """
+    attempt = _taken_back(attempt)
     prepared, original, settings, work = attempt.prepared, attempt.original, attempt.settings, attempt.work
-    top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+    top = _top_of(settings)
     rounds, some, beyond = Rounds(settings.measure_pictures or TRIAL_PICTURES), 1, 0.0
     found: list[tuple[float, float]] = []
 
@@ -228,6 +230,26 @@ def search_quality(attempt: Attempt, goal: Goal) -> Attempt:
         raise OutOfReachError(goal, error.got, error.factor, why) from None
     measured = rounds if attempt.rounds.count else attempt.rounds
     return replace(attempt, settings=settings.at(factor), expected=None, rounds=measured, trials=tuple(found))
+
+
+def _top_of(settings: EncodeSettings) -> EncodeSettings:
+    """The settings of the top rung alone."""
+    return replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+
+
+def _taken_back(attempt: Attempt) -> Attempt:
+    """The attempt without what costs more than is expected of it at its quality, at any other one, too."""
+    for _ in range(ATTEMPTS - 1):
+        before = attempt.settings
+        encoded = encode_sequence(attempt.prepared, _top_of(before).at(before.quality), attempt.work)
+        repair = repair_parts(attempt, encoded)
+        if repair is None:
+            break
+        was, now = before.levels[0].pruned, repair.settings.levels[0].pruned
+        shares = tuple((factor, share * now / was if was else share) for factor, share in before.shares)
+        settings = replace(repair.settings, shares=shares)
+        attempt = replace(attempt, settings=settings, stories=(*attempt.stories, repair.story))
+    return attempt
 
 
 def _figure(encoded: Encoded, measuring: Measuring, metric: Metric) -> tuple[float, int]:

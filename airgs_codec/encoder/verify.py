@@ -50,6 +50,7 @@ class Attempt:
     rounds: Rounds  # of pictures that measure it; a count of 0: none do
     given: bool = False  # levels were asked for by hand: they stay as they are
     trials: tuple[tuple[float, float], ...] = ()  # quality factors that a search tried, and what they came to
+    stories: tuple[str, ...] = ()  # of what was repaired before, a line each
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,7 @@ def encode_verified(attempt: Attempt) -> Verified:
     measured. Rungs that a cheaper one beats are dropped, and then levels that mixtures of others beat. Where steps
     alone explain a shortfall, the rung is worth its bytes, and stays.
     """
-    stories: list[str] = []
+    stories = list(attempt.stories)
     watch, encode_s, measure_s = Stopwatch(), 0.0, 0.0
     for number in itertools.count(1):
         measuring = Measuring(attempt.original, attempt.rounds)
@@ -107,7 +108,7 @@ def encode_verified(attempt: Attempt) -> Verified:
 def repair_parts(attempt: Attempt, encoded: Encoded) -> Repair | None:
     """Say what the top rung must take back that costs SHORTFALL_DB more than all was expected to; None: nothing."""
     expected = attempt.expected
-    if expected is None:
+    if expected is None or attempt.given:
         return None
     beyond = squared_error(psnr(expected.total) - SHORTFALL_DB) - expected.total
     return _take_back(attempt, encoded, expected, beyond)

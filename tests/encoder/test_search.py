@@ -8,11 +8,12 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.cli import encode as command
 from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder import search
+from airgs_codec.encoder import search, verify
 from airgs_codec.encoder.batch import Measuring, ask_quality, encode_sequence
 from airgs_codec.encoder.measure import ROUNDS, Rounds, measure_top
 from airgs_codec.encoder.search import (
@@ -240,6 +241,22 @@ def test_trials_after_the_first_are_measured_with_fewer_pictures_and_taken_for_a
     top = replace(attempt.settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     quest = ask_quality(encode_sequence(prepared, top, work), Measuring(prepared, attempt.rounds))
     assert measure_top(quest).psnr == pytest.approx(38, abs=0.3)
+
+
+def test_what_costs_more_than_expected_is_taken_back_before_a_search(scene, monkeypatch):
+    """1e-4 are expected, and half a decibel of it besides is taken, 0.12e-4: not of 30 or 15 % of the updates."""
+    prepared, work = scene
+    monkeypatch.setattr(verify, "_part_errors", lambda attempt, _: (0.0, 1e-4 * attempt.settings.levels[0].pruned))
+    shares = ((0.5, 0.2), (2.0, 0.4))
+    settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=2, shares=shares).at(1.0)
+    expected = ExpectedError(steps=1e-4)
+    begun = Attempt(prepared, prepared, settings, work, expected, Rounds(2))
+    found = search_quality(begun, Goal(PSNR, 38.0))
+    assert settings.levels[0].pruned == 0.3
+    assert found.settings.shares == ((0.5, 0.05), (2.0, 0.1))
+    assert found.stories == tuple(f"updates withheld cost {db} dB: fewer are" for db in (45.2, 48.2)) and found.expected is None
+    kept = search_quality(replace(begun, given=True), Goal(PSNR, 38.0))
+    assert kept.settings.shares == shares and kept.stories == ()
 
 
 @pytest.mark.parametrize("part", COARSE)
