@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.importance import ExpectedError, WrittenRows
 from airgs_codec.encoder.calibrate import Calibration
-from airgs_codec.encoder.measure import Quest, Round, RoundErrors, Rounds, pictures_of
+from airgs_codec.encoder.measure import QualityQuery, Round, RoundErrors, Rounds, pictures_of
 from airgs_codec.encoder.pipeline import (
     BANDS,
     CALIBRATION,
@@ -273,7 +273,7 @@ class _Keys:
         return prepared.job(KEY, first, self._settings, given)
 
 
-def ask_quality(encoded: Encoded, measuring: Measuring) -> Quest:
+def quality_query(encoded: Encoded, measuring: Measuring) -> QualityQuery:
     """What `measure` takes to measure an encoded package by jobs."""
     m, work = encoded.manifest, encoded.work
     everyone = range(len(m.groups))
@@ -283,7 +283,7 @@ def ask_quality(encoded: Encoded, measuring: Measuring) -> Quest:
         work.run(jobs)
         return [work.result(one) for one in jobs]
 
-    return Quest(m, everyone, measuring.original.views, measuring.rounds, ask)
+    return QualityQuery(m, everyone, measuring.original.views, measuring.rounds, ask)
 
 
 def _quality_jobs(

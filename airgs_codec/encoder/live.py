@@ -18,7 +18,7 @@ from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
 from airgs_codec.encoder.batch import calibrate_sequence
-from airgs_codec.encoder.measure import Quest, Round, RoundErrors, Rounds, measure_groups, pictures_of
+from airgs_codec.encoder.measure import QualityQuery, Round, RoundErrors, Rounds, measure_groups, pictures_of
 from airgs_codec.encoder.pipeline import (
     DIFFERENCE,
     KEY,
@@ -130,7 +130,7 @@ class _Publisher:
         def ask(asked: Round) -> list[RoundErrors]:
             return [QUALITY.do({**known, "asked": pictures_of(self.views, m, number, asked, len(m.segments))})]
 
-        return measure_groups(Quest(m, [number], self.views, self.rounds, ask)).groups[0]
+        return measure_groups(QualityQuery(m, [number], self.views, self.rounds, ask)).groups[0]
 
 
 def follow(

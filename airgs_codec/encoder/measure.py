@@ -84,7 +84,7 @@ Ask = Callable[[Round], Sequence[RoundErrors]]  # measures a round of some group
 
 
 @dataclass(frozen=True, slots=True)
-class Quest:
+class QualityQuery:
     """Groups of a package whose quality is asked for, in `rounds.count` pictures a segment and round."""
 
     manifest: Manifest
@@ -130,25 +130,25 @@ class Measured:
         return replace(m, groups=Groups.of(self.groups), views=replace(m.views, measured=self.pictures))
 
 
-def measure_top(quest: Quest) -> TopMeasured:
+def measure_top(query: QualityQuery) -> TopMeasured:
     """Measure the top rung in ever more pictures until its standard error is at most UNSURE.
 
     PSNR is of the mean squared error, SSIM and CIEDE2000 are means over the pictures of the first round. The reference
     is the original after repairs. Errors are heavy-tailed: a large Gaussian close to a view outweighs many others.
     """
-    top, shares = _top(quest.manifest), quest.shares
-    seen: Seen = {s: {top: RungSeen()} for s in quest.segments}
+    top, shares = _top(query.manifest), query.shares
+    seen: Seen = {s: {top: RungSeen()} for s in query.segments}
     for done in itertools.count(1):
-        _look(quest, Round(done - 1, quest.rounds.count, {top: 1}), seen)
+        _look(query, Round(done - 1, query.rounds.count, {top: 1}), seen)
         parts = [of[top] for of in seen.values()]
         unsure = doubt_of_top(parts, shares)
-        if done >= quest.rounds.most or (done >= quest.rounds.least and unsure <= UNSURE):
+        if done >= query.rounds.most or (done >= query.rounds.least and unsure <= UNSURE):
             break
     error, colour = shares @ [(np.mean(p.squared), np.mean([d.delta_e for d in p.alike])) for p in parts]
     return TopMeasured(seen, done, unsure, psnr(float(error)), float(colour))
 
 
-def measure_others(quest: Quest, top: TopMeasured) -> Measured:
+def measure_others(query: QualityQuery, top: TopMeasured) -> Measured:
     """Tables of the groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
     Rungs below the top one are measured in one of LOWER pictures of the first round, key qualities that are not the
@@ -157,27 +157,27 @@ def measure_others(quest: Quest, top: TopMeasured) -> Measured:
     to its error in these (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6), since a view that is hard
     for one rung is hard for all.
     """
-    m, first = quest.manifest, _top(quest.manifest)
+    m, first = query.manifest, _top(query.manifest)
     seen = {s: {rung: RungSeen() for rung in _rungs(m)} | of for s, of in top.seen.items()}
     strides, rounds = _first_strides(m), top.rounds
-    for number in range(quest.rounds.most):
+    for number in range(query.rounds.most):
         if not strides:
             break
         if number == rounds:
             strides, rounds = {first: 1} | strides, rounds + 1
-        _look(quest, Round(number, quest.rounds.count, strides), seen)
-        strides = dict.fromkeys(_unsure(quest, seen), 1)
+        _look(query, Round(number, query.rounds.count, strides), seen)
+        strides = dict.fromkeys(_unsure(query, seen), 1)
     groups = []
-    for number in quest.numbers:
+    for number in query.numbers:
         segments = [_with_errors(m, m.segments[s], seen[s]) for s in m.segments_of(number)]
         groups.append(replace(m.groups[number], segments=segments))
-    unsure = doubt_of_top([of[first] for of in seen.values()], quest.shares)
-    return Measured(groups, rounds * quest.views.measured(quest.rounds.count), unsure)
+    unsure = doubt_of_top([of[first] for of in seen.values()], query.shares)
+    return Measured(groups, rounds * query.views.measured(query.rounds.count), unsure)
 
 
-def measure_groups(quest: Quest) -> Measured:
+def measure_groups(query: QualityQuery) -> Measured:
     """Measure the top rung, and then all others."""
-    return measure_others(quest, measure_top(quest))
+    return measure_others(query, measure_top(query))
 
 
 def _top(m: Manifest) -> Rung:
@@ -225,13 +225,13 @@ def measure_round(
     return found
 
 
-def _look(quest: Quest, asked: Round, seen: Seen) -> None:
+def _look(query: QualityQuery, asked: Round, seen: Seen) -> None:
     """Measure a round, and add what it shows to what was seen before."""
-    m, top = quest.manifest, _top(quest.manifest)
-    count, turn = quest.views.measured(asked.count), asked.number * len(m.segments)
-    for group, found in zip(quest.numbers, quest.ask(asked), strict=True):
+    m, top = query.manifest, _top(query.manifest)
+    count, turn = query.views.measured(asked.count), asked.number * len(m.segments)
+    for group, found in zip(query.numbers, query.ask(asked), strict=True):
         for segment, errors in zip(m.segments_of(group), found, strict=True):
-            places = quest.views.places_of(turn + segment, asked.count)
+            places = query.views.places_of(turn + segment, asked.count)
             by_rung = dict(zip(asked.strides, errors, strict=True))
             of = seen[segment]
             whole = by_rung[top].squared if top in by_rung else of[top].squared[asked.number * count :][:count]
@@ -242,12 +242,12 @@ def _look(quest: Quest, asked: Round, seen: Seen) -> None:
                 of[rung].places.extend(places[::stride])
 
 
-def _unsure(quest: Quest, seen: Seen) -> list[Rung]:
+def _unsure(query: QualityQuery, seen: Seen) -> list[Rung]:
     """The rungs below the top one that are unsure, of those that would be on the ladder, so far as is known."""
-    m, rungs, shares = quest.manifest, _rungs(quest.manifest), quest.shares
+    m, rungs, shares = query.manifest, _rungs(query.manifest), query.shares
     parts = {rung: [of[rung] for of in seen.values()] for rung in rungs}
     errors = [shares @ [ratio_of(of, of[rung]) * np.mean(of[rung].squared) for of in seen.values()] for rung in rungs]
-    sizes = [m.bytes_of(m.rung_files(q, j, quest.numbers)) for j, q in rungs]
+    sizes = [m.bytes_of(m.rung_files(q, j, query.numbers)) for j, q in rungs]
     ladder = on_ladder(list(zip(sizes, map(psnr, errors), strict=True)))
     certain = doubt_of_top(parts[_top(m)], shares)
     return [

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.batch import Encoded, Measuring, ask_quality, encode_sequence
+from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, quality_query
 from airgs_codec.encoder.measure import Rounds, measure_top
 from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.settings import EncodeSettings
@@ -254,7 +254,7 @@ def _taken_back(attempt: Attempt) -> Attempt:
 
 def _figure(encoded: Encoded, measuring: Measuring, metric: Metric) -> tuple[float, int]:
     """What the only rung of a package has of a metric, and the rounds of pictures that tell it."""
-    top = measure_top(ask_quality(encoded, measuring))
+    top = measure_top(quality_query(encoded, measuring))
     return float(getattr(top, metric.figure)), top.rounds
 
 

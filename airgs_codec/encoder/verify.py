@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import ExpectedError
-from airgs_codec.encoder.batch import Encoded, Measuring, ask_quality, encode_sequence
+from airgs_codec.encoder.batch import Encoded, Measuring, encode_sequence, quality_query
 from airgs_codec.encoder.doubt import doubt_db
 from airgs_codec.encoder.measure import Rounds, measure_groups
 from airgs_codec.encoder.pipeline import GroupFiles, PreparedSequence
@@ -92,7 +92,7 @@ def encode_verified(attempt: Attempt) -> Verified:
         last = attempt.given or number == ATTEMPTS
         repair = None if last else repair_parts(attempt, encoded)
         if repair is None:
-            measured = measure_groups(ask_quality(encoded, measuring))
+            measured = measure_groups(quality_query(encoded, measuring))
             manifest = measured.whole(encoded.manifest)
             repair = None if last else repair_levels(attempt, encoded, manifest, measured.unsure)
         measure_s += watch.lap()

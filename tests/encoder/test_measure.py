@@ -12,7 +12,7 @@ from airgs_codec.encoder.measure import (
     LOWER,
     OFF_LADDER,
     ROUNDS,
-    Quest,
+    QualityQuery,
     Rounds,
     measure_groups,
     measure_round,
@@ -64,7 +64,7 @@ def measured(small, monkeypatch, unsure, lower):
     monkeypatch.setattr(measure, "UNSURE", unsure)
     monkeypatch.setattr(measure, "UNSURE_LOWER", lower)
     views = ViewPlan.of(sequence, 24)  # small pictures: twice as many
-    found = measure_groups(Quest(package.manifest, [0], views, Rounds(12), ask))
+    found = measure_groups(QualityQuery(package.manifest, [0], views, Rounds(12), ask))
     assert len(package.manifest.groups) == 1 and len(errors) == len(package.manifest.segments) * 4
     return errors, found.whole(package.manifest)
 
@@ -103,7 +103,7 @@ def test_one_picture_does_not_tell_its_doubt(small, rounds, known):
         pictures = pictures_of(views, m, 0, asked, len(m.segments))
         return [measure_round(Package(package.files, m, 0), sequence, views.renderer, 0, pictures)]
 
-    found = measure_groups(Quest(m, [0], views, Rounds(1).again(rounds), ask))
+    found = measure_groups(QualityQuery(m, [0], views, Rounds(1).again(rounds), ask))
     assert found.pictures == rounds and math.isfinite(found.unsure) is known
 
 

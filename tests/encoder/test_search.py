@@ -14,7 +14,7 @@ from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder import search, verify
-from airgs_codec.encoder.batch import Measuring, ask_quality, encode_sequence
+from airgs_codec.encoder.batch import Measuring, encode_sequence, quality_query
 from airgs_codec.encoder.measure import ROUNDS, Rounds, measure_top
 from airgs_codec.encoder.search import (
     DELTA_E,
@@ -228,9 +228,9 @@ def test_trials_after_the_first_are_measured_with_fewer_pictures_and_taken_for_a
     settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=2)
     rounds = []
 
-    def measure(quest):
-        rounds.append((quest.rounds.least, quest.rounds.most))
-        found = measure_top(quest)
+    def measure(query):
+        rounds.append((query.rounds.least, query.rounds.most))
+        found = measure_top(query)
         return found if len(rounds) == 1 else replace(found, psnr=found.psnr + 5)
 
     monkeypatch.setattr(search, "measure_top", measure)
@@ -239,8 +239,8 @@ def test_trials_after_the_first_are_measured_with_fewer_pictures_and_taken_for_a
     assert taken == attempt.rounds.least > 3 and len(rounds) == 1 + len(attempt.trials) > 2
     assert rounds == [(1, ROUNDS), *[(-(-taken // 3), -(-taken // 3))] * len(attempt.trials)]
     top = replace(attempt.settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
-    quest = ask_quality(encode_sequence(prepared, top, work), Measuring(prepared, attempt.rounds))
-    assert measure_top(quest).psnr == pytest.approx(38, abs=0.3)
+    query = quality_query(encode_sequence(prepared, top, work), Measuring(prepared, attempt.rounds))
+    assert measure_top(query).psnr == pytest.approx(38, abs=0.3)
 
 
 def test_what_costs_more_than_expected_is_taken_back_before_a_search(scene, monkeypatch):
@@ -254,7 +254,10 @@ def test_what_costs_more_than_expected_is_taken_back_before_a_search(scene, monk
     found = search_quality(begun, Goal(PSNR, 38.0))
     assert settings.levels[0].pruned == 0.3
     assert found.settings.shares == ((0.5, 0.05), (2.0, 0.1))
-    assert found.stories == tuple(f"updates withheld cost {db} dB: fewer are" for db in (45.2, 48.2)) and found.expected is None
+    assert (
+        found.stories == tuple(f"updates withheld cost {db} dB: fewer are" for db in (45.2, 48.2))
+        and found.expected is None
+    )
     kept = search_quality(replace(begun, given=True), Goal(PSNR, 38.0))
     assert kept.settings.shares == shares and kept.stories == ()
 

@@ -76,11 +76,20 @@ def test_segments_are_measured_from_views_of_their_own(fox):
     assert all(len(look) == 12 for look in looks) and len(set.union(*looks)) == 60
 
 
+def test_pictures_that_measure_know_the_place_that_they_are_seen_from(fox):
+    spots = np.array([place.position for place in fox[1].region.places])
+    for index in (0, 7, 33):
+        for (_, view), number in zip(fox[1].measure(index, 0, 24, 6), fox[1].places_of(index, 6), strict=True):
+            away = np.linalg.norm(view.position - spots[number])
+            assert away <= fox[1].region.places[number].reach
+
+
 def test_without_a_margin_the_held_out_cameras_measure(fox):
     sequence, _ = fox
     plan = ViewPlan.of(sequence, 24, margin=0.0)
     held_out = [c for c in sequence.cameras if c.held_out]
-    assert list(plan.measuring) == held_out and not places(plan.deciding) & places(held_out)
+    assert list(plan.measuring) == held_out and plan.places_of(0, 2) == list(range(4))
+    assert not places(plan.deciding) & places(held_out)
     training = replace(sequence, cameras=[c for c in sequence.cameras if not c.held_out])
     alone = ViewPlan.of(training, 24, margin=0.0)
     assert len(places(alone.measuring)) == len(alone.region.places)  # no others: the places themselves

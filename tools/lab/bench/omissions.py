@@ -13,7 +13,7 @@ from typing import Any
 from unittest.mock import patch
 
 from airgs_codec.encoder import pipeline, states
-from airgs_codec.encoder.batch import Measuring, ask_quality, calibrate_sequence, encode_sequence
+from airgs_codec.encoder.batch import Measuring, calibrate_sequence, encode_sequence, quality_query
 from airgs_codec.encoder.measure import Rounds, measure_groups
 from airgs_codec.encoder.omit import KeyOmissions, StateOmissions
 from airgs_codec.encoder.pipeline import SURVEY
@@ -103,7 +103,7 @@ def _top_rung(sequence: GaussianSequence, settings: EncodeSettings, bands: bool,
         top = replace(found.settings, levels=found.settings.levels[:1], key_factors=found.settings.key_factors[:1])
         measuring = Measuring(original, ROUNDS)
         encoded = encode_sequence(original if bands else found.prepared, top, work, measuring)
-        m = measure_groups(ask_quality(encoded, measuring)).whole(encoded.manifest)
+        m = measure_groups(quality_query(encoded, measuring)).whole(encoded.manifest)
     quality = pooled_quality(m, 0, 0)
     assert quality is not None
     return m.bytes_of(m.rung_files(0, 0)) / m.frames, quality.psnr

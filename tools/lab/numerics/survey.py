@@ -16,7 +16,7 @@ import numpy as np
 
 from airgs_codec.encoder.measure import (
     ROUNDS,
-    Quest,
+    QualityQuery,
     Round,
     RoundErrors,
     Rounds,
@@ -121,6 +121,6 @@ def _own(subject: Subject, count: int, trial: int) -> float:
             for group, pictures in zip(groups, drawn, strict=True)
         ]
 
-    quality = pooled_quality(measure_groups(Quest(m, groups, views, Rounds(count), ask)).whole(m), 0, 0)
+    quality = pooled_quality(measure_groups(QualityQuery(m, groups, views, Rounds(count), ask)).whole(m), 0, 0)
     assert quality is not None
     return quality.psnr
