@@ -41,6 +41,15 @@ def test_bytes_that_are_left_serve_later():
     assert exact is not None and exact.quality == pytest.approx((40 + 38) / 2)
 
 
+def test_what_is_shown_longer_counts_for_more():
+    """A second and then three: bytes for one best rung, and one that is 2 dB worse, go to the three."""
+    offers = Offers(tiny_manifest(groups=(10, 30), fps=(10, 1)), header_bytes=0)
+    assert [offers.seconds_at(position) for position in (0, 1)] == [1.0, 3.0]
+    exact = solve_horizon(horizon(6300, 11600, offers=offers), integer=True)
+    assert exact is not None and exact.quality == pytest.approx((38 * 1 + 40 * 3) / 4)
+    assert exact.first_bytes == pytest.approx(5300)
+
+
 def test_a_release_keeps_the_link_from_working_ahead():
     slots = (Slot(OFFERS.offer(0), 0.0, 6300.0), Slot(OFFERS.offer(1), 9000.0, 12000.0))
     best = solve_horizon(Horizon(slots), integer=True)

@@ -378,6 +378,13 @@ def test_unknown_policies(text):
         make_policy(text, OFFERS, constant(1e6))
 
 
+def test_a_policy_that_is_unknown_is_told_which_rungs_there_are():
+    with pytest.raises(ConfigError) as raised:
+        make_policy("fixed:Q1+L9", OFFERS, constant(1e6))
+    listed = f"--policy: expected {', '.join(NAMES)}, fixed:0 … fixed:2 or fixed:Q1+L2, got 'fixed:Q1+L9'"
+    assert str(raised.value) == listed
+
+
 @pytest.mark.parametrize(("text", "rung"), [("fixed:2", "Q0+L2"), ("fixed:Q1+L1", "Q1+L1")])
 def test_fixed_rungs(text, rung):
     assert names(make_policy(text, OFFERS, constant(1e6)).choose(state())) == rung

@@ -29,7 +29,7 @@ from airgs_codec.play.downloader import (
 )
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
-from airgs_codec.play.metrics import SHORTEST_S, mean_quality, session_metrics
+from airgs_codec.play.metrics import SHORTEST_S, _first_picture, mean_quality, session_metrics
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
@@ -585,3 +585,11 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     m = session_metrics(log.offers, None, fetches, lost, {})
     assert m.rungs == {"Q1+L0": 1, "lost": 1} and (m.lost_frames, m.stalls, m.change_db) == (10, 0, 0.0)
     assert m.utilisation is m.trace_end is None
+
+
+def test_the_first_picture_takes_what_was_shown_of_it():
+    """Batches of a segment that was given up, and tables, bring none."""
+    told = [("group", 0, False), ("tables", 0, True), ("group", 1, True), ("state", 1, True), ("state", 2, True)]
+    fetches = [SimpleNamespace(kind=BatchKind(kind), position=p, shown=shown) for kind, p, shown in told]
+    assert _first_picture(fetches) == 3
+    assert _first_picture(fetches[:2]) == 2
