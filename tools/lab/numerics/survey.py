@@ -115,7 +115,8 @@ def _own(subject: Subject, count: int, trial: int) -> float:
 
     def ask(asked: Round) -> list[RoundErrors]:
         later = replace(asked, number=asked.number + trial * ROUNDS)
-        drawn = [pictures_of(views, m, group, later, len(m.segments)) for group in groups]
+        others = [pictures_of(views, m, group, later, len(m.segments)) for group in groups]
+        drawn = [replace(pictures, alike=asked.number == 0) for pictures in others]
         return [
             measure_round(package, subject.scene.sequence, views.renderer, group, pictures)
             for group, pictures in zip(groups, drawn, strict=True)
