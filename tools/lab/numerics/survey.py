@@ -109,14 +109,15 @@ def own(subject: Subject, place: Place, trials: int) -> list[Row]:
 
 
 def _own(subject: Subject, count: int, trial: int) -> float:
-    """The PSNR of the top rung that the encoder measures, in the pictures of later rounds in later trials."""
+    """The PSNR of the top rung that the encoder measures, from the views of later rounds in later trials."""
     views, package = plan_views(subject.scene.sequence, ONE_RUNG), subject.package
     m, groups = package.manifest, range(len(package.manifest.groups))
+    at = trial * ROUNDS * len(m.segments) * views.measured(count) % len(views.measuring)
+    measuring, places = ([*of[at:], *of[:at]] for of in (views.measuring, views.places))
+    views = replace(views, measuring=measuring, places=places)
 
     def ask(asked: Round) -> list[RoundErrors]:
-        later = replace(asked, number=asked.number + trial * ROUNDS)
-        others = [pictures_of(views, m, group, later, len(m.segments)) for group in groups]
-        drawn = [replace(pictures, alike=asked.number == 0) for pictures in others]
+        drawn = [pictures_of(views, m, group, asked, len(m.segments)) for group in groups]
         return [
             measure_round(package, subject.scene.sequence, views.renderer, group, pictures)
             for group, pictures in zip(groups, drawn, strict=True)
