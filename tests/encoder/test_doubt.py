@@ -8,7 +8,13 @@ import pytest
 from airgs_codec.encoder.doubt import RungSeen, doubt_db, doubt_of_ratio, doubt_of_top, ratio_of
 
 # Student's t at 97.5 % over that of a normal distribution, by the number of pictures that are free.
-WIDER = {1: 12.706205 / 1.959964, 2: 4.302653 / 1.959964, 5: 2.570582 / 1.959964, 6: 2.446912 / 1.959964}
+WIDER = {
+    1: 12.706205 / 1.959964,
+    2: 4.302653 / 1.959964,
+    3: 3.182446 / 1.959964,
+    5: 2.570582 / 1.959964,
+    6: 2.446912 / 1.959964,
+}
 
 
 def seen(*segments, places=None):
@@ -62,6 +68,13 @@ def test_places_that_segments_are_looked_at_from_unevenly_count_by_the_shares_of
     uneven = seen([(e, 0.0) for e in first], [(e, 0.0) for e in second], places=places)
     chance, looked = 6 / 5 * 4 * (0.0625**2 + 0.1875**2), 1.5 * (0.625 - 0.375)
     assert doubt_of_top(uneven, np.array([0.25, 0.75])) == pytest.approx(WIDER[5] * (chance + looked**2) ** 0.5 / 3.5)
+
+
+def test_of_segments_with_fewer_pictures_each_picture_counts_for_more():
+    """Left of segments -1, -1, -1, 3 and -1, 1; of places as well 1 and -1, of those that are looked at twice."""
+    some = seen([(e, 0.0) for e in (1.0, 1.0, 1.0, 5.0)], [(2.0, 0.0), (4.0, 0.0)], places=[[0, 0, 0, 1], [0, 1]])
+    chance, looked = 2 / 3 * (4 * 0.0625**2 + 2 * 0.375**2), 0.5 * -1 + 0.5 * 2 - (0.5625 * -1 + 0.4375 * 2)
+    assert doubt_of_top(some, np.array([0.25, 0.75])) == pytest.approx(WIDER[3] * (chance + looked**2) ** 0.5 / 2.75)
 
 
 def test_places_tell_nothing_of_fewer_than_two_pictures_each():

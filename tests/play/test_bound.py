@@ -71,6 +71,21 @@ def test_keys_are_paid_once_a_group():
     assert with_keys is not None and with_keys.quality == pytest.approx(40.0)
 
 
+def test_keys_that_are_not_needed_any_more_are_not_given_back():
+    """Bytes for 38 dB and then the smallest state: not for 40 and coarser keys in place of those that were fetched."""
+    quality = dict(zip(OFFERS.names, OFFERS.offer(1).psnr, strict=True))
+    exact = solve_horizon(horizon(6300, 6300, starts=[True, False]), integer=True)
+    assert exact is not None and exact.quality == pytest.approx((38 + quality["Q0+L2"]) / 2)
+
+
+def test_of_a_quality_of_which_some_units_are_decoded_the_others_are_paid():
+    first = frozenset({(0, 0, 0)})
+    whole = solve_horizon(horizon(3200, decoded=first, starts=[False]), integer=True)
+    assert whole is not None and whole.quality == pytest.approx(40.0) and whole.first_bytes == pytest.approx(3200)
+    short = solve_horizon(horizon(3199, decoded=first, starts=[False]), integer=True)
+    assert short is not None and short.quality < 40
+
+
 def test_an_idle_link_costs_every_slot_but_the_first():
     """The release of the first slot says when its bytes begin; the wait before each later one is counted apart."""
     enough = solve_horizon(replace(horizon(6300, 12600 + 500), idle_bytes=500.0), integer=True)

@@ -139,6 +139,17 @@ def test_the_programme_pays_for_a_base_once():
     assert held is not None and held.quality == pytest.approx(40.0)
 
 
+def test_a_base_is_paid_once_however_far_back_it_was_needed():
+    """Groups 2 and 4 differ from group 1, which is not shown; group 3, between them, stands by itself."""
+    c = Offers(keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4, 1), 0, 1000)
+    ends = np.cumsum([9500.0, 6300.0, 5300.0])
+    slots = tuple(Slot(c.offer(position), 0.0, float(end)) for position, end in zip((1, 2, 3), ends, strict=True))
+    best = solve_horizon(Horizon(slots), integer=True)
+    assert best is not None and best.quality == pytest.approx(40.0)
+    short = solve_horizon(Horizon((*slots[:2], replace(slots[2], capacity=ends[2] - 1))), integer=True)
+    assert short is not None and short.quality < 40
+
+
 @given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.tuples(st.booleans(), st.booleans()))
 @settings(max_examples=20)
 def test_no_session_beats_the_bound(rates, pictures):
