@@ -8,13 +8,8 @@ import pytest
 from airgs_codec.encoder.doubt import RungSeen, doubt_db, doubt_of_ratio, doubt_of_top, ratio_of
 
 # Student's t at 97.5 % over that of a normal distribution, by the number of pictures that are free.
-WIDER = {
-    1: 12.706205 / 1.959964,
-    2: 4.302653 / 1.959964,
-    3: 3.182446 / 1.959964,
-    5: 2.570582 / 1.959964,
-    6: 2.446912 / 1.959964,
-}
+STUDENT = {1: 12.706205, 2: 4.302653, 3: 3.182446, 5: 2.570582, 6: 2.446912}
+WIDER = {free: t / 1.959964 for free, t in STUDENT.items()}
 
 
 def seen(*segments, places=None):
