@@ -198,6 +198,7 @@ def test_where_no_line_tells_the_number_of_rows_it_is_halved(monkeypatch):
     assert len(pruning.within(0.5).rows) == 1000 - 436
     assert looked == [999, 499, 249, 374, 436, 467, 451, 443]
     assert len(pruning.within(0.5).rows) == 1000 - 436 and len(looked) == 8  # nothing is drawn again
+    assert len(pruning.within(2.0).rows) == 1
 
 
 def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):

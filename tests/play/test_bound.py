@@ -39,6 +39,17 @@ def test_bytes_that_are_left_serve_later():
     """6300 B for the first, 3800 (36 dB) or 5300 (38 dB) for the second: both best only if the first leaves some."""
     exact = solve_horizon(horizon(6300, 11600), integer=True)
     assert exact is not None and exact.quality == pytest.approx((40 + 38) / 2)
+    relaxed = solve_horizon(horizon(6300, 11500))  # shares of rungs, unless whole ones are asked for
+    assert relaxed is not None and relaxed.rungs.max(axis=1).min() < 0.99
+
+
+def test_what_is_decoded_is_so_in_the_loop_of_the_first_slot_alone():
+    """A sequence of one segment: its keys are fetched again in the second loop."""
+    first, again = (replace(OFFERS.offer(0), starts_group=starts) for starts in (False, True))
+    for end, whole in ((2100.0 + 6300.0, True), (2100.0 + 6300.0 - 1, False)):
+        both = Slot(first, 0.0, 2100.0), Slot(again, 0.0, end)
+        best = solve_horizon(Horizon(both, units(2)), integer=True)
+        assert best is not None and (best.quality == pytest.approx(40.0)) is whole
 
 
 def test_what_is_shown_longer_counts_for_more():

@@ -148,6 +148,11 @@ def test_a_base_is_paid_once_however_far_back_it_was_needed():
     assert best is not None and best.quality == pytest.approx(40.0)
     short = solve_horizon(Horizon((*slots[:2], replace(slots[2], capacity=ends[2] - 1))), integer=True)
     assert short is not None and short.quality < 40
+    for end, whole in ((6300.0 + 9500.0, True), (6300.0 + 9499.0, False)):  # nobody needed it before
+        alone = solve_horizon(
+            Horizon((replace(slots[1], capacity=6300.0), replace(slots[2], capacity=end))), integer=True
+        )
+        assert alone is not None and (alone.quality == pytest.approx(40.0)) is whole
 
 
 @given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.tuples(st.booleans(), st.booleans()))
