@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -29,6 +30,7 @@ from airgs_codec.render import render
 from airgs_codec.scene.camera import training_views
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
+from tests.support.scenes import random_gaussians
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +95,14 @@ def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
     assert kept.error == pytest.approx(pruning.error_of(len(g)), abs=0.05**2)
     allowed = worst(without.rows) / DETAIL  # at which no place is plainly another, and nothing comes back
     assert pruning.with_details(without, 1.01 * allowed).rows.tolist() == without.rows.tolist()
+
+
+def test_a_row_is_as_important_as_it_is_seen_and_as_its_alpha_counts():
+    """Alphas of a half and of one: their squares are 0.625 in the mean. What no picture shows is of no importance."""
+    g = random_gaussians(2)
+    frames = [replace(g, opacity_logits=np.array([logit, 0.0], np.float32)) for logit in (0.0, 100.0)]
+    usage, s = SimpleNamespace(peak=np.array([0.5, 0.0]), total=np.array([8.0, 3.0])), SimpleNamespace(opacity=4.0)
+    assert importance(frames, usage, s).tolist() == [0.5 * 8.0 * 4.0 * 0.625, 0.0]
 
 
 class Lamps:
