@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.importance import ExpectedError, WrittenRows
 from airgs_codec.encoder.calibrate import Calibration
-from airgs_codec.encoder.measure import QualityQuery, Round, RoundErrors, Rounds, pictures_of
+from airgs_codec.encoder.measure import QualityQuery, Round, RoundErrors, Rounds, first_rounds, pictures_of
 from airgs_codec.encoder.pipeline import (
     BANDS,
     CALIBRATION,
@@ -194,7 +194,7 @@ def encode_sequence(
         manifest, shared = _package_of(prepared, settings, tables, poster)
         encoded = Encoded(manifest, shared, tuple(files), keys.base, work)
         if measuring and measuring.rounds.count and len(prepared.windows) > 1:
-            for first in Round.first(manifest, measuring.rounds.count):
+            for first in first_rounds(manifest, measuring.rounds.count):
                 work.run(_quality_jobs(encoded, measuring.original, first, window, firsts[-1]))
     return encoded
 

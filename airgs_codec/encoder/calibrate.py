@@ -78,7 +78,7 @@ class Subject:
     def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
         """Lay out the group at `settings`."""
         loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
-        layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings.allowed), settings, sequence.fps)
+        layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings.row_error), settings, sequence.fps)
         return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
 
     def sample(self, fps: float) -> CalibrationSample:

@@ -79,7 +79,7 @@ class _Publisher:
             "span": GroupSpan(len(m.groups), start, stop),
             "views": self.views,
             "settings": self.settings,
-            "allowed": self.settings.allowed,
+            "row_error": self.settings.row_error,
             "base": base,
             "first_segment": len(m.segments),
         }

@@ -14,7 +14,7 @@ from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.doubt import Rung, RungSeen, Seen, doubt_of_ratio, doubt_of_top, ratio_of
 from airgs_codec.encoder.survey import Pictures, ViewPlan
-from airgs_codec.media.metrics import Difference, Picture, psnr
+from airgs_codec.media.metrics import Difference, Picture, pool, psnr
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Group, Segment
@@ -54,11 +54,6 @@ class Round:
     number: int
     count: int  # pictures of a segment, at least
     strides: Strides
-
-    @staticmethod
-    def first(m: Manifest, count: int) -> list[Round]:
-        """Those that measure every rung of a package once."""
-        return [Round(0, count, strides) for strides in ({_top(m): 1}, _first_strides(m)) if strides]
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,20 +139,20 @@ def measure_top(query: QualityQuery) -> TopMeasured:
         unsure = doubt_of_top(parts, shares)
         if done >= query.rounds.most or (done >= query.rounds.least and unsure <= UNSURE):
             break
-    error, colour = shares @ [(np.mean(p.squared), np.mean([d.delta_e for d in p.alike])) for p in parts]
+    error, colour = shares @ [(np.mean(p.squared), pool(p.alike).delta_e) for p in parts]
     return TopMeasured(seen, done, unsure, psnr(float(error)), float(colour))
 
 
-def measure_others(query: QualityQuery, top: TopMeasured) -> Measured:
+def measure_groups(query: QualityQuery) -> Measured:
     """Tables of the groups with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
 
-    Rungs below the top one are measured in one of LOWER pictures of the first round, key qualities that are not the
-    level's own in one of OFF_LADDER; then all that no mixture of others beats in further rounds, until their standard
-    error is at most UNSURE_LOWER. Their squared errors are scaled by what the error of the top rung in all pictures is
-    to its error in these (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6), since a view that is hard
-    for one rung is hard for all.
+    The top rung is measured first; rungs below it in one of LOWER pictures of the first round, key qualities that are
+    not the level's own in one of OFF_LADDER; then all that no mixture of others beats in further rounds, until their
+    standard error is at most UNSURE_LOWER. Their squared errors are scaled by what the error of the top rung in all
+    pictures is to its error in these (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6), since a view
+    that is hard for one rung is hard for all.
     """
-    m, first = query.manifest, _top(query.manifest)
+    m, first, top = query.manifest, _top(query.manifest), measure_top(query)
     seen = {s: {rung: RungSeen() for rung in _rungs(m)} | of for s, of in top.seen.items()}
     strides, rounds = _first_strides(m), top.rounds
     for number in range(query.rounds.most):
@@ -175,11 +170,6 @@ def measure_others(query: QualityQuery, top: TopMeasured) -> Measured:
     return Measured(groups, rounds * query.views.measured(query.rounds.count), unsure)
 
 
-def measure_groups(query: QualityQuery) -> Measured:
-    """Measure the top rung, and then all others."""
-    return measure_others(query, measure_top(query))
-
-
 def _top(m: Manifest) -> Rung:
     return 0, m.levels[0].quality
 
@@ -191,6 +181,11 @@ def _rungs(m: Manifest) -> list[Rung]:
 def _first_strides(m: Manifest) -> dict[Rung, int]:
     """Strides of all rungs but the top one in the first round."""
     return {(j, q): LOWER if q == m.levels[j].quality else OFF_LADDER for j, q in _rungs(m) if (j, q) != _top(m)}
+
+
+def first_rounds(m: Manifest, count: int) -> list[Round]:
+    """Those that measure every rung of a package once."""
+    return [Round(0, count, strides) for strides in ({_top(m): 1}, _first_strides(m)) if strides]
 
 
 def pictures_of(views: ViewPlan, m: Manifest, group: int, asked: Round, total: int) -> AskedPictures:
@@ -208,10 +203,10 @@ def measure_round(
     package: Package, sequence: GaussianSequence, renderer: Renderer, group: int, asked: AskedPictures
 ) -> RoundErrors:
     """Render rungs of a group of a package beside the original."""
-    m, found = package.manifest, []
+    m, found, every = package.manifest, [], math.gcd(*(stride for *_, stride in asked.strides))
     bases = {quality: decode_canonical(package, group, quality) for quality in {q for _, q, _ in asked.strides}}
     for index, pictures in zip(m.segments_of(group), asked.pictures, strict=True):
-        originals = draw_once(_originals(sequence, pictures, renderer))
+        originals = draw_once(_originals(sequence, pictures[::every], renderer))
         errors: SegmentErrors = []
         for level, quality, stride in asked.strides:
             looked_at = pictures[::stride]
@@ -263,13 +258,14 @@ def _with_errors(m: Manifest, segment: Segment, of: Mapping[Rung, RungSeen]) -> 
     for j, level in enumerate(segment.levels):
         row = [of[j, q] for q in range(len(m.qualities))]
         scaled = [ratio_of(of, part) * np.array(part.squared) for part in row]
+        alike = [pool(part.alike) for part in row]
         levels.append(
             replace(
                 level,
                 psnr=[round(psnr(float(squared.mean())), 2) for squared in scaled],
                 worst=[round(psnr(float(squared.max())), 1) for squared in scaled],
-                ssim=[round(float(np.mean([d.ssim for d in part.alike])), 4) for part in row],
-                delta_e=[round(float(np.mean([d.delta_e for d in part.alike])), 2) for part in row],
+                ssim=[round(quality.ssim, 4) for quality in alike],
+                delta_e=[round(quality.delta_e, 2) for quality in alike],
             )
         )
     return replace(segment, levels=levels)

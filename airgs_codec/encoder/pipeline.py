@@ -79,7 +79,7 @@ def choose_bands(
 
 
 def choose_rows(sequence: GaussianSequence, survey: Survey, allowed: float | None) -> WrittenRows:
-    """Give the rows that pictures of a group need, by `EncodeSettings.allowed`. Raises SceneError."""
+    """Give the rows that pictures of a group need, by `EncodeSettings.row_error`. Raises SceneError."""
     return keep_rows(_load(sequence, survey).frames, survey, allowed)
 
 
@@ -227,7 +227,7 @@ class Step:
 SURVEY = Step("survey", survey_group, ("sequence", "span", "views"), "survey")
 CALIBRATION = Step("calibration", calibrate, ("sequence", "survey", "settings"), "calibration")
 BANDS = Step("SH bands", choose_bands, ("sequence", "survey", "calibration", "settings"), "bands")
-ROWS = Step("rows", choose_rows, ("sequence", "survey", "allowed"), "written")
+ROWS = Step("rows", choose_rows, ("sequence", "survey", "row_error"), "written")
 KEY = Step("keys", code_key, ("sequence", "survey", "written", "settings"), "key")
 DIFFERENCE = Step("differences", code_difference, ("sequence", "survey", "written", "base", "settings"), "difference")
 STATES = Step("states", code_group, ("sequence", "coded", "settings", "first_segment"), "files")
@@ -284,7 +284,11 @@ class PreparedSequence:
             "span": Read(span, span),
             "views": Read(self.views, self._seen),
             "renderer": Read(self.views.renderer, self.views.renderer),
-            **({"settings": chosen(settings), "allowed": Read(settings.allowed, settings.allowed)} if settings else {}),
+            **(
+                {"settings": chosen(settings), "row_error": Read(settings.row_error, settings.row_error)}
+                if settings
+                else {}
+            ),
             **given,
         }
         for name in step.reads:

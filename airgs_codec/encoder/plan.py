@@ -321,7 +321,7 @@ def prune_rows(frames: Sequence[Gaussians], survey: Survey) -> RowPruning:
 def keep_rows(frames: Sequence[Gaussians], survey: Survey, allowed: float | None) -> WrittenRows:
     """Rows of a group that are written: those that pictures cannot do without, or all.
 
-    `allowed` is as in `EncodeSettings.allowed`.
+    `allowed` is as in `EncodeSettings.row_error`.
     """
     if allowed is None or not survey.trusted:
         return WrittenRows.all(len(frames[0]))

@@ -240,15 +240,11 @@ def _top_of(settings: EncodeSettings) -> EncodeSettings:
 def _taken_back(attempt: Attempt) -> Attempt:
     """The attempt without what costs more than is expected of it at its quality, at any other one, too."""
     for _ in range(ATTEMPTS - 1):
-        before = attempt.settings
-        encoded = encode_sequence(attempt.prepared, _top_of(before).at(before.quality), attempt.work)
-        repair = repair_parts(attempt, encoded)
+        settings = _top_of(attempt.settings).at(attempt.settings.quality)
+        repair = repair_parts(attempt, encode_sequence(attempt.prepared, settings, attempt.work))
         if repair is None:
             break
-        was, now = before.levels[0].pruned, repair.settings.levels[0].pruned
-        shares = tuple((factor, share * now / was if was else share) for factor, share in before.shares)
-        settings = replace(repair.settings, shares=shares)
-        attempt = replace(attempt, settings=settings, stories=(*attempt.stories, repair.story))
+        attempt = replace(attempt, settings=repair.settings, stories=(*attempt.stories, repair.story))
     return attempt
 
 

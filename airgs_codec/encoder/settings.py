@@ -270,7 +270,7 @@ class EncodeSettings:
         return tuple(min(power, MAX_BITS) for power in itertools.accumulate(powers, max))
 
     @property
-    def allowed(self) -> float | None:
+    def row_error(self) -> float | None:
         """Error of pictures that leaving out rows may make (RMS, samples in 0..1); None: none are left out."""
         return None if self.keep_all else self.steps.rows * self.quality
 

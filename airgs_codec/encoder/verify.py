@@ -202,9 +202,11 @@ def _take_back(attempt: Attempt, encoded: Encoded, expected: ExpectedError, beyo
         return Repair(fewer, f"Gaussians left out {_cost(rows, expected.rows)}: fewer are")
     if held - expected.held > beyond:
         pruned = settings.levels[0].pruned
-        top = replace(settings.levels[0], pruned=pruned / 2 if pruned > 0.1 else 0.0)
+        part = 0.5 if pruned > 0.1 else 0.0
+        levels = (replace(settings.levels[0], pruned=part * pruned), *settings.levels[1:])
+        shares = tuple((factor, part * share) for factor, share in settings.shares)  # at other qualities as well
         keep_all = pruned == 0  # nothing was withheld: rows held to be static are to blame
-        fixed = replace(settings, levels=(top, *settings.levels[1:]), keep_all=settings.keep_all or keep_all)
+        fixed = replace(settings, levels=levels, shares=shares, keep_all=settings.keep_all or keep_all)
         return Repair(fixed, f"updates withheld {_cost(held, expected.held)}: fewer are")
     return None
 

@@ -119,11 +119,11 @@ class Quality:
     delta_e: float  # CIEDE2000, mean over pictures
 
 
-def pool(differences: Sequence[Difference], scale: float = 1.0) -> Quality:
-    """The quality of all of some pictures together, at least one; squared errors are multiplied by `scale`."""
+def pool(differences: Sequence[Difference]) -> Quality:
+    """The quality of all of some pictures together, at least one."""
     count, squared = len(differences), [d.mse for d in differences]
     ssim, delta_e = (sum(getattr(d, name) for d in differences) / count for name in ("ssim", "delta_e"))
-    return Quality(psnr(scale * sum(squared) / count), psnr(scale * max(squared)), ssim, delta_e)
+    return Quality(psnr(sum(squared) / count), psnr(max(squared)), ssim, delta_e)
 
 
 def mse(a: Floats, b: Floats) -> float:

@@ -168,7 +168,7 @@ def test_a_base_that_knew_of_no_open_door_is_none(tmp_path):
     frames = [room_behind_a_door(1500, is_open) for is_open in (False, True)]
     sequence = open_sequence(write_sequence(tmp_path / "frames", frames, keyframes=[0, 1]))
     views = plan_views(sequence, SETTINGS)
-    known = {"sequence": sequence, "views": views, "settings": SETTINGS, "allowed": SETTINGS.allowed}
+    known = {"sequence": sequence, "views": views, "settings": SETTINGS, "row_error": SETTINGS.row_error}
     for number in range(2):
         known["survey"] = survey_group(sequence, GroupSpan(number, number, number + 1), views)
         STEPS["written"].do(known)

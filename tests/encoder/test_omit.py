@@ -78,7 +78,7 @@ def group(sequence):
     """Its frames, how they are laid out, and the canonical space of two key qualities."""
     survey = survey_group(sequence, GroupSpan(0, 0, 6), plan_views(sequence, SETTINGS))
     loaded = sequence.load(range(6))
-    layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, SETTINGS.allowed), SETTINGS, sequence.fps)
+    layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, SETTINGS.row_error), SETTINGS, sequence.fps)
     fine = layout.key_values().astype(np.float32)
     still = np.full(len(layout.rows), STATIC, np.uint8)
     return loaded.frames, layout, [layout.canonical_space(key, still) for key in (fine, np.round(fine, 1))]

@@ -30,7 +30,7 @@ SETTINGS = EncodeSettings(
 )
 GIVEN = {
     "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "asked",
-    "base_files", "frame", "camera", "allowed",
+    "base_files", "frame", "camera", "row_error",
 }  # fmt: skip
 
 

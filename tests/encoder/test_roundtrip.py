@@ -45,7 +45,7 @@ def laid_out(sequence, index, group) -> GroupLayout:
     """The layout of a group of a package that was encoded with FAST."""
     survey = survey_group(sequence, GroupSpan(index, group.start, group.stop), ViewPlan.of(sequence, 24))
     loaded = sequence.load(range(group.start, group.stop))
-    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, FAST.allowed), FAST, sequence.fps)
+    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, FAST.row_error), FAST, sequence.fps)
 
 
 def same(a: Gaussians, b: Gaussians):
