@@ -1,97 +1,74 @@
-"""Lengths of modules and of function bodies, and numbers of parameters, against the limits this project keeps.
+"""How large each folder is, against the entries of tests/house.json, which only go down; and functions that are long.
 
-A body is counted in lines without its docstring, `self` and `cls` are not counted as parameters. Functions that numba
-compiles, the modules that hold only those, and the tables of the manifest are exempt.
+`python -m tests.support.house` lowers every entry to what is there, and takes folders out that are gone.
 """
 
 from __future__ import annotations
 
 import ast
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Iterator
 from pathlib import Path
 
-FOLDERS = ("airgs_codec", "tools")
-MAX_MODULE, MAX_BODY, MAX_PARAMETERS = 350, 60, 6
-EXEMPT_MODULES = {"render/cpu_kernels.py", "trainer/fit/kernels.py", "package/tables.py"}
-COMPILED = {"njit", "jit", "vectorize", "guvectorize"}
-Definition = ast.FunctionDef | ast.AsyncFunctionDef
+from tests.support.paths import REPOSITORY
+
+TABLE = REPOSITORY / "tests" / "house.json"
+ENDINGS = {"airgs_codec": {".py"}, "tools": {".py"}, "tests": {".py"}, "web/src": {".ts", ".css"}}
+BY_FOLDER = "airgs_codec"  # has an entry for each of its folders besides that for all of it
+SLACK = 1.03  # an entry above this many times what is there is to be lowered
+LONGEST = 80  # lines of a function without its docstring
+COMPILED = {"njit", "jit", "vectorize", "guvectorize"}  # decorators of kernels, which may be longer
+Size = dict[str, int]  # files and lines
 
 
-@dataclass(frozen=True, slots=True)
-class Function:
-    """One function or method and its size."""
-
-    where: str  # path:line name
-    body: int  # lines
-    parameters: int
+def sizes(repository: Path = REPOSITORY) -> dict[str, Size]:
+    """Files and lines of each folder that has an entry."""
+    found = {name: _size(repository / name, endings) for name, endings in ENDINGS.items()}
+    parts = sorted(path for path in (repository / BY_FOLDER).iterdir() if path.is_dir() and path.name != "__pycache__")
+    return found | {f"{BY_FOLDER}/{part.name}": _size(part, ENDINGS[BY_FOLDER]) for part in parts}
 
 
-@dataclass(frozen=True, slots=True)
-class House:
-    """What was measured in one folder; exempt functions and modules are not in it."""
-
-    modules: dict[str, int]  # path -> lines
-    functions: tuple[Function, ...]
-
-    def excesses(self) -> list[str]:
-        """One line for everything over a hard limit."""
-        long = [f"{path}: {n} lines, at most {MAX_MODULE}" for path, n in self.modules.items() if n > MAX_MODULE]
-        for f in self.functions:
-            if f.body > MAX_BODY:
-                long.append(f"{f.where}: {f.body} lines, at most {MAX_BODY}")
-            if f.parameters > MAX_PARAMETERS:
-                long.append(f"{f.where}: {f.parameters} parameters, at most {MAX_PARAMETERS}")
-        return long
-
-    def columns(self) -> dict[str, Sequence[int]]:
-        """The three measured distributions."""
-        return {
-            "module lines": list(self.modules.values()),
-            "body lines": [f.body for f in self.functions],
-            "parameters": [f.parameters for f in self.functions],
-        }
+def _size(folder: Path, endings: set[str]) -> Size:
+    files = [path for path in folder.rglob("*") if path.suffix in endings]
+    return {"files": len(files), "lines": sum(path.read_bytes().count(b"\n") for path in files)}
 
 
-def measure(folder: Path) -> House:
-    """All Python files below a folder; files that are empty do not count as modules."""
-    modules: dict[str, int] = {}
-    functions: list[Function] = []
+def complaints(entries: dict[str, Size], found: dict[str, Size]) -> Iterator[str]:
+    """A line for each folder that is larger than its entry, has none, or whose entry is to be lowered or taken out."""
+    for name in entries.keys() - found.keys():
+        yield f"{name}: it is gone, so take its entry out"
+    for name, size in found.items():
+        for what, count in size.items():
+            entry = entries.get(name, {}).get(what, 0)
+            if count > entry:
+                yield f"{name}: {count} {what}, at most {entry}; take something away"
+            elif entry > SLACK * count:
+                yield f"{name}: {count} {what}, so lower its entry of {entry}"
+
+
+def long_functions(folder: Path) -> Iterator[str]:
+    """A line for each function of more than LONGEST lines that numba does not compile."""
     for path in sorted(folder.rglob("*.py")):
-        text, name = path.read_text(encoding="utf-8"), path.relative_to(folder).as_posix()
-        functions += _functions(ast.parse(text), f"{folder.name}/{name}")
-        if text and name not in EXEMPT_MODULES:
-            modules[f"{folder.name}/{name}"] = len(text.splitlines())
-    return House(modules, tuple(functions))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not _is_compiled(node):
+                body = node.body[1:] if ast.get_docstring(node) is not None else node.body
+                lines = (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
+                if lines > LONGEST:
+                    yield f"{path.relative_to(folder)}:{node.lineno} {node.name}: {lines} lines, at most {LONGEST}"
 
 
-def _functions(tree: ast.Module, path: str) -> Iterator[Function]:
-    for node in ast.walk(tree):
-        if isinstance(node, Definition) and not _is_compiled(node):
-            yield Function(f"{path}:{node.lineno} {node.name}", _body_lines(node), _parameters(node))
+def _is_compiled(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    parts = [part for decorator in function.decorator_list for part in ast.walk(decorator)]
+    return any(getattr(part, "id", getattr(part, "attr", "")) in COMPILED for part in parts)
 
 
-def _is_compiled(node: Definition) -> bool:
-    names = {n.id if isinstance(n, ast.Name) else n.attr for d in node.decorator_list for n in _names(d)}
-    return bool(names & COMPILED)
+def lowered(entries: dict[str, Size], found: dict[str, Size]) -> dict[str, Size]:
+    """The entries of folders that are there, none of them above what is there."""
+    least = {name: {what: min(n, size[what]) for what, n in found[name].items()} for name, size in entries.items()}
+    return {name: least[name] for name in found if name in least}
 
 
-def _names(decorator: ast.expr) -> Iterator[ast.Name | ast.Attribute]:
-    return (n for n in ast.walk(decorator) if isinstance(n, ast.Name | ast.Attribute))
-
-
-def _body_lines(node: Definition) -> int:
-    statements = node.body[1:] if ast.get_docstring(node) is not None else node.body
-    return statements[-1].end_lineno - statements[0].lineno + 1 if statements else 0  # type: ignore[operator]
-
-
-def _parameters(node: Definition) -> int:
-    a = node.args
-    named = [*a.posonlyargs, *a.args, *a.kwonlyargs, *filter(None, (a.vararg, a.kwarg))]
-    return len([p for p in named if p.arg not in ("self", "cls")])
-
-
-def percentile(values: Sequence[int], share: float) -> int:
-    """The smallest value that `share` of all values do not exceed (nearest rank); 0 of none."""
-    return sorted(values)[max(0, math.ceil(share * len(values)) - 1)] if values else 0
+if __name__ == "__main__":
+    was = json.loads(TABLE.read_text(encoding="utf-8"))
+    rows = lowered({name: size for name, size in was.items() if name in sizes()}, sizes()).items()
+    TABLE.write_text("{\n" + ",\n".join(f' "{name}": {json.dumps(size)}' for name, size in rows) + "\n}\n")
