@@ -1,7 +1,7 @@
 """Which stiff or extreme properties a package touches, and what holds for the rows that have them.
 
 Looked at are the canonical spaces in Q0 and the states of L0, after decoding; bounds are `max_error` of these atlases
-(FORMAT.md, section 4) and what float32 and half floats round. N rows of a group, n of a unit or tile.
+(FORMAT.md, section 4) and what float32 and half floats round. N rows of a group, n of a key tier or level.
 """
 
 from __future__ import annotations

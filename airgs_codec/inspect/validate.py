@@ -50,7 +50,7 @@ def validate_files(files: Place) -> list[Finding]:
     """Everything that is wrong with the package of these files: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
-    key unit and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
+    key tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
     try:
