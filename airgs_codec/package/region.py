@@ -108,18 +108,9 @@ def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
     `region.turn` degrees off the focus: viewers are more often near the places than at the rim.
     """
     rng = np.random.default_rng(seed)
-    order = _take_turns(region, count, rng)
-    return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order)]
-
-
-def draw_places(region: Region, count: int, seed: int) -> list[int]:
-    """The places, from 0, that the views of `draw_views` are about."""
-    return _take_turns(region, count, np.random.default_rng(seed))
-
-
-def _take_turns(region: Region, count: int, rng: np.random.Generator) -> list[int]:
     rounds = range(-(-count // len(region.places)))
-    return [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
+    order = [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
+    return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order)]
 
 
 def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> Camera:
