@@ -15,7 +15,7 @@ import numpy as np
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.survey import Pictures, ViewPlan
-from airgs_codec.media.metrics import Difference, pool, psnr
+from airgs_codec.media.metrics import Difference, pool
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Group, Segment

@@ -230,7 +230,9 @@ ROWS = Step("rows", choose_rows, ("sequence", "survey", "row_error"), "written")
 KEY = Step("keys", code_key, ("sequence", "survey", "written", "settings"), "key")
 DIFFERENCE = Step("differences", code_difference, ("sequence", "survey", "written", "base", "settings"), "difference")
 STATES = Step("states", code_group, ("sequence", "coded", "settings", "first_segment"), "files")
-QUALITY = Step("quality", measure_files, ("sequence", "renderer", "tables", "pictures", "files", "base_files"), "errors")
+QUALITY = Step(
+    "quality", measure_files, ("sequence", "renderer", "tables", "pictures", "files", "base_files"), "errors"
+)
 POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
 STEPS = {step.makes: step for step in (SURVEY, CALIBRATION, BANDS, ROWS, KEY, DIFFERENCE, STATES, QUALITY, POSTER)}
 

@@ -1,4 +1,4 @@
-"""From a sequence to a published package: look, survey, calibrate, encode, check, measure, write the manifests last."""
+"""From a sequence to a published package: look, survey, calibrate, encode, measure, write the manifests last."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from pathlib import Path
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
-from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence
-from airgs_codec.encoder.doubt import doubt_db
-from airgs_codec.encoder.measure import Rounds
+from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence, encode_sequence, measure_encoded
+from airgs_codec.encoder.measure import Measured, uncertainty_db
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
-from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
+from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
 from airgs_codec.encoder.track import tracked
-from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.media.sound import SoundTrack, encode_sound
@@ -59,9 +57,8 @@ class EncodeReport:
     records: Sequence[Record] = ()  # of the jobs
     saved: float = 0.0  # bytes a frame, as in `Calibration`
     goal: Goal | None = None
-    trials: Sequence[tuple[float, float]] = ()  # as in `Attempt`
-    repairs: Sequence[str] = ()  # why it was encoded again, a line each
-    unsure: float = 0.0  # as in `Measured`
+    trials: Sequence[tuple[float, float]] = ()  # of the search: quality factors, and what they came to
+    uncertainty: float = 0.0  # as in `Measured`
 
     def stages(self) -> list[Stage]:
         """The parts of the work in their order, and what came of each."""
@@ -76,20 +73,22 @@ class EncodeReport:
             wanted = f"{self.goal.value:g} {self.goal.metric.name}"
             trials = f"{len(self.trials)} trials for {wanted}, from {first:.4g} to {last:.4g}"
         if m.measured:
-            measured = f"a claim {doubt_words(self.unsure)}, by pictures of each segment: {m.views.measured}"
+            measured = f"a claim {certainty_words(self.uncertainty)}, by pictures of each segment: {m.views.measured}"
         return [
             Stage("order of rows", self.rows_s, f"{len(self.rows.matched)} frames were put in order"),
             Stage("views and lengths of groups", self.survey_s, f"{len(m.groups)} groups of up to {longest} frames"),
             Stage("calibration", self.calibrate_s, steps),
             Stage("search", self.search_s, trials),
-            Stage("encoding", self.encode_s, "; ".join(self.repairs) or "the package, at the first attempt"),
+            Stage("encoding", self.encode_s, "the package"),
             Stage("measuring", self.measure_s, measured),
         ]
 
 
-def doubt_words(unsure: float) -> str:
-    """How far a claim may be off; one picture of each segment does not tell."""
-    return "whose doubt is not known" if math.isinf(unsure) else f"good to {doubt_db(unsure):.1f} dB"
+def certainty_words(uncertainty: float) -> str:
+    """How far a claim may be off; a single picture does not tell."""
+    if math.isinf(uncertainty):
+        return "of a single picture, which does not tell how sure it is"
+    return f"good to {uncertainty_db(uncertainty):.1f} dB"
 
 
 def encode(
@@ -137,18 +136,21 @@ def _encode(
             settings = weigh_colours(settings, original)
         survey_s = watch.lap()
         calibrated, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
-        rounds, given = Rounds(settings.measure_pictures), settings.levels != DEFAULT_LEVELS
-        attempt = Attempt(calibrated.prepared, original, calibrated.settings, work, calibrated.expected, rounds, given)
+        chosen, trials = calibrated.settings, []
         if goal:
-            attempt = search_quality(attempt, goal)
+            chosen, trials = search_quality(calibrated, original, goal, work)
         search_s = watch.lap()
-        verified = encode_verified(attempt)
+        encoded = encode_sequence(calibrated.prepared, chosen, work, original)
+        encode_s, measured = watch.lap(), Measured(encoded.manifest, math.inf)
+        if settings.measure_pictures:
+            measured = measure_encoded(encoded, original, settings.measure_pictures)
+        measure_s = watch.lap()
         progress.end()
-    decisions = [*found.notes, *verified.manifest.decisions, *calibrated.decisions, *verified.stories]
-    manifest, files = replace(verified.manifest, decisions=decisions), {}
+    decisions = [*found.notes, *measured.manifest.decisions, *calibrated.decisions]
+    manifest, files = replace(measured.manifest, decisions=decisions), {}
     if sound:
         manifest, files = add_sound(manifest, sound)
-    size = write_package(place, verified.encoded, manifest, more_files=files)
+    size = write_package(place, encoded, manifest, more_files=files)
     return EncodeReport(
         manifest,
         size,
@@ -157,15 +159,14 @@ def _encode(
         survey_s,
         calibrate_s,
         search_s,
-        verified.encode_s,
-        verified.measure_s,
+        encode_s,
+        measure_s,
         calibrated.cached,
         work.records(),
         calibrated.saved,
         goal,
-        attempt.trials,
-        verified.stories,
-        verified.unsure,
+        trials,
+        measured.uncertainty,
     )
 
 

@@ -186,7 +186,7 @@ class EncodeSettings:
         "out; 0: none are; calibration finds it",
     )
     measure_pictures: int = setting(
-        10, "pictures of each segment, at least, of frames and views of their own, that measure every rung; 0: none"
+        64, "pictures that measure the top rung, spread over all segments, at least one of each; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset", name="x264-preset", choices=PRESETS)
     between: int = setting(BETWEEN[0], "B-pictures in a row between states; calibration finds it", option=False)
@@ -333,7 +333,7 @@ def as_preview(settings: EncodeSettings) -> EncodeSettings:
         preset="superfast",
         group_frames=settings.group_frames or DEFAULT_GROUP_FRAMES,
         decide_pictures=8,
-        measure_pictures=min(settings.measure_pictures, 2),
+        measure_pictures=min(settings.measure_pictures, 8),
         track=bool(settings.track),
     )
 

@@ -29,7 +29,7 @@ from airgs_codec.package.region import (
     world_from,
     world_words,
 )
-from airgs_codec.package.tables import Region, Views, World
+from airgs_codec.package.tables import Region, World
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
