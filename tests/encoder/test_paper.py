@@ -112,7 +112,7 @@ def test_hits_rank_alone_whatever_changes():
 
 def test_a_first_look_calibrates_nothing_and_measures_little():
     quick = as_preview(EncodeSettings(quality=1.6))
-    assert (quick.calibrate, quick.group_frames, quick.measure_pictures, quick.quality) == ("none", 30, 2, 1.6)
+    assert (quick.calibrate, quick.group_frames, quick.measure_pictures, quick.quality) == ("none", 30, 8, 1.6)
     assert quick.decide_pictures < EncodeSettings().decide_pictures
     asked = as_preview(EncodeSettings(group_frames=12, measure_pictures=0))
     assert (asked.group_frames, asked.measure_pictures) == (12, 0)

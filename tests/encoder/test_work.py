@@ -90,8 +90,7 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 def test_one_frame_that_changes_is_the_only_group_that_is_made_again(scene, tmp_path, monkeypatch):
     frames = moving_frames(120, 8)
     folder = write_sequence(tmp_path / "scene", frames)
-    unmeasured = {**PLAIN, "keys": "apart", "measure_pictures": 0}  # how many rounds are measured is of all groups
-    settings, store, done = EncodeSettings(**unmeasured), open_store(tmp_path / "work"), []
+    settings, store, done = EncodeSettings(**PLAIN, keys="apart"), open_store(tmp_path / "work"), []
     encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
     write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
     perform = work_module.perform

@@ -16,7 +16,6 @@ from airgs_codec.package.parse import pack_json, parse_root, read_region
 from airgs_codec.package.references import fault_of
 from airgs_codec.package.region import (
     departure,
-    draw_places,
     draw_views,
     levelled,
     misread,
@@ -79,9 +78,7 @@ def test_places_take_turns():
     for start in range(0, 12, 3):
         three = draw_views(ROW, 12, 5)[start : start + 3]
         assert sorted(round(view.position[0] / 3) for view in three) == [-1, 0, 1]
-    here = [round(view.position[0] / 3) for view in draw_views(ROW, 7, 5)]
-    assert [[-1, 0, 1][number] for number in draw_places(ROW, 7, 5)] == here
-    assert draw_views(ROW, 0, 5) == draw_places(ROW, 0, 5) == []
+    assert draw_views(ROW, 0, 5) == []
 
 
 def test_distances_are_even_directions_even_over_the_sphere_and_axes_even_over_the_disk():

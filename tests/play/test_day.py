@@ -6,6 +6,8 @@ import gzip
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
+from airgs_codec.play.fetch_plan import FetchPlan
+
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.mpd import LiveClock
@@ -13,7 +15,6 @@ from airgs_codec.package.package import open_package
 from airgs_codec.package.publish import GrowingPackage, write_tables
 from airgs_codec.places.place import Memory
 from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Request, answer
-from airgs_codec.play.fetch_plan import FetchPlan
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.http import RemoteTables
 from airgs_codec.play.offers import HEADER_BYTES

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-
 from airgs_codec.play.sight import BEFORE_S, DECAY_S, Boxes, Velocity, expected
+
 from airgs_codec.scene.camera import look_at
 from tests.support.tiled import Turning, tiled_manifest
 
