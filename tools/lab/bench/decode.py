@@ -55,7 +55,7 @@ def measure(scene: str, package: Package, repeat: int, only: Sequence[str] = ())
     known = {
         "package": scene,
         "Gaussians": group.count,
-        "with states": group.tiles[0].levels[0].rows,
+        "with states": group.levels[0].rows,
         "bytes a frame": size,
     }
     rows = []
@@ -74,14 +74,14 @@ def parts(package: Package) -> dict[str, Callable[[], None]]:
 
     def key_video() -> None:
         for group, table in enumerate(m.groups):
-            for k, unit in enumerate(table.units):
-                for path in m.key_files(group, k, 0)[1:] if unit.count else []:
-                    _decode_video(package, path, unit.qualities[0].pages)
+            for t, tier in enumerate(table.tiers):
+                for path in m.key_files(group, t, 0)[1:] if tier.count else []:
+                    _decode_video(package, path, tier.qualities[0].pages)
 
     def state_video() -> None:
         for index in range(len(m.segments)):
             for path in m.state_files(index, 0):
-                _decode_video(package, path, m.groups[m.group_of(index)].tiles[0].levels[0].pages)
+                _decode_video(package, path, m.groups[m.group_of(index)].levels[0].pages)
 
     def keys() -> None:
         for group in range(len(m.groups)):
@@ -123,8 +123,8 @@ def video_alone(package: Package, groups: list[int], segments: list[int], stop: 
     """Decode the pictures of the top rung by PyAV and nothing else; `stop` pictures of a segment."""
     m = package.manifest
     for g in groups:
-        for t, unit in enumerate(m.groups[g].units):
-            if unit.count:
+        for t, tier in enumerate(m.groups[g].tiers):
+            if tier.count:
                 _plain_decode(package.read(INIT_NAME) + package.read(m.key_files(g, t, 0)[1]), None)
     for s in segments:
         for media in m.state_files(s, 0):  # where nothing moves there are none

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
+from airgs_codec.decoder.decode import decode_canonical, decode_frames
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
@@ -46,7 +46,7 @@ def ways(scene: Scene, package: Package) -> Iterator[tuple[Place, Callable[[], l
 
 
 def _frames(package: Package, level: int, quality: int, tiers: int | None) -> list[Gaussians]:
-    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, part=Part(tiers))
+    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, tiers=tiers)
     return [frame.gaussians for frame in frames]
 
 

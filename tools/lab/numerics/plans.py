@@ -45,7 +45,7 @@ class Offer:
             RungOffer(0, level, float(quality), math.nan, 0, True, 0.0, (), (), int(size))
             for level, (size, quality) in enumerate(zip(self.sizes[k], self.quality[k], strict=True))
         )
-        return SegmentOffer(k, k, k + 1, 1.0, k, None, True, (), rungs)
+        return SegmentOffer(k, k, k + 1, 1.0, k, None, True, rungs)
 
 
 def offer(kind: str, rate_bps: float) -> tuple[Offer, NDArray[np.float64]]:

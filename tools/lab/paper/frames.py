@@ -88,9 +88,9 @@ def frame_options(c: Offers, keys: bool) -> list[Levels]:
     frames: list[Levels] = []
     for index, segment in enumerate(c.manifest.segments):
         shared = [_shared_bytes(c, index, j, keys) for j in range(len(segment.levels))]
-        saved = saved_shares([level.bytes for level in segment.levels])
+        saved = saved_shares([level.file.bytes for level in segment.levels])
         for t in range(segment.stop - segment.start):
-            sizes = [level.picture_bytes[t] if level.picture_bytes else 0 for level in segment.levels]
+            sizes = [level.frame_bytes[t] if level.frame_bytes else 0 for level in segment.levels]
             frames.append(
                 tuple(
                     Option(j, round(sizes[j] + shared[j]), level.psnr[0] if level.psnr else 0.0, saved[j])
@@ -105,11 +105,11 @@ def _shared_bytes(c: Offers, index: int, level: int, keys: bool) -> float:
     m = c.manifest
     segment = m.segments[index]
     state = segment.levels[level]
-    shared = (state.bytes - sum(state.picture_bytes)) / (segment.stop - segment.start)
+    shared = (state.file.bytes - sum(state.frame_bytes)) / (segment.stop - segment.start)
     if keys:
         number = m.group_of(index)
         group = m.groups[number]
-        paths = [p for k in m.units_of(level) for p in m.key_files(number, k, 0)]
+        paths = [p for t in range(m.levels[level].tiers) for p in m.key_files(number, t, 0)]
         shared += m.bytes_of(paths) / (group.stop - group.start)
     return shared
 

@@ -119,7 +119,7 @@ def saved_by_level(m: Manifest) -> NDArray[np.float64]:
     """(L, T) share of the bytes of level 0 that each level saves in each frame's segment, as players count them."""
     saved = np.empty((len(m.levels), m.frames))
     for segment in m.segments:
-        saved[:, segment.start : segment.stop] = np.array(saved_shares([v.bytes for v in segment.levels]))[:, None]
+        saved[:, segment.start : segment.stop] = np.array(saved_shares([v.file.bytes for v in segment.levels]))[:, None]
     return saved
 
 
