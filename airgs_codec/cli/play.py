@@ -19,23 +19,22 @@ from airgs_codec.cli.common import (
     expect_folder,
     expect_report,
     report,
-    views,
 )
 from airgs_codec.cli.options import nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, find_faults, open_package
-from airgs_codec.package.region import before_background
+from airgs_codec.package.region import levelled
+from airgs_codec.package.viewpath import path_of_region
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
-from airgs_codec.play.report.film import film, still
-from airgs_codec.play.report.map import Viewer, path_of
-from airgs_codec.play.report.session import format_metrics, place_record, some, write_report
+from airgs_codec.play.report.film import film
+from airgs_codec.play.report.session import format_metrics, region_record, some, write_report
 from airgs_codec.play.report.study import format_study, write_study
 from airgs_codec.play.session import SessionLog, measure_decoding, simulate
 from airgs_codec.play.session import play as play_over
@@ -43,7 +42,6 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
-from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
 
@@ -75,11 +73,10 @@ class Play:
     offsets: int = setting(8, "starts in each trace, drawn from --seed")
     seed: int = setting(1, "seed of the starts", topic="study")
     jobs: int = setting(1, "processes that share the sessions of --compare")
-    views: Path | None = views("cameras that the viewer goes by", "the viewing region")
     original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
     clip: BakingOptions = nested(BakingOptions, "clips", own=True)
     device: str = device("where pictures are drawn", topic="output")
-    report: Path | None = report("pictures and a page")
+    report: Path | None = report("a page")
     video: Path | None = setting(None, "film what was on the screen, as MP4", metavar="FILE")
     json: bool = as_json()
 
@@ -122,15 +119,14 @@ def play(options: Play) -> int:
 def _over_http(options: Play) -> int:
     if options.trace or options.compare:
         raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
-    pictures = options.report or options.video
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
-        keep = Folder(folder).write if pictures else None
+        keep = Folder(folder).write if options.video else None
         downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep))
         settings = _settings(None, options)
         offers = downloader.open()
         log = play_over(offers, downloader, options.policy, settings, view=_view(offers.manifest, options))
-        if pictures:
+        if options.video:
             fetch_beside(log, downloader)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
     return 0
@@ -148,36 +144,29 @@ def _view(m: Manifest, options: Play) -> View | None:
     """The way of a viewer by whom tiles are fetched; None where all are."""
     if not options.view_adaptive:
         return None
-    return path_of(m, read_cameras(options.views) if options.views else [])
+    return path_of_region(levelled(m.region, m.world))
 
 
 def _present(package: Package, log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
     original = open_sequence(options.original, **options.clip.baking()) if options.original else None
-    viewer = _viewer(log, options) if options.report or options.video else None
-    if options.report and viewer:
-        write_report(log, options.report, viewer, still(package, log, viewer.cameras[0], viewer.renderer))
-    if options.video and viewer:
+    if options.report:
+        write_report(log, options.report)
+    if options.video:
+        if all(shown.rung is None for shown in log.shown):
+            raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
         with contextlib.closing(Bar(options.json)) as bar:
-            film(package, log, viewer, options.video, original, bar)
-    said = {"policy": log.policy, "lost": log.lost, "retried": log.retried}
-    record = log.metrics.as_dict() | said | place_record(log, viewer)
+            film(package, log, options.video, original, bar, open_renderer(options.device))
+    said = {"policy": log.policy, "lost": log.lost, "retried": log.retried, "region": region_record(log)}
+    record = log.metrics.as_dict() | said
     if options.json:
         say(to_json(record))
         return
-    say(format_metrics(log, viewer))
+    say(format_metrics(log))
     if options.report:
         say(f"{'report':<22}{options.report / 'index.html'}")
     if options.video:
         say(f"{'film':<22}{options.video}")
-
-
-def _viewer(log: SessionLog, options: Play) -> Viewer:
-    cameras = read_cameras(options.views) if options.views else []
-    if all(shown.rung is None for shown in log.shown):
-        raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
-    walked = before_background(log.offers.manifest.region, cameras)
-    return Viewer.of(log, walked, open_renderer(options.device))
 
 
 def _compare(package: Package, options: Play) -> int:

@@ -12,9 +12,9 @@ from airgs_codec.cli.play import main
 from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.media.image import to_bytes
 from airgs_codec.package.package import find_faults, open_package
+from airgs_codec.package.viewpath import path_of_region
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.report import film
-from airgs_codec.play.report.map import path_of
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace
@@ -66,7 +66,6 @@ def test_a_package_of_one_tile_is_played_as_ever(capsys):
     [
         (["--compare", "--traces", "const:1"], "--view-adaptive: expected a single session"),
         (["--trace", "const:1", "--player.view-buffer", "0"], "buffer by view: expected more than 0 s"),
-        (["--trace", "const:1", "--views", "none.json"], "none.json"),
     ],
 )
 def test_bad_options_are_one_line_and_2(capsys, options, words):
@@ -99,7 +98,12 @@ def test_a_tile_that_is_missing_costs_no_other():
     package = open_package(PACKAGE)
     faults = missing("key/P3/T0/1.bin")
     log = simulate(
-        package, Trace.open("const:8"), "fixed:0", SessionSettings(loops=1), faults, path_of(package.manifest)
+        package,
+        Trace.open("const:8"),
+        "fixed:0",
+        SessionSettings(loops=1),
+        faults,
+        path_of_region(package.manifest.region),
     )
     assert log.metrics.lost_frames == 0
     assert {event.tile for event in log.tiles.ready} == {0, 1}
@@ -109,7 +113,7 @@ def test_the_still_has_every_tile_in_its_own_rung(tmp_path, monkeypatch):
     """The first tile came in the better keys, before those of another were found missing."""
     root = shutil.copytree(PACKAGE, tmp_path / "package")
     m = open_package(root).manifest
-    settings, view = SessionSettings(loops=1), path_of(m)
+    settings, view = SessionSettings(loops=1), path_of_region(m.region)
     whole = simulate(open_package(root), Trace.open("const:8"), "fixed:0", settings, view=view)
     last = whole.tiles.came(0)[-1].tile
     (root / m.key_files(0, last * m.tiers, 0)[1]).unlink()

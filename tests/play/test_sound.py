@@ -1,6 +1,6 @@
 """Sound in a session: fetched first and once a group at every rung; without it a group is silent, not lost.
 
-Films of sessions and of camera paths have it.
+Films of sessions have it.
 """
 
 from dataclasses import replace
