@@ -44,7 +44,7 @@ demo: .venv/installed web/node_modules/installed
 demo-train: .venv/installed
 	$(BIN)/airgs-train $(VIEWS) -o $(OUT)/trained --iterations 1000,600,150 --resume --report $(OUT)/training
 	$(BIN)/airgs-encode $(OUT)/trained -o $(OUT)/trained.airgs
-	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(FOX)/trace.csv --views $(OUT)/trained/transforms.json --report $(OUT)/trained-report
+	$(BIN)/airgs-play $(OUT)/trained.airgs --trace $(FOX)/trace.csv --report $(OUT)/trained-report
 	@echo "Pictures: $(OUT)/training/index.html, $(OUT)/trained-report/index.html"
 
 demo-study: .venv/installed

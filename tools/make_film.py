@@ -22,11 +22,10 @@ from PIL import Image
 import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.package import Package
-from airgs_codec.play.report.film import screen_frames
-from airgs_codec.play.report.map import Viewer
+from airgs_codec.play.report.film import screen_frames, walk
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.trace import Trace
-from airgs_codec.render import render
+from airgs_codec.render import Camera, render
 from airgs_codec.scene.camera import with_pixels
 
 REPOSITORY = Path(__file__).parent.parent
@@ -47,7 +46,7 @@ def play() -> tuple[Package, SessionLog, Trace]:
     return package, log, trace
 
 
-def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArray[np.uint8]]:
+def screens(package: Package, log: SessionLog, cameras: Sequence[Camera]) -> Iterable[NDArray[np.uint8]]:
     """Yield what is on the screen at every tick, with the name and the quality of its rung."""
     seen = [0] * len(log.shown)
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
@@ -58,9 +57,8 @@ def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArr
             continue
         assert gaussians is not None and shown.rung is not None, "nothing is lost on this link"
         text = "waiting for data" if waits else f"{log.offers.names[shown.rung]}   {shown.psnr:.1f} dB"
-        camera = with_pixels(viewer.cameras[tick], WIDTH, HEIGHT)
-        picture = label(to_bytes(render(gaussians, camera).rgb), text)
-        yield label(picture, viewer.caption(tick), 1) if viewer.caption(tick) else picture
+        camera = with_pixels(cameras[tick], WIDTH, HEIGHT)
+        yield label(to_bytes(render(gaussians, camera).rgb), text)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,7 +123,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.webp")
     args = parser.parse_args()
     package, log, trace = play()
-    shots = list(screens(package, log, Viewer.of(log)))
+    shots = list(screens(package, log, walk(log)))
     chart = draw_chart(log, trace, CHART_HEIGHT, WIDTH)
     shares = np.linspace(0, 1, len(shots))
     pictures = [np.vstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]

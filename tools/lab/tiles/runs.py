@@ -42,7 +42,7 @@ class Watcher:
     @staticmethod
     def of(region: Region, name: str) -> Watcher:
         """One of VIEWERS, or the one that is HELD_OUT: other swings, drawn from a seed."""
-        path = path_of_region(region, kept=False)  # all round, although places are apart
+        path = path_of_region(region)
         if name == HELD_OUT:
             return Watcher(path, drawn_swings(HELD_OUT_SEED))
         return Watcher(path, [(VIEWERS[name] * ahead, period, phase) for ahead, period, phase in SWINGS])
