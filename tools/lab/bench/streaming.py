@@ -21,7 +21,6 @@ from airgs_codec.play.policies.named import DEFAULT_POLICY
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import Study, StudySettings, run_study, summarise
 from tools.lab import COLOURS, Lab, Page, Picture, Row, Section, Table, content, listed, required, setting
-from tools.lab.crowd.runs import trace_paths
 from tools.lab.made import encoded, name_of
 
 if TYPE_CHECKING:
@@ -54,7 +53,8 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     """Every policy over every link, scene by scene. Raises AirgsError."""
-    traces, rows = trace_paths(options.traces), []
+    traces = tuple(str(path) for path in sorted(options.traces.iterdir()) if path.is_file())
+    rows: list[Row] = []
     reads = [content(Path(path)) for path in traces]
     for scene in options.scenes:
         package = encoded(scene, lab.folder)
