@@ -46,7 +46,6 @@ EXPERIMENTS = (
     _bench("scenes", "What is measured?", "10 s"),
     _bench("serve", "How does the server hold out under many sessions?", "1 min"),
     Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
-    Experiment("soak-live", "What does a day of publishing cost, and joining late?", "tools.lab.soak.live", "1 h"),
     _bench("splits", "How good is a training where nobody trained it?", "hours"),
     _bench("start", "How long does a user wait before anything happens?", "10 s"),
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
@@ -141,7 +140,6 @@ MEASUREMENTS = (
     Measurement("stiff", "stiff", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
-    Measurement("soak-live", "crowd", "soak-live"),
     Measurement("tiles", "tiles", "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv"),
     Measurement(
         "viewpoints",
@@ -158,7 +156,7 @@ MEASUREMENTS = (
 
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("crowd",)
+NO_LONGER_MEASURED = ("crowd", "soak-live")
 
 
 @dataclass(frozen=True, slots=True)
