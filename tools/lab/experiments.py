@@ -154,7 +154,6 @@ MEASUREMENTS = (
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip
 
-
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
 NO_LONGER_MEASURED = ("crowd", "soak-live")
 
