@@ -50,7 +50,6 @@ EXPERIMENTS = (
     _bench("start", "How long does a user wait before anything happens?", "10 s"),
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
-    _room("tiles", "What do spatial tiles cost and save?", "30 min"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
     _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
@@ -140,7 +139,6 @@ MEASUREMENTS = (
     Measurement("stiff", "stiff", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
-    Measurement("tiles", "tiles", "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv"),
     Measurement(
         "viewpoints",
         "views",

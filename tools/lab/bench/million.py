@@ -2,7 +2,7 @@
 
 Scenes of one group, made and encoded in the folder with the settings of `scale` unless they are there already: balls of
 which every Gaussian swings by itself, by so many of its standard deviations, and, with `--fox`, a ring of copies of the
-first twelve frames of a sequence (tools/make_wide_scene.py). A Gaussian moves that has states.
+first twelve frames of a sequence. A Gaussian moves that has states.
 """
 
 from __future__ import annotations
@@ -19,8 +19,7 @@ from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, setting
 from tools.lab.bench.decode import measure
 from tools.lab.bench.scale import SETTINGS
-from tools.lab.made import make_swinging
-from tools.make_wide_scene import make_scene as make_ring
+from tools.lab.made import make_ring, make_swinging
 
 COLUMNS = {
     "package": ("scene", ""), "Gaussians": ("Gaussians", ",d"), "with states": ("that move", ",d"),
@@ -75,11 +74,8 @@ def scenes(options: Options) -> dict[str, Callable[[Path], None]]:
         for swing in options.swings
     }
     if options.fox:
-        sequence = open_sequence(options.fox)
-        copies = max(1, round(options.rows / len(sequence.load([0]).frames[0])))
-        made[f"ring of {copies} foxes"] = lambda folder: make_ring(
-            sequence, folder, (0, LOOPED), copies, options.frames
-        )
+        copies = max(1, round(options.rows / open_sequence(options.fox).headers[0].count))
+        made[f"ring of {copies} foxes"] = partial(make_ring, options.fox, copies, LOOPED, options.frames)
     return made
 
 
