@@ -30,7 +30,6 @@ def _room(name: str, question: str, takes: str) -> Experiment:
 
 EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
-    _bench("decode", "How long does decoding take beside the H.264 alone?", "1 min a package"),
     _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
     _bench("engines", "What do spark and PlayCanvas lose of our pictures?", "2 min"),
     _bench("formats", "What does a round trip through each splat format cost?", "5 min"),
