@@ -57,10 +57,6 @@ EXPERIMENTS = (
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
     Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.levels", "minutes"),
-    Experiment("frames", "What does the paper's frame mode give over links?", "tools.lab.paper.streaming", "1 minute"),
-    Experiment(
-        "closed-loop", "What does a server save that knows its viewer?", "tools.lab.paper.closed_loop", "1 minute"
-    ),
     Experiment("reproduce", "How do the methods of the paper compare?", "tools.lab.paper.reproduce", "an hour"),
     Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.lab.paper.footage", "minutes"),
 )
