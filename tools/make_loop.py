@@ -116,7 +116,6 @@ def cameras_on_arc(position: NDArray[np.float64], focus: NDArray[np.float64], de
 
 
 def entry(camera: Camera) -> dict[str, object]:
-    """A camera as transforms.json has it."""
     pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
     return {
         "file_path": f"{camera.name}.png", "camera": camera.name, "split": camera.split, "time_index": 0,

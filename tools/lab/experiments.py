@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """A question that a program answers."""
-
     name: str
     question: str
     module: str
@@ -64,8 +62,6 @@ EXPERIMENTS = (
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What a document shows of an experiment."""
-
     name: str  # of its marks in the document, and of its entry in figures.json
     document: str  # in docs/results, without .md
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
@@ -150,8 +146,6 @@ NO_LONGER_MEASURED = ("crowd", "soak-live")
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture, a CSV or the tables of a document that no measurement makes."""
-
     file: str  # below docs/; of tables the document itself
     document: str
     command: str

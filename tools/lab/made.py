@@ -44,7 +44,6 @@ def name_of(scene: str) -> str:
 
 
 def make_scene(rows: int, frames: int, folder: Path) -> None:
-    """A ball of Gaussians of which a tenth swings, written to a new folder."""
     random = np.random.default_rng(0)
     means = random.normal(size=(rows, 3))
     size = math.log(1.5 / rows ** (1 / 3))

@@ -150,7 +150,6 @@ def _is_one_of(shown: str, values: set[float]) -> bool:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """The plain values in lists and mappings."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, list):

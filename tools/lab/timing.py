@@ -18,13 +18,10 @@ T = TypeVar("T")
 
 
 class Took(NamedTuple):
-    """What a piece of work took."""
-
     cpu: float  # seconds of the CPU, of all threads of this process together: what other work changes little
     wall: float  # seconds by the clock on the wall
 
     def times(self, factor: float) -> Took:
-        """So many times as long."""
         return Took(self.cpu * factor, self.wall * factor)
 
 
@@ -36,7 +33,6 @@ class Alone(NamedTuple):
 
 
 def seconds_of(work: Callable[[], T]) -> tuple[Took, T]:
-    """Return what one call took, and what it gives."""
     cpu, wall = time.process_time(), time.perf_counter()
     result = work()
     return Took(time.process_time() - cpu, time.perf_counter() - wall), result
@@ -49,7 +45,6 @@ def timed(work: Callable[[], object], repeats: int) -> list[Took]:
 
 
 def middle(took: Sequence[Took]) -> Took:
-    """Medians of what some calls took."""
     return Took(median(t.cpu for t in took), median(t.wall for t in took))
 
 

@@ -49,12 +49,10 @@ class Fourdgs:
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "4dgs"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All of them."""
         return asdict(self)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
@@ -127,7 +125,6 @@ class Fit:
         self.seconds += time.perf_counter() - begun
 
     def keep(self) -> None:
-        """Write the checkpoint."""
         state = {
             "settings": self._identity(),
             "iteration": self.iteration,
@@ -179,7 +176,6 @@ class Fit:
 
 
 def moment(frame: int, frames: int) -> float:
-    """The time of a frame, 0 at the first and 1 at the last."""
     return frame / max(1, frames - 1)
 
 

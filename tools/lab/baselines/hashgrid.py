@@ -54,15 +54,11 @@ class FieldSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Where points lie in the tables of a field."""
-
     weights: csr_matrix  # (P * L, E) trilinear, eight a row
     points: int  # P
 
 
 class HashField(torch.nn.Module):
-    """O outputs at every point of a box."""
-
     def __init__(
         self, settings: FieldSettings, box: NDArray[np.floating], outputs: int, *, zero: bool = False, seed: int = 0
     ) -> None:

@@ -63,18 +63,14 @@ class StreamSettings:
 
 @dataclass(frozen=True, slots=True)
 class Stream3dgs:
-    """The method."""
-
     options: StreamSettings = field(default_factory=StreamSettings)
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "3dgstream"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All options."""
         return asdict(self.options)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
@@ -130,14 +126,11 @@ def _added(data: bytes, sh_degree: int) -> Gaussians:
 
 
 def _wire(g: Gaussians) -> bytes:
-    """All attributes of each row as they are stored, in float32."""
     return np.concatenate([getattr(g, name).reshape(len(g), -1) for name in ATTRIBUTES], axis=1).astype(WIRE).tobytes()
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """The two stages of a frame."""
-
     options: StreamSettings
     trainer: Trainer
     region: Region
@@ -166,7 +159,6 @@ class _Fit:
     def _add(
         self, moved: Gaussians, new: Gaussians, target: FrameViews, rng: np.random.Generator, progress: Progress
     ) -> Gaussians:
-        """The new Gaussians, fitted among the moved ones, which rest."""
         o = self.options
         resting = Resting(from_gaussians(moved), torch.empty(0, dtype=torch.int64))
         growth = Growth(min(2 * len(new), o.most_added), every=ADD_EVERY)

@@ -124,7 +124,6 @@ class V3Settings:
             raise ConfigError(f"expected groups of a frame, a Gaussian and a share below 1 to prune, got {self}")
 
     def training(self) -> TrainSettings:
-        """The settings of the fit of a keyframe before it is pruned."""
         budget = round(self.rows / (1 - self.pruned))
         return TrainSettings(
             budget=budget,
@@ -185,8 +184,6 @@ class V3:
 
 
 class _TrainedGroup:
-    """The trained frames of the group that is not coded yet, in a folder."""
-
     def __init__(self, folder: Path, start: int) -> None:
         """The group whose first frame is `start`; frames of another one are forgotten."""
         self.start = start
@@ -201,13 +198,11 @@ class _TrainedGroup:
         folder.mkdir(parents=True, exist_ok=True)
 
     def append(self, g: Gaussians, seconds: float) -> None:
-        """Keep the next frame."""
         write_ply(self._path(self.start + len(self.seconds)), g)
         self.seconds.append(seconds)
         write_json(self._record, {"start": self.start, "seconds": self.seconds})
 
     def read(self, t: int) -> Gaussians:
-        """A frame that was kept."""
         return read_ply(self._path(t))
 
     def _path(self, t: int) -> Path:
@@ -234,12 +229,10 @@ class FieldDriven:
         self._adam = torch.optim.Adam(self._field.parameters(), lr=FIELD_RATE, betas=BETAS)
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians where the field puts them, differentiable by its weights."""
         moved = self.base["means"] + DISPLACEMENT * self.extent * self._field(self._places)
         return self.base | {"means": moved}
 
     def detached(self) -> Parameters:
-        """The Gaussians where the field puts them."""
         with torch.no_grad():
             return self.current()
 
@@ -251,7 +244,6 @@ class FieldDriven:
         return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:
-        """Move the field's weights along the gradients, by Adam."""
         for group in self._adam.param_groups:
             group["lr"] = FIELD_RATE * FIELD_LAST ** (iteration / iterations)
         self._adam.step()
@@ -265,7 +257,6 @@ class Finetuned(PerGaussian):
     losses: ResidualLoss | None = None
 
     def penalty(self) -> torch.Tensor | float:
-        """The losses of the residual."""
         return self.losses(self.adam.parameters) if self.losses else 0.0
 
 
@@ -306,5 +297,4 @@ def _schedule(trainer: Trainer, stage: str, iterations: int, coarse: float = 0.0
 
 
 def _rng(settings: V3Settings, frame: int, stage: int) -> np.random.Generator:
-    """Its own random numbers for every fit, so that a run can go on anywhere."""
     return np.random.default_rng([settings.seed, frame, stage])

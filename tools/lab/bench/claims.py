@@ -40,8 +40,6 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is encoded and measured."""
-
     scenes: tuple[str, ...] = required("scenes, each with its cameras or without: SCENE[=VIEWS]")
     targets: tuple[str, ...] = setting(("36", "40", "43"), f"dB, or {DEFAULT} for no target")
     pictures: int = setting(64, "pictures that measure a rung, each of its own view")
@@ -56,7 +54,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Encode, measure, compare."""
     views = tuple(compared_views(read_cameras(options.held_views), None)) if options.held_views else ()
     settings = applied(EncodeSettings(), options.settings)
     bench = Bench(settings, options.pictures, options.seed, views, lab.folder, lab.tell)
@@ -101,15 +98,12 @@ class Row:
         return 0.0 if self.claimed is None else self.measured.mean - self.claimed
 
     def plain(self) -> PlainRow:
-        """As a row of the table."""
         measured = {"measured": self.measured.mean, "worst": self.measured.worst, "off": round(self.off, 3)}
         return asdict(self) | measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What all scenes are encoded and measured with."""
-
     settings: EncodeSettings
     pictures: int  # that measure a rung
     seed: int  # of their views
@@ -153,7 +147,6 @@ def measure(
 
 
 def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured]) -> list[Row]:
-    """The rungs of a package by falling bytes."""
     rungs = summarise(package.manifest, package.manifest_bytes).rungs
     manifests = package.manifest_bytes / package.manifest.frames / 1e3
     rows = []
@@ -203,7 +196,6 @@ def package_row(rows: Sequence[Row]) -> PlainRow:
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """How far claims of top rungs, their worst pictures and ladders are off, and which rungs a cheaper one beats."""
     packages = [package_row(some) for some in by_package(rows)]
     if not packages:
         return "No package could be made."

@@ -34,15 +34,12 @@ GAP = 1.5  # between copies of a frame, of its extent
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is written."""
-
     scene: Path = setting(SCENE, "a sequence with cameras")
     rows: int = setting(200_000, "Gaussians of the files that are timed")
     repeat: int = setting(3, "readings of each")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Both tables."""
     with tempfile.TemporaryDirectory() as folder:
         large = Path(folder) / "large.ply"
         write_ply(large, copies(open_sequence(options.scene).load([0]).frames[0], options.rows))
@@ -68,25 +65,21 @@ def copies(frame: Gaussians, rows: int) -> Gaussians:
 
 
 def write(source: Path, target: Path) -> Took:
-    """Return what writing a .ply to the format of another name took."""
     frame = read_ply(source)
     return seconds_of(lambda: write_frames(choose_target(str(target), None, 1), [(0, frame)], Fraction(1)))[0]
 
 
 def read(target: Path) -> Took:
-    """Return what reading a file took."""
     return seconds_of(lambda: open_sequence(target).read(0))[0]
 
 
 def round_trip(scene: Path, sequence: GaussianSequence, written: Path) -> Comparison:
-    """A written file against the scene, by its held-out cameras."""
     cameras = compared_views(sequence.cameras, None)
     other = open_side(str(written))
     return compare_two(open_side(str(scene)), other, range(other.frames), cameras)
 
 
 def facts(form: Format) -> Row:
-    """Return what the code knows without measuring."""
     holds = form.holds
     degrees = f"0 to {holds.sh_degree}" if holds.sh_degree else "none"
     order = "kept" if holds.keeps_rows else "lost"
@@ -94,7 +87,6 @@ def facts(form: Format) -> Row:
 
 
 def frame_row(form: FrameFormat, scene: Path, large: Path, repeat: int) -> Row:
-    """A row of the table of formats that hold one frame."""
     sequence = open_sequence(scene)
     with tempfile.TemporaryDirectory() as folder:
         small, big = Path(folder) / f"small.{form.key}", Path(folder) / f"big.{form.key}"
@@ -110,7 +102,6 @@ def frame_row(form: FrameFormat, scene: Path, large: Path, repeat: int) -> Row:
 
 
 def clip_row(form: ClipFormat, scene: Path) -> Row:
-    """A row of the table of formats that hold many frames."""
     sequence = open_sequence(scene)
     count = len(sequence)
     with tempfile.TemporaryDirectory() as folder:

@@ -31,8 +31,6 @@ LOOPED = 12  # frames of the sequence that copies in the ring show
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The scenes."""
-
     fox: Path | None = setting(None, "a sequence, for the ring of its copies")
     rows: int = setting(1_000_000, "Gaussians")
     frames: int = setting(30, "frames")
@@ -41,7 +39,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Make what is missing, and measure."""
     rows: list[Row] = []
     for name, make in scenes(options).items():
         package = prepared(lab.folder / f"{name.replace(' ', '-')}-{code_digest(encode)[:8]}", make)
@@ -51,7 +48,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def measure(scene: str, package: Package, repeat: int) -> Row:
-    """What decoding all frames in order takes, of which the bytes are those of the top rung."""
     m = package.manifest
     count, moving = m.groups[0].count, m.groups[0].tiles[0].levels[0].rows
     size = m.bytes_of(m.rung_files(0, 0)) / m.frames
@@ -63,7 +59,6 @@ def measure(scene: str, package: Package, repeat: int) -> Row:
 
 
 def words(rows: Sequence[Row]) -> str:
-    """Up to which share of moving rows what is asked for is met."""
     slow = min((row["share"] for row in rows if row["ms a frame"] > ASKED_MS), default=None)
     fast = [row for row in rows if slow is None or row["share"] < slow]
     asked = f"at most {ASKED_MS} ms a frame"
@@ -78,7 +73,6 @@ def words(rows: Sequence[Row]) -> str:
 
 
 def scenes(options: Options) -> dict[str, Callable[[Path], None]]:
-    """Return what makes each scene in a folder."""
     made: dict[str, Callable[[Path], None]] = {
         f"ball, all swing by {swing:g}": partial(make_swinging, options.rows, options.frames, swing)
         for swing in options.swings
@@ -90,7 +84,6 @@ def scenes(options: Options) -> dict[str, Callable[[Path], None]]:
 
 
 def prepared(folder: Path, make: Callable[[Path], None]) -> Package:
-    """The package of a scene, which is made where it is not there."""
     if not (folder / "package").is_dir():
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "scene").is_dir():

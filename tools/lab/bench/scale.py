@@ -46,8 +46,6 @@ STEPS = ("cold", "warm", "decode")
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The sizes."""
-
     rows: tuple[int, ...] = setting((10_000, 100_000, 1_000_000), "Gaussians of made scenes")
     frames: tuple[int, ...] = setting((30, 300, 3000), "frames")
     few: int = setting(2000, "Gaussians of made scenes of many frames")
@@ -57,8 +55,6 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One process."""
-
     rows: int
     frames: int
     step: str  # of STEPS
@@ -76,7 +72,6 @@ COLUMNS = {
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Every step of every scene."""
     found: list[Measured] = []
     for one in _measured(options):
         found.append(one)
@@ -87,7 +82,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def scenes_of(found: Sequence[Measured]) -> list[Row]:
-    """A row for each scene, of all its steps."""
     scenes: dict[tuple[int, int], Row] = {
         (one.rows, one.frames): {"rows": one.rows, "frames": one.frames} for one in found
     }

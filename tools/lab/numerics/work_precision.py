@@ -48,8 +48,6 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is measured on what."""
-
     scene: str = setting(f"fox={FOX}", "NAME=FOLDER or NAME=FOLDER=VIEWS, the fox by default")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
     traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
@@ -58,7 +56,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Measure what is missing. Raises AirgsError."""
     expect_names("--only", options.only, NAMES)
     scenes = [open_scene(options.scene)]
     if options.spinach is not None:
@@ -76,7 +73,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """The report of some rows."""
     if not rows:
         raise ConfigError("expected rows, got none")
     sections = []
@@ -92,14 +88,11 @@ def page(rows: Sequence[Row]) -> Page:
 
 
 def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each scene, in their order."""
     return {scene: [row for row in rows if row.scene == scene] for scene in dict.fromkeys(row.scene for row in rows)}
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What the answers to a question come to on one scene."""
-
     question: Question
     cheap: Row  # the cheapest that is as good as the best but for `enough`
     default: Row | None
@@ -110,7 +103,6 @@ class Judged:
         return (row.error - other.error) * (1 if self.question.more else -1)
 
     def best(self, rows: Sequence[Row]) -> Row | None:
-        """The best of some rows, the quickest of equals."""
         return min(rows, key=lambda row: (-self.gain(row, self.cheap), row.seconds), default=None)
 
     def name(self, row: Row) -> str:
@@ -121,7 +113,6 @@ class Judged:
         return f"`{row.setting}`" if len(curves) == 1 or row.curve == row.setting else f"`{row.setting}` ({row.curve})"
 
     def figures(self, row: Row) -> str:
-        """The error and the time of a row."""
         beside = f", {row.note}" if row.note else ""
         return f"{figure(row.error)} {self.question.unit} in {seconds(row.seconds)}{beside}"
 
@@ -149,7 +140,6 @@ def judge(question: Question, rows: Sequence[Row]) -> list[Judged]:
 
 
 def answer(question: Question, judged: Sequence[Judged]) -> str:
-    """What to take, what less and more time give, and what the default is worth where it is another."""
     groups: dict[str, list[Judged]] = {}
     for one in judged:
         groups.setdefault(f"{one.name(one.cheap)}{', the default' if one.cheap == one.default else ''}", []).append(one)
@@ -192,14 +182,12 @@ def seconds(value: float) -> str:
 
 
 def figure(value: float) -> str:
-    """Three significant figures, without an exponent from 0.001 on."""
     if value == 0 or abs(value) >= 1e-3:
         return f"{float(f'{value:.3g}'):,g}"
     return f"{value:.1e}".replace("e-0", "e-")
 
 
 def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
-    """The rows of each scene, side by side."""
     scenes = by_scene(rows)
     axes = figure.subplots(1, len(scenes), squeeze=False).ravel()
     labels = []

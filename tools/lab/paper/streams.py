@@ -56,7 +56,6 @@ def choose_best(levels: Levels, budget: float, beta: float = DEFAULT_BETA) -> tu
 
 
 def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
-    """What Algorithm 1 names, the last level where it names none."""
     answer = select_literal(levels, budget, DEFAULT_BETA)
     chosen = levels[-1 if answer is None else answer]
     return chosen.index, chosen.size_bytes <= budget
@@ -112,8 +111,6 @@ def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Choose
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """A level of all T frames."""
-
     sizes: NDArray[np.float64]  # (T,) bytes
     saved: NDArray[np.float64]  # (T,) share of the bytes of the best level's states that it saves, for the cliff
     psnr: NDArray[np.float64]  # (T, T) dB of frame [i] while [j] should be seen, mean over held-out views
@@ -121,15 +118,12 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """What may be sent of each frame, and how it is chosen."""
-
     method: str
     chooser: str  # of CHOOSERS
     levels: tuple[Level, ...]  # the best one first
 
     @property
     def options(self) -> list[Levels]:
-        """The levels of each frame."""
         numbered = list(enumerate(self.levels))
         return [
             tuple(Option(j, round(v.sizes[t]), float(v.psnr[t, t]), float(v.saved[t])) for j, v in numbered)
@@ -172,7 +166,6 @@ class Stream:
 
 
 def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: Pictures) -> Level:
-    """The frames of a method that has nothing to choose from."""
     sizes = spread_keys([f.bytes for f in frames], [f.kind == "key" for f in frames])
     return Level(sizes, np.zeros(len(sizes)), psnr_of_all(shown, pictures))
 
