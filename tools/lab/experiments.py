@@ -30,7 +30,6 @@ EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
     _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
     _bench("engines", "What do spark and PlayCanvas lose of our pictures?", "2 min"),
-    _bench("formats", "What does a round trip through each splat format cost?", "5 min"),
     _bench("jobs", "What does sharing work cost and gain?", "10 min"),
     _bench("keyframe", "How much sooner is a keyframe fitted from the frame before than from scratch?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),

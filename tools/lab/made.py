@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -85,30 +84,6 @@ def make_ring(source: Path, copies: int, group: int, frames: int, folder: Path) 
         parts = [replace(g, means=(g.means + x).astype(np.float32)) for g, x in zip(shown, places, strict=True)]
         write_ply(folder / f"{time:06d}.ply", join_rows(parts))
     write_settings(folder, Settings(open_sequence(source).fps, (0,)))
-
-
-def forth_and_back(source: Path, frames: int, folder: Path) -> None:
-    """A sequence of links in a new folder: 0 1 2 … n-1 n-2 … 1 0 1 …"""
-    paths = open_sequence(source).paths
-    turn = [*range(len(paths)), *range(len(paths) - 2, 0, -1)]
-    folder.mkdir()
-    for number, frame in enumerate(itertools.islice(itertools.cycle(turn), frames)):
-        (folder / f"{number:06d}.ply").symlink_to(paths[frame].resolve())
-
-
-def untracked(source: Path, folder: Path, seed: int = 0) -> None:
-    """A sequence as if every frame had been predicted by itself: rows in another order, and other ones, in each.
-
-    Frames are `predicted`. What lies beside them is linked.
-    """
-    sequence = open_sequence(source)
-    folder.mkdir()
-    for number in range(len(sequence)):
-        rng = np.random.default_rng([seed, number])
-        write_ply(folder / f"{number:06d}.ply", predicted(sequence.read(number), rng))
-    for name in ("sequence.json", "transforms.json"):
-        if (sequence.folder / name).is_file():
-            (folder / name).symlink_to((sequence.folder / name).resolve())
 
 
 def predicted(g: Gaussians, rng: np.random.Generator) -> Gaussians:

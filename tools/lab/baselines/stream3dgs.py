@@ -42,8 +42,6 @@ WIRE = np.dtype("<f4")  # a number of an added Gaussian
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """What decides a run besides the footage. Raises ConfigError for values that cannot work."""
-
     first: TrainSettings = field(default_factory=TrainSettings)  # of the first frame
     cache: FieldSettings = field(
         default_factory=lambda: FieldSettings(levels=6, features=2, log2_table=11, coarsest=8, growth=1.6)
@@ -55,10 +53,6 @@ class StreamSettings:
     coarse: float = 0.4  # share of the iterations of the cache, the first ones, that see pictures of half the size
     threshold: float = 1.5e-4  # gradient of the loss by the place in the picture, in halves of its longest side
     most_added: int = 1000  # Gaussians that a frame may add
-
-    def __post_init__(self) -> None:
-        if min(self.iterations, self.added_iterations) < 1 or self.most_added < 0 or not 0 < self.share <= 1:
-            raise ConfigError(f"expected iterations, a share of 0 to 1 and a count of at least 0, got {self}")
 
 
 @dataclass(frozen=True, slots=True)

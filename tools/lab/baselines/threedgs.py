@@ -99,15 +99,6 @@ class Splats:
             if self.timetable.resets(iteration):
                 self._adam.replace_values("opacity_logits", reset_opacity(self._adam.parameters["opacity_logits"]))
 
-    def state(self) -> dict[str, object]:
-        """Everything that `restore` needs, as tensors and numbers."""
-        return {"adam": self._adam.state(), "sum": self._sum, "count": self._count}
-
-    def restore(self, state: Mapping[str, object]) -> None:
-        """Go on from what `state` gave."""
-        self._adam.restore(state["adam"])  # type: ignore[arg-type]
-        self._sum, self._count = (torch.as_tensor(state[name]) for name in ("sum", "count"))
-
     def _restart(self) -> None:
         self._sum, self._count = torch.zeros(2, len(self._adam.parameters["means"]))
 

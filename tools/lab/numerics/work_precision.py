@@ -29,15 +29,11 @@ from tools.lab.results import content
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.text import Annotation
-    from matplotlib.transforms import BboxBase
 
     from tools.lab.command import Lab
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
-BESIDE = tuple((x, y) for y in (3, -9, 11, -17, 19, -25, 27, -33) for x in (4, -4))  # points
-MARK = 3  # pixels about a point
 LESS = 0.75  # of the time of a setting is less time, and its inverse is more
 HOW = (
     f"The setting to take is the cheapest that is nearly as good as the best. Seconds are the CPU's, medians of "
@@ -190,21 +186,18 @@ def figure(value: float) -> str:
 def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
     scenes = by_scene(rows)
     axes = figure.subplots(1, len(scenes), squeeze=False).ravel()
-    labels = []
     for axis, (scene, some) in zip(axes, scenes.items(), strict=True):
-        labels += draw_curves(axis, question, some)
+        draw_curves(axis, question, some)
         axis.set_title(scene, fontsize=11, loc="left")
         axis.set_xlabel(question.time)
         axis.grid(alpha=0.25)
         if len({row.curve for row in some}) > 1:
             axis.legend(fontsize=8)
-    figure.draw_without_rendering()  # places axes
-    place(labels)
 
 
-def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> list[Annotation]:
-    """A curve with its bars; gives the settings that are to stand beside its points."""
-    drawn, labels = [row for row in rows if row.error > 0 or not question.log], []
+def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> None:
+    """Curves with their bars, and settings beside their points."""
+    drawn = [row for row in rows if row.error > 0 or not question.log]
     for curve in dict.fromkeys(row.curve for row in drawn):
         some = [row for row in drawn if row.curve == curve]
         x, y = [row.seconds for row in some], [row.error for row in some]
@@ -215,32 +208,11 @@ def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> list[Annotat
             words = ", ".join(filter(None, [row.setting if row.setting != curve else "", row.note]))
             if question.labels and words:
                 at = row.seconds, row.error
-                labels.append(axis.annotate(words, at, BESIDE[0], textcoords="offset points", fontsize=7.5))
+                axis.annotate(words, at, (4, 3), textcoords="offset points", fontsize=7.5)
     axis.set_xscale("log")
-    axis.margins(0.22 if labels else 0.12, 0.12)
+    axis.margins(0.22 if question.labels else 0.12, 0.12)
     plain_log_ticks(axis.xaxis, FEW_TICKS)
     if question.log:
         axis.set_yscale("log")
         plain_log_ticks(axis.yaxis, FEW_TICKS)
     axis.set_ylabel(question.unit)
-    return labels
-
-
-def place(labels: Sequence[Annotation]) -> None:
-    """Move each to the first place of BESIDE where it is in its axes and on no other and no point, if there is one."""
-    from matplotlib.transforms import Bbox
-
-    taken: list[BboxBase] = []
-    for label in labels:
-        assert label.axes is not None
-        x, y = label.axes.transData.transform(label.xy)
-        taken.append(Bbox.from_extents(x - MARK, y - MARK, x + MARK, y + MARK))
-    for label in labels:
-        assert label.axes is not None
-        for right, up in BESIDE:
-            label.set_position((right, up))
-            label.set_horizontalalignment("left" if right > 0 else "right")
-            box, inside = label.get_window_extent(), label.axes.bbox
-            if inside.x0 <= box.x0 and box.x1 <= inside.x1 and not any(box.overlaps(other) for other in taken):
-                break
-        taken.append(label.get_window_extent())
