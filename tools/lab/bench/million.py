@@ -49,7 +49,7 @@ def run(options: Options, lab: Lab) -> Page:
 
 def measure(scene: str, package: Package, repeat: int) -> Row:
     m = package.manifest
-    count, moving = m.groups[0].count, m.groups[0].tiles[0].levels[0].rows
+    count, moving = m.groups[0].count, m.groups[0].levels[0].rows
     size = m.bytes_of(m.rung_files(0, 0)) / m.frames
     took = middle(timed(lambda: sum(1 for _ in decode_frames(package, 0, m.frames)), repeat)).times(1e3 / m.frames)
     return {
