@@ -39,14 +39,12 @@ SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "a
 
 
 def main() -> None:
-    """Write all files."""
     FOLDER.mkdir(exist_ok=True)
     for name, text in files().items():
         (FOLDER / name).write_text(text, encoding="utf-8")
 
 
 def files() -> dict[str, str]:
-    """The text of each file of the folder, by its name."""
     return {"constants.ts": _constants_file(), "schema.ts": _schema_file()}
 
 
@@ -105,7 +103,6 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
 
 
 def _same(module: ModuleType, *names: str) -> dict[str, Any]:
-    """Constants of a module that have the same name in TypeScript."""
     return {name: getattr(module, name) for name in names}
 
 

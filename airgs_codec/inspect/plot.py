@@ -1,4 +1,4 @@
-"""A picture of a package: quality of its rungs over their bytes, bytes over time, and its viewing region.
+"""A picture of a package: quality of its rungs over their bytes, and bytes over time.
 
 F frames of the sequence.
 """
@@ -15,18 +15,15 @@ from numpy.typing import NDArray
 from airgs_codec._report import BLUE, GREY, new_figure, save_figure
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.region import levelled
-from airgs_codec.play.report.map import draw_region
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     """Write the picture in the format that the ending of `path` names. Raises ConfigError."""
-    figure = new_figure(15, 4.2)
-    rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
+    figure = new_figure(11, 4.2)
+    rungs, time = figure.subplots(1, 2)
     plot_rungs(summarise(m, manifest_bytes).rungs, rungs)
     rungs.set_title("Rungs (grey: others show more)")
     _plot_bytes(time, m)
-    draw_region(place, levelled(m.region, m.world))
     save_figure(figure, path, dpi=110)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.rows import LOOKED_FRAMES
-from airgs_codec.encoder import measure, prepare
+from airgs_codec.encoder import prepare
 from airgs_codec.encoder.pipeline import AHEAD, KEY, STEPS, SURVEY, Step, with_rows_of_others
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings

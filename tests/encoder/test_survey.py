@@ -8,11 +8,11 @@ import pytest
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import CHECKED, DECISION_PIXELS, ViewPlan
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.region import departure, up_of, world_from
+from airgs_codec.package.region import up_of, world_from
 from airgs_codec.package.tables import World
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
-from tests.support.regions import place, region
+from tests.support.regions import is_inside, place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.splat_files import glb_bytes
 
@@ -32,7 +32,7 @@ def test_no_view_that_decides_measures(fox):
     assert plan.trusted and plan.region.source == "cameras"
     assert not places(plan.deciding) & places(plan.measuring)
     for view in [*plan.deciding[:20], *plan.measuring[:20]]:
-        assert departure(plan.region, view).inside
+        assert is_inside(plan.region, view)
     assert max(view.width * view.height for view in plan.deciding) <= 1.01 * DECISION_PIXELS
     assert {(v.width, v.height) for v in plan.measuring} == {(plan.region.width, plan.region.height)}
     for a, b in zip(plan.measuring, ViewPlan.of(sequence, 24).measuring, strict=True):
@@ -89,7 +89,7 @@ def test_a_region_that_is_given_is_taken(fox):
     given = region(place(0.0), source="file")
     plan = ViewPlan.of(fox[0], 24, region=given)
     assert plan.region == given and plan.trusted
-    assert all(departure(given, view).inside for view in plan.measuring)
+    assert all(is_inside(given, view) for view in plan.measuring)
 
 
 def test_a_scene_without_cameras_is_not_trusted(tmp_path):

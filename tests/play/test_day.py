@@ -6,8 +6,6 @@ import gzip
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from airgs_codec.play.fetch_plan import FetchPlan
-
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.mpd import LiveClock
@@ -80,14 +78,14 @@ class Link:
 
 def memory_of(link, player):
     """How many of each thing publisher, tables and player know."""
-    tables, units = player.fetcher.tables, player.fetcher.units
+    tables, keys = player.fetcher.tables, player.fetcher.keys
     return {
         "tables of the publisher": len(link.publisher.package.manifest.groups._kept),
         "tables of the viewer": len(link.tables._files),
         "names": len(tables._paths),
         "segments": len(tables._complete),
-        "units": len(units.decoded(0)),
-        "options": len(units._options),
+        "keys": len(keys.decoded(0)),
+        "options": len(keys._options),
         "downloads": len(player.fetcher.downloads),
         "timeline": len(player.playout.timeline),
     }
@@ -97,7 +95,7 @@ def stay(link, rung):
     """A player of a rung on a link, whose events are yet to be asked for."""
     link.bring(JSON_NAME)
     offers, rules = link.tables.offers, SessionSettings(decode_frame_s=0.0)
-    return Player(FetchPlan(None), Fetcher(offers, link, make_policy(rung, offers), rules), Playout(rules, False))
+    return Player(Fetcher(offers, link, make_policy(rung, offers), rules), Playout(rules))
 
 
 def test_a_day_of_live_publishing_and_a_viewer_who_stays_end_flat():

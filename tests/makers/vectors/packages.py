@@ -166,9 +166,9 @@ def _transform(t: Tables, group: int) -> list[list[float]]:
     return matrix
 
 
-def _key_rows(t: Tables, package: Package, key: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
+def _key_rows(t: Tables, package: Package, of: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
     """The canonical value, the motion class and the depth of every row of a (group, tier, quality)."""
-    group, tier, quality = key
+    group, tier, quality = of
     codes, sidecar = decode_key(package, group, tier, quality)
     named, depths, base = t.root["qualities"][quality], sidecar.depths.tolist(), t.base_of(group)
     grid = package.manifest.groups[group].grid
