@@ -11,7 +11,6 @@ from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._settings import applied, required, setting
-from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.viewpoints import GUESS
 from airgs_codec.cli.common import (
     BakingOptions,
@@ -138,8 +137,7 @@ def encode(options: Encode) -> int:
     if sound and sound.note and not options.json:
         say(f"sound: {options.audio}: {sound.note}")
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
-    frames = settings.group_frames or DEFAULT_GROUP_FRAMES
-    most = 2 * options.work.jobs * max(header.bytes for header in sequence.headers) * min(frames, len(sequence))
+    most = 2 * options.work.jobs * max(header.bytes for header in sequence.headers) * min(settings.group_frames, len(sequence))
     expect_room(Path(tempfile.gettempdir()), most)  # states of a group that wait, in each process
     sequence = hold_frames(sequence)
     settings, line = decide(sequence, settings)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
+from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
@@ -148,9 +148,8 @@ def follow(
     """
     place = place_at(path)
     publisher: _Publisher | None = None
-    group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
-        for whole, first, last in _whole_groups(folder, group_frames, more):
+        for whole, first, last in _whole_groups(folder, settings.group_frames, more):
             with closing(hold_frames(whole)) as held:
                 rows = restore_rows(held, settings.rows, progress, range(first, last))
                 notes = rows.notes

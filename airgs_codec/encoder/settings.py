@@ -56,13 +56,6 @@ def read_quality(text: str) -> float:
         raise ConfigError(f"expected {', '.join(QUALITY_FACTORS)} or a number, got {text!r}") from error
 
 
-def read_group(text: str) -> int | None:
-    """Returns frames of a group; None stands for auto. Raises ConfigError."""
-    if text != "auto" and not text.isdecimal():
-        raise ConfigError(f"expected auto or a number of frames, got {text!r}")
-    return None if text == "auto" else int(text)
-
-
 Shares = tuple[tuple[float, float], ...]  # (factor on the steps, share of the updates to withhold), ascending
 
 DEFAULT_LEVELS = (
@@ -121,13 +114,10 @@ class EncodeSettings:
     )
     steps: StepSettings = computed_setting(StepSettings, "quantiser steps at quality 1; calibration starts there")
     segment_s: float = setting(1.0, "longest state segment, in seconds")
-    group_frames: int | None = setting(
-        None,
-        "longest group of frames with a common canonical space; it counts where no keyframes are given; auto: "
-        "the length that a sample of the scene says is cheapest",
-        default="auto",
-        read=read_group,
-        metavar="auto|N",
+    group_frames: int = setting(
+        DEFAULT_GROUP_FRAMES,
+        "most frames of a group, which share a keyframe; runs of frames are cut into groups of about equal length; it "
+        "counts where no keyframes are given",
     )
     rows: str = setting(
         AUTO,
@@ -224,10 +214,7 @@ class EncodeSettings:
                 "expected positive step factors",
             ),
             (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
-            (
-                self.group_frames is None or self.group_frames >= 1,
-                f"expected at least one frame a group, got {self.group_frames}",
-            ),
+            (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (
                 abs(sum(self.tiers) - 1) < 1e-9 and min(self.tiers) >= 0,
                 f"expected tiers that sum to 1, got {self.tiers}",
@@ -325,13 +312,12 @@ def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
 
 
 def as_preview(settings: EncodeSettings) -> EncodeSettings:
-    """For a first look: no trial encodes, fast H.264, groups of DEFAULT_GROUP_FRAMES, few pictures, few levels."""
+    """For a first look: no trial encodes, fast H.264, few pictures, few levels."""
     return replace(
         settings,
         levels=settings.levels if settings.levels != DEFAULT_LEVELS else PREVIEW_LEVELS,
         calibrate="none",
         preset="superfast",
-        group_frames=settings.group_frames or DEFAULT_GROUP_FRAMES,
         decide_pictures=8,
         measure_pictures=min(settings.measure_pictures, 8),
         track=bool(settings.track),
