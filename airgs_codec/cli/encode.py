@@ -137,7 +137,8 @@ def encode(options: Encode) -> int:
     if sound and sound.note and not options.json:
         say(f"sound: {options.audio}: {sound.note}")
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
-    most = 2 * options.work.jobs * max(header.bytes for header in sequence.headers) * min(settings.group_frames, len(sequence))
+    frames = min(settings.group_frames, len(sequence))
+    most = 2 * options.work.jobs * frames * max(header.bytes for header in sequence.headers)
     expect_room(Path(tempfile.gettempdir()), most)  # states of a group that wait, in each process
     sequence = hold_frames(sequence)
     settings, line = decide(sequence, settings)
