@@ -62,6 +62,24 @@ def pooled_within(errors: Iterable[float], count: int, most: float) -> float:
     return math.sqrt(total / count)
 
 
+@dataclass(frozen=True, slots=True)
+class ExpectedError:
+    """The mean squared error that pictures are expected to have, part by part."""
+
+    rows: float = 0.0  # without the rows left out
+    held: float = 0.0  # without the updates withheld
+    steps: float = 0.0  # of coding the others
+
+    @property
+    def total(self) -> float:
+        """All of it."""
+        return self.rows + self.held + self.steps
+
+    def at(self, quality: float) -> ExpectedError:
+        """The same with steps times a quality factor, at which what is left out costs as much more."""
+        return ExpectedError(self.rows * quality**2, self.held * quality**2, self.steps * quality**2)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WrittenRows:
     """Rows that are written, and what leaving the others out costs."""

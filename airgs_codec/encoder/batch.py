@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
-from airgs_codec.analysis.importance import WrittenRows
+from airgs_codec.analysis.importance import ExpectedError, WrittenRows
 from airgs_codec.encoder.calibrate import Calibration
 from airgs_codec.encoder.measure import Measured, pictures_a_segment, pictures_of, with_quality
 from airgs_codec.encoder.pipeline import (
@@ -96,6 +96,7 @@ class Calibrated:
 
     prepared: PreparedSequence  # without the SH bands that it does not need
     settings: EncodeSettings  # nothing is left to calibrate
+    expected: ExpectedError | None  # of the top rung; None: nothing was promised
     decisions: tuple[str, ...]  # about SH bands
     cached: bool
     saved: float = 0.0  # as in `Calibration`
@@ -104,7 +105,7 @@ class Calibrated:
 def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> Calibrated:
     """Find settings for this scene, and the SH bands that it needs."""
     if settings.calibrate == "none":
-        return Calibrated(prepared, settings, (), False)
+        return Calibrated(prepared, settings, None, (), False)
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
     work.run([prepared.job(SURVEY, subject)])
@@ -115,9 +116,10 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     work.progress("calibration", 1, 1)
     calibration: Calibration = found
     bands, note = work.result(choosing)
+    expected = calibration.expected.at(settings.quality) if settings.calibrate == "ladder" else None
     settings, notes = calibration.apply(settings), () if note is None else (note,)
     needed = replace(prepared, sequence=replace(prepared.sequence, max_sh_degree=bands)) if notes else prepared
-    return Calibrated(needed, settings, notes, cached, calibration.saved)
+    return Calibrated(needed, settings, expected, notes, cached, calibration.saved)
 
 
 def _longest(prepared: PreparedSequence) -> int:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import RowPruning, pooled_error
+from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_error
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import channel_weights
@@ -254,35 +254,37 @@ def choose_shares(
     price: float,
     factors: Sequence[float],
     jobs: int,
-) -> Shares:
+) -> tuple[Shares, ExpectedError]:
     """The cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
 
-    `price` is that of a byte a frame at factor 1, in squared error. `jobs` trial encodes run at a time.
+    `price` is that of a byte a frame at factor 1, in squared error. Also gives the error that factor 1 is expected to
+    make, but for rows that are left out. `jobs` trial encodes run at a time.
     """
     states = sample.states(sample.code_key(steps, 1.0)[1], steps)
     still = sample.error(states[0][None], steps)
     if not sample.moving.any():
-        return ()
+        return (), ExpectedError(steps=float(still.sum()))
     tried = sorted({1.0, *factors})
     sent = [withholding.sent(sample, share) for share in SHARES]
     with ThreadPoolExecutor(jobs) as pool:
         coded = dict(zip(tried, pool.map(lambda factor: sample.code_states(states, factor), tried), strict=True))
-        whole, _ = coded[1.0]
+        whole, error = coded[1.0]
         if whole == 0:  # no channel has a plane
-            return ()
+            return (), ExpectedError(steps=float(sample.error(error, steps).sum()))
         fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], sent)
         parts = [size / whole for size in fewer]
     shares: dict[float, float] = {}
-    least = 0.0
+    expected, least = ExpectedError(), 0.0
     for factor in sorted(coded):
         size, error = coded[factor]
         shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in sent]
         errors = [held + e for held, e in zip(withholding.errors, shown, strict=True)]
         costs = [e + factor**2 * price * part * size for e, part in zip(errors, parts, strict=True)]
         best = int(np.argmin(costs))
+        expected = ExpectedError(held=withholding.errors[best], steps=shown[best]) if factor == 1 else expected
         least = max(least, SHARES[best])
         shares[factor] = least
-    return tuple((factor, shares[factor]) for factor in sorted(factors))
+    return tuple((factor, shares[factor]) for factor in sorted(factors)), expected
 
 
 def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
@@ -311,6 +313,7 @@ class Calibration:
     shares: Shares
     byte_price: float
     between: int
+    expected: ExpectedError  # of the top rung
     saved: float  # bytes a frame of the top rung that its steps save at equal error, by the slopes of the trials
 
     def apply(self, settings: EncodeSettings) -> EncodeSettings:
@@ -334,12 +337,14 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     top = sample
     if settings.calibrate == "ladder":
         guess = guess_price(sample, subject)
-        shares = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
+        shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
         top = replace(sample, moving=withholding.sent(sample, shares[0][1])) if shares else sample
     steps, price, saved = solve_steps(top, subject)
     between = choose_between(top, steps)
-    shares = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
+    shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
+    if subject.layout.removal_error > 0:
+        expected = replace(expected, rows=subject.pruning.within(steps.rows).error)
     if not shares:
-        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, between, saved)
+        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, between, expected, saved)
     levels = choose_levels(top, subject, steps, price)
-    return Calibration(steps, levels, TIERS, key_factors(), shares, price, between, saved)
+    return Calibration(steps, levels, TIERS, key_factors(), shares, price, between, expected, saved)

@@ -17,7 +17,7 @@ from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
-from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
+from airgs_codec.encoder.batch import calibrate_sequence, measure_encoded
 from airgs_codec.encoder.measure import pictures_of, with_errors
 from airgs_codec.encoder.pipeline import (
     DIFFERENCE,
@@ -33,6 +33,7 @@ from airgs_codec.encoder.pipeline import (
 )
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
 from airgs_codec.encoder.publish import write_package
+from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, join_surveys, plan_views
 from airgs_codec.jobs.work import temporary_work
@@ -212,12 +213,11 @@ def _begin(
         names = look_at_frames(part, work)[0]
         original = PreparedSequence(part, names, [(0, stop)], views, (), credit)
         found = calibrate_sequence(original, settings, work)
-        chosen = found.settings
-        encoded = encode_sequence(found.prepared, chosen, work)
+        encoded, chosen, repairs = encode_repaired(found, found.settings, work)
         manifest = encoded.manifest
         if settings.measure_pictures:
             manifest = measure_encoded(encoded, original, settings.measure_pictures).manifest
-        manifest = replace(manifest, live=True, decisions=[*manifest.decisions, *found.decisions])
+        manifest = replace(manifest, live=True, decisions=[*manifest.decisions, *found.decisions, *repairs])
         write_package(Folder(stage), encoded, manifest, LiveClock(available, datetime.now(UTC)))
         base = encoded.base_key(), encoded.group(0)
         needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, chosen))

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
-from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence, encode_sequence, measure_encoded
+from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence, measure_encoded
 from airgs_codec.encoder.measure import Measured, uncertainty_db
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
+from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
@@ -58,6 +59,7 @@ class EncodeReport:
     saved: float = 0.0  # bytes a frame, as in `Calibration`
     goal: Goal | None = None
     trials: Sequence[tuple[float, float]] = ()  # of the search: quality factors, and what they came to
+    repairs: Sequence[str] = ()  # why it was encoded again, a line each
     uncertainty: float = 0.0  # as in `Measured`
 
     def stages(self) -> list[Stage]:
@@ -79,7 +81,7 @@ class EncodeReport:
             Stage("views and lengths of groups", self.survey_s, f"{len(m.groups)} groups of up to {longest} frames"),
             Stage("calibration", self.calibrate_s, steps),
             Stage("search", self.search_s, trials),
-            Stage("encoding", self.encode_s, "the package"),
+            Stage("encoding", self.encode_s, "; ".join(self.repairs) or "the package, at the first attempt"),
             Stage("measuring", self.measure_s, measured),
         ]
 
@@ -140,13 +142,13 @@ def _encode(
         if goal:
             chosen, trials = search_quality(calibrated, original, goal, work)
         search_s = watch.lap()
-        encoded = encode_sequence(calibrated.prepared, chosen, work, original)
+        encoded, _, repairs = encode_repaired(calibrated, chosen, work, original)
         encode_s, measured = watch.lap(), Measured(encoded.manifest, math.inf)
         if settings.measure_pictures:
             measured = measure_encoded(encoded, original, settings.measure_pictures)
         measure_s = watch.lap()
         progress.end()
-    decisions = [*found.notes, *measured.manifest.decisions, *calibrated.decisions]
+    decisions = [*found.notes, *measured.manifest.decisions, *calibrated.decisions, *repairs]
     manifest, files = replace(measured.manifest, decisions=decisions), {}
     if sound:
         manifest, files = add_sound(manifest, sound)
@@ -166,6 +168,7 @@ def _encode(
         calibrated.saved,
         goal,
         trials,
+        repairs,
         measured.uncertainty,
     )
 

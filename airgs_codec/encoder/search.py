@@ -11,6 +11,7 @@ import numpy as np
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.batch import Calibrated, encode_sequence, measure_encoded
 from airgs_codec.encoder.pipeline import PreparedSequence
+from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.work import Work
@@ -149,6 +150,9 @@ def search_quality(
     """
     prepared, settings = calibrated.prepared, calibrated.settings
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+    if calibrated.expected is not None:  # what costs more than expected is taken back at any quality
+        top = encode_repaired(calibrated, top, work)[1]
+        settings = replace(settings, steps=top.steps, shares=top.shares, keep_all=top.keep_all).at(settings.quality)
     found: list[tuple[float, float]] = []
 
     def trial(factor: float) -> float:
