@@ -112,7 +112,9 @@ class EncodeSettings:
     key_factors: tuple[float, ...] = setting(
         (1.0, 3.0), "for each key quality a factor on the key steps; cells of positions grow with it"
     )
-    steps: StepSettings = computed_setting(StepSettings, "quantiser steps at quality 1; calibration starts there")
+    steps: StepSettings = computed_setting(
+        StepSettings, "quantiser steps at quality 1; calibration starts there", option=False
+    )
     segment_s: float = setting(1.0, "longest state segment, in seconds")
     group_frames: int = setting(
         DEFAULT_GROUP_FRAMES,
@@ -174,6 +176,7 @@ class EncodeSettings:
         0.0,
         "squared error of pictures that must be worth a byte a frame at quality 1, or planes and segments are left "
         "out; 0: none are; calibration finds it",
+        option=False,
     )
     measure_pictures: int = setting(
         64, "pictures that measure the top rung, spread over all segments, at least one of each; 0: none"
