@@ -9,8 +9,8 @@ import pytest
 
 import airgs_codec as airgs
 from airgs_codec.media.image import read_picture, to_bytes
-from airgs_codec.package.region import departure
 from tests.support.paths import FOX, GOLDEN
+from tests.support.regions import is_inside
 from tests.support.scenes import moving_frames
 from tests.support.servers import plainly_serving, serving
 
@@ -44,7 +44,7 @@ def test_cameras_of_a_package_are_inside_its_region():
     package = airgs.open_package(PACKAGE)
     region = package.manifest.region
     assert len(package.cameras) == len(region.places)
-    assert all(departure(region, camera).inside for camera in package.cameras)
+    assert all(is_inside(region, camera) for camera in package.cameras)
 
 
 def test_a_camera_sees_its_target_in_the_middle_and_up_is_up():

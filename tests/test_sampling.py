@@ -24,11 +24,3 @@ def test_middle_frames_lie_in_the_middle_of_equal_parts(start, length, most):
     assert len(picks) == parts
     for i, frame in enumerate(picks):
         assert abs(frame + 0.5 - (start + (i + 0.5) * length / parts)) <= 0.5
-
-
-@given(st.integers(1, 100), st.integers(1, 50))
-def test_turns_leave_no_frame_out(length, most):
-    turns = [middle_frames(0, length, most, turn) for turn in range(3 * -(-length // most))]
-    for picks in turns:
-        assert len(picks) == min(most, length) and picks == sorted(set(picks)) and picks[-1] < length
-    assert set().union(*turns) == set(range(length))

@@ -22,11 +22,10 @@ from PIL import Image
 import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.package import Package
-from airgs_codec.play.report.film import screen_frames
-from airgs_codec.play.report.map import Viewer
+from airgs_codec.play.report.film import screen_frames, walk
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.trace import Trace
-from airgs_codec.render import render
+from airgs_codec.render import Camera, render
 from airgs_codec.scene.camera import with_pixels
 
 REPOSITORY = Path(__file__).parent.parent
@@ -40,14 +39,13 @@ QUALITY = 70  # of WebP
 
 
 def play() -> tuple[Package, SessionLog, Trace]:
-    """Play the head once over the trace."""
     package = airgs.open_package(HEAD)
     trace = airgs.Trace.open(TRACE).cut(OFFSET_S, SCALE)
     log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=1))
     return package, log, trace
 
 
-def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArray[np.uint8]]:
+def screens(package: Package, log: SessionLog, cameras: Sequence[Camera]) -> Iterable[NDArray[np.uint8]]:
     """Yield what is on the screen at every tick, with the name and the quality of its rung."""
     seen = [0] * len(log.shown)
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
@@ -58,9 +56,8 @@ def screens(package: Package, log: SessionLog, viewer: Viewer) -> Iterable[NDArr
             continue
         assert gaussians is not None and shown.rung is not None, "nothing is lost on this link"
         text = "waiting for data" if waits else f"{log.offers.names[shown.rung]}   {shown.psnr:.1f} dB"
-        camera = with_pixels(viewer.cameras[tick], WIDTH, HEIGHT)
-        picture = label(to_bytes(render(gaussians, camera).rgb), text)
-        yield label(picture, viewer.caption(tick), 1) if viewer.caption(tick) else picture
+        camera = with_pixels(cameras[tick], WIDTH, HEIGHT)
+        yield label(to_bytes(render(gaussians, camera).rgb), text)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +78,6 @@ class Chart:
 
 
 def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
-    """The chart of a session in so many pixels."""
     start, ticks = log.shown[0].start_s, len(log.screen_ticks)
     fps = float(log.offers.fps)
     stop = start + ticks / fps
@@ -113,19 +109,17 @@ def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
 
 
 def write_animation(path: Path, pictures: Sequence[NDArray[np.uint8]]) -> None:
-    """An endless WebP at FPS."""
     first, *others = map(Image.fromarray, pictures)
     shown = [round(1000 * (place + 1) / FPS) - round(1000 * place / FPS) for place in range(len(pictures))]
     first.save(path, save_all=True, append_images=others, duration=shown, loop=0, quality=QUALITY, method=4)
 
 
 def main() -> None:
-    """Make the film."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.webp")
     args = parser.parse_args()
     package, log, trace = play()
-    shots = list(screens(package, log, Viewer.of(log)))
+    shots = list(screens(package, log, walk(log)))
     chart = draw_chart(log, trace, CHART_HEIGHT, WIDTH)
     shares = np.linspace(0, 1, len(shots))
     pictures = [np.vstack([shot, chart.at(float(share))]) for shot, share in zip(shots, shares, strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from airgs_codec.scene.sequence import GaussianSequence
@@ -44,19 +45,21 @@ def count_changes(sequence: GaussianSequence) -> list[int]:
 
 
 def plan_groups(sequence: GaussianSequence, group_frames: int = DEFAULT_GROUP_FRAMES) -> Grouping:
-    """Split a sequence into groups: at the keyframes that it names, else every `group_frames` frames.
+    """Split a sequence into groups: at the keyframes that it names, else evenly, at most `group_frames` frames each.
 
     A group also starts where the number of Gaussians changes, or rows are not those of the frame before
     (`analysis.rows`). Notes say where the number overrode the keyframes.
     """
     if sequence.keyframes is None:
-        runs = count_runs(sequence)
-        return Grouping(
-            [(i, min(i + group_frames, stop)) for start, stop in runs for i in range(start, stop, group_frames)], []
-        )
+        return Grouping([span for run in count_runs(sequence) for span in _evenly(*run, group_frames)], [])
     added = sorted({*count_changes(sequence)} - {*sequence.keyframes})
     notes = [f"frame {i}: the count changes inside a group, a new group starts" for i in added]
     return Grouping(count_runs(sequence), notes)
+
+
+def _evenly(start: int, stop: int, most: int) -> Iterator[tuple[int, int]]:
+    parts = -(-(stop - start) // most)
+    return itertools.pairwise(start + i * (stop - start) // parts for i in range(parts + 1))
 
 
 def closed_groups(sequence: GaussianSequence, start: int, group_frames: int, done: bool) -> list[tuple[int, int]]:

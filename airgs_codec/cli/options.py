@@ -173,7 +173,7 @@ def expect_names(option: str, names: Iterable[str], known: Collection[str]) -> N
 
 
 def option_name(name: str) -> str:
-    """Returns the name of a field's option, as --player.view-buffer has it last: dashes, no unit."""
+    """Returns the name of a field's option, as --player.buffer has it last: dashes, no unit."""
     unit = next((unit for unit in UNITS if name.endswith(unit)), "")
     return name.removesuffix(unit).replace("_", "-")
 
@@ -207,14 +207,14 @@ def _nested(nested: Nested, values: Any, about: str = "") -> Any:
     """The type of a dictionary with some of the fields of settings, whose defaults are `values`."""
     hints = get_type_hints(nested.settings)
     entries = {}
-    for one in fields(nested.settings):
+    for one in (one for one in fields(nested.settings) if one.metadata.get("option", True)):
         value = getattr(values, one.name)
         words = one.metadata.get("help", about)
         everyday = nested.everyday is None or one.name in nested.everyday
         if is_dataclass(value):
             inner = Nested(type(value), nested.topic, None if everyday else ())
             entries[one.name] = Annotated[_nested(inner, value, words), Parameter(name=option_name(one.name))]
-        elif one.metadata.get("option", True):
+        else:
             words += default_words(one.metadata.get("default", value))
             entries[one.name] = _annotated(one, hints[one.name], words, None if everyday else nested.topic)
     return TypedDict(nested.settings.__name__, entries, total=False)  # type: ignore[operator]

@@ -5,12 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import math
-import re
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fractions import Fraction
 from pathlib import Path
 
 from airgs_codec._settings import required, setting
@@ -20,52 +17,33 @@ from airgs_codec.cli.common import (
     as_json,
     device,
     expect_folder,
-    expect_rate,
     expect_report,
-    fraction,
     report,
-    views,
 )
 from airgs_codec.cli.options import nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, find_faults, open_package
-from airgs_codec.package.region import before_background
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
-from airgs_codec.play.report.film import film, still
-from airgs_codec.play.report.flight import film_along, open_path
-from airgs_codec.play.report.map import Viewer, path_of
-from airgs_codec.play.report.session import format_metrics, place_record, some, write_report
+from airgs_codec.play.report.film import film
+from airgs_codec.play.report.session import format_metrics, region_record, some, write_report
 from airgs_codec.play.report.study import format_study, write_study
 from airgs_codec.play.session import SessionLog, measure_decoding, simulate
 from airgs_codec.play.session import play as play_over
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
-from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.sequence import open_sequence
 
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
 COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
-SIDES = (16, 8192)  # pixels of a film
 TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
-
-
-def read_size(text: str) -> tuple[int, int]:
-    """Width and height in pixels."""
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    width, height = map(int, found.groups()) if found else (0, 0)
-    if not (SIDES[0] <= width <= SIDES[1] and SIDES[0] <= height <= SIDES[1] and width % 2 == height % 2 == 0):
-        raise ConfigError(f"--size: expected even sides of {SIDES[0]} to {SIDES[1]} pixels such as 512x512, got {text}")
-    return width, height
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +61,6 @@ class Play:
     measure_decoding: bool = setting(
         False, "measure the time to decode a frame, instead of --player.decode-frame", topic="player"
     )
-    view_adaptive: bool = setting(False, "fetch the tiles that the viewer, who walks as in --video, is expected to see")
     http: HttpSettings = nested(HttpSettings, "http, for a URL")
     compare: bool = setting(False, "compare policies with each other on --traces")
     traces: tuple[str, ...] = setting((), "folders of traces, or traces", metavar="PLACE")
@@ -91,20 +68,10 @@ class Play:
     offsets: int = setting(8, "starts in each trace, drawn from --seed")
     seed: int = setting(1, "seed of the starts", topic="study")
     jobs: int = setting(1, "processes that share the sessions of --compare")
-    views: Path | None = views("cameras that the viewer goes by", "the viewing region")
-    path: Path | None = setting(
-        None, "film the best rung along a camera path instead: keyframes as JSON", metavar="FILE"
-    )
-    size: tuple[int, int] | None = setting(
-        None, "of the pictures along --path", read=read_size, metavar="WxH", default="the package's", topic="output"
-    )
-    fps: Fraction | None = setting(
-        None, "pictures a second along --path", read=fraction, default="the package's", topic="output"
-    )
     original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
     clip: BakingOptions = nested(BakingOptions, "clips", own=True)
     device: str = device("where pictures are drawn", topic="output")
-    report: Path | None = report("pictures and a page")
+    report: Path | None = report("a page")
     video: Path | None = setting(None, "film what was on the screen, as MP4", metavar="FILE")
     json: bool = as_json()
 
@@ -122,20 +89,13 @@ def play(options: Play) -> int:
         if not options.video.absolute().parent.is_dir():
             raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
         expect_folder(options.video.absolute().parent)
-    if options.compare and (options.player.budget is not None or options.view_adaptive):
-        option = "--view-adaptive" if options.player.budget is None else "--player.budget"
-        raise ConfigError(f"{option}: expected a single session, got --compare")
-    expect_rate("--fps", options.fps)
-    for name in ("size", "fps"):
-        if getattr(options, name) and not options.path:
-            raise ConfigError(f"--{name}: expected --path")
+    if options.compare and options.player.budget is not None:
+        raise ConfigError("--player.budget: expected a single session, got --compare")
     if options.package.startswith(("http://", "https://")):
         return _over_http(options)
     if options.http.as_fast:
         raise ConfigError(f"--http.as-fast: expected a URL, got {options.package}; a simulated session takes no time")
     package = open_package(options.package)
-    if options.path:
-        return _film(package, options.path, options)
     if options.compare:
         return _compare(package, options)
     if not options.trace:
@@ -145,42 +105,24 @@ def play(options: Play) -> int:
     trace = Trace.open(options.trace).cut(options.offset, options.scale).ending(options.end)
     link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
     settings, faults = _settings(package, options), find_faults(package)
-    log = simulate(package, link, options.policy, settings, faults, view=_view(package.manifest, options))
+    log = simulate(package, link, options.policy, settings, faults)
     _present(package, log, options)
     return 0
 
 
 def _over_http(options: Play) -> int:
-    if options.path:
-        raise ConfigError("--path: expected a folder with a package, got a URL")
     if options.trace or options.compare:
         raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
-    pictures = options.report or options.video
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
-        keep = Folder(folder).write if pictures else None
+        keep = Folder(folder).write if options.video else None
         downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep))
         settings = _settings(None, options)
         offers = downloader.open()
-        log = play_over(offers, downloader, options.policy, settings, view=_view(offers.manifest, options))
-        if pictures:
+        log = play_over(offers, downloader, options.policy, settings)
+        if options.video:
             fetch_beside(log, downloader)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
-    return 0
-
-
-def _film(package: Package, along: Path, options: Play) -> int:
-    """Film a camera path."""
-    if not options.video or options.trace or options.compare or options.report or options.views:
-        raise ConfigError("--path: expected --video, and no session: no --trace, --compare, --report or --views")
-    path, region = open_path(along, package.manifest), package.manifest.region
-    size = options.size or (region.width - region.width % 2, region.height - region.height % 2)
-    begin = time.perf_counter()
-    with contextlib.closing(Bar(options.json)) as bar:
-        count = film_along(package, path, options.video, size, options.fps, (open_renderer(options.device), bar))
-    seconds = time.perf_counter() - begin
-    figures = {"film": str(options.video), "pictures": count, "size": list(size), "pictures_per_s": count / seconds}
-    say(to_json(figures) if options.json else f"{options.video}: {count} pictures, {count / seconds:.1f} a second")
     return 0
 
 
@@ -192,40 +134,26 @@ def _settings(package: Package | None, options: Play) -> SessionSettings:
     return dataclasses.replace(options.player, decode_frame_s=measure_decoding(package))
 
 
-def _view(m: Manifest, options: Play) -> View | None:
-    """The way of a viewer by whom tiles are fetched; None where all are."""
-    if not options.view_adaptive:
-        return None
-    return path_of(m, read_cameras(options.views) if options.views else [])
-
-
 def _present(package: Package, log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
     original = open_sequence(options.original, **options.clip.baking()) if options.original else None
-    viewer = _viewer(log, options) if options.report or options.video else None
-    if options.report and viewer:
-        write_report(log, options.report, viewer, still(package, log, viewer.cameras[0], viewer.renderer))
-    if options.video and viewer:
+    if options.report:
+        write_report(log, options.report)
+    if options.video:
+        if all(shown.rung is None for shown in log.shown):
+            raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
         with contextlib.closing(Bar(options.json)) as bar:
-            film(package, log, viewer, options.video, original, bar)
-    said = {"policy": log.policy, "lost": log.lost, "retried": log.retried}
-    record = log.metrics.as_dict() | said | place_record(log, viewer)
+            film(package, log, options.video, original, bar, open_renderer(options.device))
+    said = {"policy": log.policy, "lost": log.lost, "retried": log.retried, "region": region_record(log)}
+    record = log.metrics.as_dict() | said
     if options.json:
         say(to_json(record))
         return
-    say(format_metrics(log, viewer))
+    say(format_metrics(log))
     if options.report:
         say(f"{'report':<22}{options.report / 'index.html'}")
     if options.video:
         say(f"{'film':<22}{options.video}")
-
-
-def _viewer(log: SessionLog, options: Play) -> Viewer:
-    cameras = read_cameras(options.views) if options.views else []
-    if all(shown.rung is None for shown in log.shown):
-        raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
-    walked = before_background(log.offers.manifest.region, cameras)
-    return Viewer.of(log, walked, open_renderer(options.device))
 
 
 def _compare(package: Package, options: Play) -> int:

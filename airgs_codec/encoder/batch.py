@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._settings import available_cores
 from airgs_codec.analysis.importance import ExpectedError, WrittenRows
 from airgs_codec.encoder.calibrate import Calibration
-from airgs_codec.encoder.measure import QualityQuery, Round, RoundErrors, Rounds, first_rounds, pictures_of
+from airgs_codec.encoder.measure import Measured, pictures_a_segment, pictures_of, with_quality
 from airgs_codec.encoder.pipeline import (
     BANDS,
     CALIBRATION,
@@ -38,7 +38,7 @@ from airgs_codec.encoder.pipeline import (
 from airgs_codec.encoder.plan import split_segments
 from airgs_codec.encoder.representation import Clock
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
-from airgs_codec.encoder.survey import join_surveys
+from airgs_codec.encoder.survey import CHECKED, join_surveys
 from airgs_codec.encoder.tables import Provenance, build_manifest
 from airgs_codec.jobs.job import Job, digest
 from airgs_codec.jobs.work import Work
@@ -47,7 +47,7 @@ from airgs_codec.package.layout import INIT_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.region import first_views
-from airgs_codec.package.tables import Group, file_entry
+from airgs_codec.package.tables import Group, Views, file_entry
 from airgs_codec.places.place import Memory
 from airgs_codec.places.results import user_cache
 from airgs_codec.progress import Progress, name_of
@@ -109,7 +109,7 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
     work.run([prepared.job(SURVEY, subject)])
-    once = replace(settings, quality=1.0, tiles=1, threads=available_cores())  # what is found holds for all of them
+    once = replace(settings, quality=1.0, threads=available_cores())  # what is found holds for all of them
     calibrating = prepared.job(CALIBRATION, subject, once)
     choosing = prepared.job(BANDS, subject, settings, {"calibration": made_by(calibrating)})
     found, cached = work.cached(calibrating, user_cache("calibration"))
@@ -158,18 +158,13 @@ class Encoded:
         return Package(Memory("encoded package", {**self.shared, **files}), self.manifest, 0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Measuring:
-    """The pictures that the quality of a package is measured by."""
-
-    original: PreparedSequence  # with all SH bands
-    rounds: Rounds  # of pictures; a count of 0: none are measured
-
-
 def encode_sequence(
-    prepared: PreparedSequence, settings: EncodeSettings, work: Work, measuring: Measuring | None = None
+    prepared: PreparedSequence, settings: EncodeSettings, work: Work, original: PreparedSequence | None = None
 ) -> Encoded:
-    """Do all that a package needs but its quality, and of that what is measured in any case, window by window.
+    """Do all that a package needs but its quality, window by window.
+
+    The quality of a window is measured at once, while its frames are held, where there are several windows and the
+    `original` is given: the sequence with all SH bands.
 
     All groups are surveyed before any is coded, since a base has rows that later groups need.
 
@@ -193,9 +188,9 @@ def encode_sequence(
         tables += [work.result(one).table for one in files[window.start :]]
         manifest, shared = _package_of(prepared, settings, tables, poster)
         encoded = Encoded(manifest, shared, tuple(files), keys.base, work)
-        if measuring and measuring.rounds.count and len(prepared.windows) > 1:
-            for first in first_rounds(manifest, measuring.rounds.count):
-                work.run(_quality_jobs(encoded, measuring.original, first, window, firsts[-1]))
+        if original and settings.measure_pictures and len(prepared.windows) > 1:
+            count = pictures_a_segment(settings.measure_pictures, firsts[-1])
+            work.run(_quality_jobs(encoded, original, count, window))
     return encoded
 
 
@@ -273,23 +268,20 @@ class _Keys:
         return prepared.job(KEY, first, self._settings, given)
 
 
-def quality_query(encoded: Encoded, measuring: Measuring) -> QualityQuery:
-    """What `measure` takes to measure an encoded package by jobs."""
-    m, work = encoded.manifest, encoded.work
-    everyone = range(len(m.groups))
+def measure_encoded(encoded: Encoded, original: PreparedSequence, pictures: int) -> Measured:
+    """An encoded package with its quality, in so many pictures that are spread over its segments, at least 1 each.
 
-    def ask(asked: Round) -> list[RoundErrors]:
-        jobs = _quality_jobs(encoded, measuring.original, asked, everyone, len(m.segments))
-        work.run(jobs)
-        return [work.result(one) for one in jobs]
+    `original`: the sequence with all SH bands.
+    """
+    m = encoded.manifest
+    count = pictures_a_segment(pictures, len(m.segments))
+    jobs = _quality_jobs(encoded, original, count, range(len(m.groups)))
+    encoded.work.run(jobs)
+    return with_quality(m, [encoded.work.result(job) for job in jobs], count)
 
-    return QualityQuery(m, everyone, measuring.original.views, measuring.rounds, ask)
 
-
-def _quality_jobs(
-    encoded: Encoded, original: PreparedSequence, asked: Round, groups: range, segments: int
-) -> list[Job]:
-    """The jobs that measure a round of some groups of a package, which has so many segments in the end."""
+def _quality_jobs(encoded: Encoded, original: PreparedSequence, count: int, groups: range) -> list[Job]:
+    """The jobs that measure some groups, in `count` pictures of each segment."""
     m = encoded.manifest
     root = root_of(m)
     tables = Read((root, list(m.groups)), (root.levels, root.qualities))
@@ -297,9 +289,9 @@ def _quality_jobs(
     jobs = []
     for group in groups:
         keeps = m.groups[group].keeps
-        pictures = pictures_of(original.views, m, group, asked, segments)
+        pictures = pictures_of(original.views, m, group, count)
         base = NOTHING if keeps is None else files[keeps - 1]
-        given = {"tables": tables, "asked": Read(pictures, pictures), "files": files[group], "base_files": base}
+        given = {"tables": tables, "pictures": Read(pictures, pictures), "files": files[group], "base_files": base}
         jobs.append(original.job(QUALITY, group, None, given))
     return jobs
 
@@ -314,7 +306,7 @@ def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequenc
         settings,
         views.region,
         views.world,
-        views.table(settings.measure_pictures),
+        Views(views.decided + CHECKED, 0, "original" if settings.measure_pictures else "none"),
         prepared.attribution,
         decisions,
         len(prepared.sequence),
@@ -324,6 +316,5 @@ def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequenc
 
 def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
     """Give the width and height that no picture of the groups exceeds."""
-    tiles = [tile for group in groups for tile in group.tiles]
-    atlases = [a for tile in tiles for row in (*(tier.qualities for tier in tile.tiers), tile.levels) for a in row]
+    atlases = [a for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for a in row]
     return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES, closed_groups
+from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
-from airgs_codec.encoder.batch import calibrate_sequence
-from airgs_codec.encoder.measure import QualityQuery, Round, RoundErrors, Rounds, measure_groups, pictures_of
+from airgs_codec.encoder.batch import calibrate_sequence, measure_encoded
+from airgs_codec.encoder.measure import pictures_of, with_errors
 from airgs_codec.encoder.pipeline import (
     DIFFERENCE,
     KEY,
@@ -32,10 +32,10 @@ from airgs_codec.encoder.pipeline import (
     with_rows_of_others,
 )
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
-from airgs_codec.encoder.publish import finish
-from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
+from airgs_codec.encoder.publish import write_package
+from airgs_codec.encoder.repair import encode_repaired
+from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, join_surveys, plan_views
-from airgs_codec.encoder.verify import Attempt, encode_verified
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
@@ -67,7 +67,7 @@ class _Publisher:
     settings: EncodeSettings  # nothing is left to calibrate
     views: ViewPlan
     sh_degree: int  # bands above it are not worth their bytes
-    rounds: Rounds  # of pictures that measure a segment
+    pictures: int  # that measure a segment; 0: none
     bases: list[tuple[CodedKey, GroupFiles]]  # one: the next group may differ from it
     seen: list[tuple[Survey, WrittenRows]]  # of groups whose rows a next key by itself might have, the newest first
 
@@ -121,16 +121,13 @@ class _Publisher:
     def _measured(self, sequence: GaussianSequence, known: dict[str, Any], base: GroupFiles | None) -> Group:
         """The table of a group whose files are known, with its quality where that is measured."""
         table: Group = known["files"].table
-        if not self.rounds.count:
+        if not self.pictures:
             return table
         m = self.package.expect(table)
         tables, number = (root_of(m), list(m.groups)), len(m.groups) - 1
         known |= {"sequence": sequence, "renderer": self.views.renderer, "tables": tables, "base_files": base}
-
-        def ask(asked: Round) -> list[RoundErrors]:
-            return [QUALITY.do({**known, "asked": pictures_of(self.views, m, number, asked, len(m.segments))})]
-
-        return measure_groups(QualityQuery(m, [number], self.views, self.rounds, ask)).groups[0]
+        known["pictures"] = pictures_of(self.views, m, number, self.pictures)
+        return with_errors(m, number, QUALITY.do(known))
 
 
 def follow(
@@ -152,9 +149,8 @@ def follow(
     """
     place = place_at(path)
     publisher: _Publisher | None = None
-    group_frames = settings.group_frames or DEFAULT_GROUP_FRAMES
     try:
-        for whole, first, last in _whole_groups(folder, group_frames, more):
+        for whole, first, last in _whole_groups(folder, settings.group_frames, more):
             with closing(hold_frames(whole)) as held:
                 rows = restore_rows(held, settings.rows, progress, range(first, last))
                 notes = rows.notes
@@ -212,26 +208,24 @@ def _begin(
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
     views = plan_views(part, settings)
     credit = sequence.attribution if attribution is None else attribution
-    rounds = Rounds(settings.measure_pictures)
-    given = settings.levels != DEFAULT_LEVELS
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with temporary_work(progress) as work, staged_package(place) as stage:
         names = look_at_frames(part, work)[0]
         original = PreparedSequence(part, names, [(0, stop)], views, (), credit)
         found = calibrate_sequence(original, settings, work)
-        attempt = Attempt(found.prepared, original, found.settings, work, found.expected, rounds, given)
-        verified = encode_verified(attempt)
-        decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
-        manifest = replace(verified.manifest, live=True, decisions=decisions)
-        finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
-        base = verified.encoded.base_key(), verified.encoded.group(0)
-        needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, verified.settings))
-        shared = verified.settings.keys == KEPT and not any(frame in sequence.orders for frame in range(stop))
+        encoded, chosen, repairs = encode_repaired(found, found.settings, work)
+        manifest = encoded.manifest
+        if settings.measure_pictures:
+            manifest = measure_encoded(encoded, original, settings.measure_pictures).manifest
+        manifest = replace(manifest, live=True, decisions=[*manifest.decisions, *found.decisions, *repairs])
+        write_package(Folder(stage), encoded, manifest, LiveClock(available, datetime.now(UTC)))
+        base = encoded.base_key(), encoded.group(0)
+        needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, chosen))
+        shared = chosen.keys == KEPT and not any(frame in sequence.orders for frame in range(stop))
         first = [tuple(work.result(job) for job in needed)] if shared else []
-    turns = manifest.views.measured // max(1, views.measured(rounds.count))
     package = GrowingPackage(place, manifest, available)
     sh_degree = found.prepared.sequence.sh_degree
-    return _Publisher(package, verified.settings, views, sh_degree, rounds.again(turns), [base], first)
+    return _Publisher(package, chosen, views, sh_degree, manifest.views.measured, [base], first)
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:

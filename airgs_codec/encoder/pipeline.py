@@ -23,13 +23,13 @@ from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.encoder.calibrate import Calibration, calibrate
 from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_keys, encode_keys, key_bytes, lay_out_again
-from airgs_codec.encoder.measure import AskedPictures, RoundErrors, measure_round
+from airgs_codec.encoder.measure import RungErrors, measure_group
 from airgs_codec.encoder.omit import omit_bands
-from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
+from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
-from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, survey_group
+from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
 from airgs_codec.encoder.tables import CodedGroup, finish_group
 from airgs_codec.jobs.job import Job, digest
 from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
@@ -56,9 +56,9 @@ class CodedKey:
 
     layout: GroupLayout
     keys: CodedKeys
-    pictures: Sequence[Sequence[Representation]]  # unit x key quality
+    pictures: Sequence[Sequence[Representation]]  # key tier x key quality
     decoded: Sequence[Canonical]  # for each key quality
-    bytes: int  # of all its key units and sidecars
+    bytes: int  # of all its key pictures and sidecars
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,8 +148,7 @@ def code_group(sequence: GaussianSequence, key: CodedKey, settings: EncodeSettin
         clock = Clock.of(sequence.fps)
         states = code_states(layout, key.decoded, frames, settings, clock, Path(scratch))
         pictures = encode_states(layout, states, clock, settings)
-        boxes = [find_box(frames, layout.rows[layout.tile_rows(tile)]) for tile in range(layout.tiles)]
-        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment)
+        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, first_segment)
         table, files = finish_group(coded)
     return GroupFiles(table, files, layout.rows, states.depths)
 
@@ -158,18 +157,18 @@ def measure_files(
     original: GaussianSequence,
     renderer: Renderer,
     tables: tuple[Root, Sequence[Group]],
-    asked: AskedPictures,
+    pictures: Sequence[Pictures],
     own: GroupFiles,
     base: GroupFiles | None,
-) -> RoundErrors:
-    """Measure a round of pictures of a group, from its files and those of the group that it differs from.
+) -> RungErrors:
+    """Measure a group in some pictures of each segment, from its files and those of the group that it differs from.
 
     `tables`: those of the package.
     """
     files = {**own.files, **(base.files if base else {})}
     package = Package(Memory("encoded groups", files), manifest_of(*tables), 0)
     number = [table.start for table in tables[1]].index(own.table.start)
-    return measure_round(package, original, renderer, number, asked)
+    return measure_group(package, original, renderer, number, pictures)
 
 
 def draw_poster(sequence: GaussianSequence, frame: int, camera: Camera, renderer: Renderer) -> bytes:
@@ -231,7 +230,9 @@ ROWS = Step("rows", choose_rows, ("sequence", "survey", "row_error"), "written")
 KEY = Step("keys", code_key, ("sequence", "survey", "written", "settings"), "key")
 DIFFERENCE = Step("differences", code_difference, ("sequence", "survey", "written", "base", "settings"), "difference")
 STATES = Step("states", code_group, ("sequence", "coded", "settings", "first_segment"), "files")
-QUALITY = Step("quality", measure_files, ("sequence", "renderer", "tables", "asked", "files", "base_files"), "errors")
+QUALITY = Step(
+    "quality", measure_files, ("sequence", "renderer", "tables", "pictures", "files", "base_files"), "errors"
+)
 POSTER = Step("poster", draw_poster, ("sequence", "frame", "camera", "renderer"), "poster")
 STEPS = {step.makes: step for step in (SURVEY, CALIBRATION, BANDS, ROWS, KEY, DIFFERENCE, STATES, QUALITY, POSTER)}
 

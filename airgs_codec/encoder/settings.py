@@ -17,7 +17,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import BETWEEN, DEFAULT_PRESET, KEY_QP, MOST_BETWEEN, PRESETS, STATE_QP
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.references import fault_of
-from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, MAX_TILES, Region, World
+from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.beside import MEASURES
 
 
@@ -54,13 +54,6 @@ def read_quality(text: str) -> float:
         return QUALITY_FACTORS[text] if text in QUALITY_FACTORS else float(text)
     except ValueError as error:
         raise ConfigError(f"expected {', '.join(QUALITY_FACTORS)} or a number, got {text!r}") from error
-
-
-def read_group(text: str) -> int | None:
-    """Returns frames of a group; None stands for auto. Raises ConfigError."""
-    if text != "auto" and not text.isdecimal():
-        raise ConfigError(f"expected auto or a number of frames, got {text!r}")
-    return None if text == "auto" else int(text)
 
 
 Shares = tuple[tuple[float, float], ...]  # (factor on the steps, share of the updates to withhold), ascending
@@ -111,11 +104,6 @@ class EncodeSettings:
         default=",".join(level.words for level in DEFAULT_LEVELS),
     )
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
-    tiles: int = setting(
-        1,
-        "parts of space that each group is cut into; viewers fetch and decode them apart from each other: for wide "
-        "scenes, of which a picture shows a part",
-    )
     shares: Shares = computed_setting(
         tuple,
         "(factor on the steps, share of the updates to withhold), ascending; calibration finds them",
@@ -124,15 +112,14 @@ class EncodeSettings:
     key_factors: tuple[float, ...] = setting(
         (1.0, 3.0), "for each key quality a factor on the key steps; cells of positions grow with it"
     )
-    steps: StepSettings = computed_setting(StepSettings, "quantiser steps at quality 1; calibration starts there")
+    steps: StepSettings = computed_setting(
+        StepSettings, "quantiser steps at quality 1; calibration starts there", option=False
+    )
     segment_s: float = setting(1.0, "longest state segment, in seconds")
-    group_frames: int | None = setting(
-        None,
-        "longest group of frames with a common canonical space; it counts where no keyframes are given; auto: "
-        "the length that a sample of the scene says is cheapest",
-        default="auto",
-        read=read_group,
-        metavar="auto|N",
+    group_frames: int = setting(
+        DEFAULT_GROUP_FRAMES,
+        "most frames of a group, which share a keyframe; runs of frames are cut into groups of about equal length; it "
+        "counts where no keyframes are given",
     )
     rows: str = setting(
         AUTO,
@@ -189,9 +176,10 @@ class EncodeSettings:
         0.0,
         "squared error of pictures that must be worth a byte a frame at quality 1, or planes and segments are left "
         "out; 0: none are; calibration finds it",
+        option=False,
     )
     measure_pictures: int = setting(
-        10, "pictures of each segment, at least, of frames and views of their own, that measure every rung; 0: none"
+        64, "pictures that measure the top rung, spread over all segments, at least one of each; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset", name="x264-preset", choices=PRESETS)
     between: int = setting(BETWEEN[0], "B-pictures in a row between states; calibration finds it", option=False)
@@ -228,12 +216,8 @@ class EncodeSettings:
                 all(f > 0 for f in (self.quality, *self.key_factors, *(level.factor for level in self.levels))),
                 "expected positive step factors",
             ),
-            (1 <= self.tiles <= MAX_TILES, f"expected 1 to {MAX_TILES} tiles, got {self.tiles}"),
             (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
-            (
-                self.group_frames is None or self.group_frames >= 1,
-                f"expected at least one frame a group, got {self.group_frames}",
-            ),
+            (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (
                 abs(sum(self.tiers) - 1) < 1e-9 and min(self.tiers) >= 0,
                 f"expected tiers that sum to 1, got {self.tiers}",
@@ -331,15 +315,14 @@ def as_in_paper(settings: EncodeSettings) -> EncodeSettings:
 
 
 def as_preview(settings: EncodeSettings) -> EncodeSettings:
-    """For a first look: no trial encodes, fast H.264, groups of DEFAULT_GROUP_FRAMES, few pictures, few levels."""
+    """For a first look: no trial encodes, fast H.264, few pictures, few levels."""
     return replace(
         settings,
         levels=settings.levels if settings.levels != DEFAULT_LEVELS else PREVIEW_LEVELS,
         calibrate="none",
         preset="superfast",
-        group_frames=settings.group_frames or DEFAULT_GROUP_FRAMES,
         decide_pictures=8,
-        measure_pictures=min(settings.measure_pictures, 2),
+        measure_pictures=min(settings.measure_pictures, 8),
         track=bool(settings.track),
     )
 

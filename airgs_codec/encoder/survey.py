@@ -23,14 +23,13 @@ from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
-    draw_places,
     draw_views,
     up_of,
     with_background,
     world_from,
     world_words,
 )
-from airgs_codec.package.tables import Region, Views, World
+from airgs_codec.package.tables import Region, World
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
@@ -41,7 +40,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 CHECKED = 16  # further ones, which show what leaving out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
-SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many decide and measure
+SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many decide
 LOOKED_AT = 3  # frames, where no camera is given
 DRAWS = 240  # views that are drawn; groups and segments take them in turn
 
@@ -56,9 +55,7 @@ class ViewPlan:
     trusted: bool  # what no view of the region shows may be left out
     deciding: Sequence[Camera]
     measuring: Sequence[Camera]
-    places: Sequence[int]  # of the region, about which each of `measuring` is
     decided: int  # pictures of a group that decide: the first of `deciding`
-    small: bool  # pictures are small, so that twice as many decide and measure
     notes: tuple[str, ...] = ()  # how the region was found, for people
     world: World | None = None  # which way is up, where it is told
     renderer: Renderer = CPU  # draws all pictures
@@ -97,32 +94,15 @@ class ViewPlan:
         """
         return _spread(frames, self.deciding[self.decided : self.decided + CHECKED])
 
-    def measure(self, index: int, start: int, stop: int, least: int, turn: int = 0) -> Pictures:
-        """Pictures of segment number `index`, the frames [start, stop): (number of the frame, view).
+    def measure(self, index: int, start: int, stop: int, count: int) -> Pictures:
+        """`count` pictures of segment number `index`, the frames [start, stop): (number of the frame, view).
 
-        Each `turn` has other frames, where a segment has more than are seen at once.
+        Views are the next ones after those of the segment before.
         """
-        count = self.measured(least)
-        numbers = middle_frames(start, stop, count, turn)
+        numbers = middle_frames(start, stop, count)
         rounds = -(-count // len(numbers))
-        views = [self.measuring[place] for place in self._turns(index, count)]
+        views = [self.measuring[turn % len(self.measuring)] for turn in range(index * count, (index + 1) * count)]
         return list(zip(sorted((numbers * rounds)[:count]), views, strict=True))
-
-    def places_of(self, index: int, least: int) -> list[int]:
-        """The places that pictures of `measure` are seen from."""
-        return [self.places[place] for place in self._turns(index, self.measured(least))]
-
-    def _turns(self, index: int, count: int) -> list[int]:
-        """Which of the views measure a segment: the next ones after those of the segment before."""
-        return [number % len(self.measuring) for number in range(index * count, (index + 1) * count)]
-
-    def measured(self, least: int) -> int:
-        """How many pictures measure a segment, where `least` do of large pictures."""
-        return 2 * least if self.small else least
-
-    def table(self, measured: int) -> Views:
-        """The record in airgs.json; `measured` pictures of each segment at least, 0 for none."""
-        return Views(self.decided + CHECKED, self.measured(measured), "original" if measured else "none")
 
 
 def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan:
@@ -164,11 +144,9 @@ def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> Vie
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
     deciding = [resized(camera, share) for camera in draw_views(region, DRAWS, DECIDING)]
-    measuring, places = draw_views(region, DRAWS, MEASURING), draw_places(region, DRAWS, MEASURING)
-    if point and held_out:
-        measuring, places = list(held_out), list(range(len(held_out)))
+    measuring = list(held_out) if point and held_out else draw_views(region, DRAWS, MEASURING)
     small = region.width * region.height <= SMALL_PIXELS
-    return ViewPlan(region, True, deciding, measuring, places, 2 * pictures if small else pictures, small)
+    return ViewPlan(region, True, deciding, measuring, 2 * pictures if small else pictures)
 
 
 def _spread(frames: int, cameras: Sequence[Camera]) -> Pictures:

@@ -1,4 +1,4 @@
-"""A picture of a package: quality of its rungs over their bytes, bytes over time, and its viewing region.
+"""A picture of a package: quality of its rungs over their bytes, and bytes over time.
 
 F frames of the sequence.
 """
@@ -15,18 +15,15 @@ from numpy.typing import NDArray
 from airgs_codec._report import BLUE, GREY, new_figure, save_figure
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.region import levelled
-from airgs_codec.play.report.map import draw_region
 
 
 def plot_ladder(m: Manifest, manifest_bytes: int, path: Path) -> None:
     """Write the picture in the format that the ending of `path` names. Raises ConfigError."""
-    figure = new_figure(15, 4.2)
-    rungs, time, place = figure.subplots(1, 3, width_ratios=(3, 3, 2))
+    figure = new_figure(11, 4.2)
+    rungs, time = figure.subplots(1, 2)
     plot_rungs(summarise(m, manifest_bytes).rungs, rungs)
     rungs.set_title("Rungs (grey: others show more)")
     _plot_bytes(time, m)
-    draw_region(place, levelled(m.region, m.world))
     save_figure(figure, path, dpi=110)
 
 
@@ -68,7 +65,7 @@ def _picture_bytes(m: Manifest, level: int) -> NDArray[np.float64]:
     """(F,) H.264 bytes of each frame of a level; 0 where a segment has no files."""
     sizes = np.zeros(m.frames)
     for segment in m.segments:
-        if pictures := segment.levels[level].picture_bytes:
+        if pictures := segment.levels[level].frame_bytes:
             sizes[segment.start : segment.stop] = pictures
     return sizes
 
@@ -77,6 +74,6 @@ def _key_bytes(m: Manifest) -> NDArray[np.float64]:
     """(F,) bytes of the keys in Q0, spread over the frames of their group."""
     sizes = np.zeros(m.frames)
     for g, group in enumerate(m.groups):
-        total = sum(m.bytes_of(m.key_files(g, k, 0)) for k in range(m.units))
+        total = sum(m.bytes_of(m.key_files(g, t, 0)) for t in range(m.tiers))
         sizes[group.start : group.stop] = total / (group.stop - group.start)
     return sizes

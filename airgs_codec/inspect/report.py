@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._report import GREY, Page, Picture, html_table, report_folder
-from airgs_codec.encoder.doubt import doubt_db
-from airgs_codec.encoder.publish import EncodeReport, Stage, doubt_words
+from airgs_codec.encoder.measure import uncertainty_db
+from airgs_codec.encoder.publish import EncodeReport, Stage, certainty_words
 from airgs_codec.encoder.search import DELTA_E
 from airgs_codec.inspect.compare import Comparison, Seen, compare_two, side_by_side
 from airgs_codec.inspect.plot import plot_rungs
@@ -66,7 +66,7 @@ def write_report(
             Picture("All frames; left: as given, right: as encoded.", name=FILM_NAME),
         ]
         answer = {
-            "good": _good(rungs[0], result, words.removesuffix(f" of {a.name}"), done.unsure),
+            "good": _good(rungs[0], result, words.removesuffix(f" of {a.name}"), done.uncertainty),
             "wrong": _wrong(result, rungs, bytes_by_attribute(package)),
             "bought": bought(stages),
             "useless": beaten_words({f"{r.key}+{r.state}": r.best for r in rungs if r.psnr is not None}) or "Nothing.",
@@ -101,11 +101,11 @@ def _draw_stages(stages: Sequence[Stage], axis: Any) -> None:
     axis.set_xlabel("seconds")
 
 
-def _good(top: RungSummary, result: Comparison, views: str, unsure: float) -> str:
+def _good(top: RungSummary, result: Comparison, views: str, uncertainty: float) -> str:
     """Bytes and PSNR of the top rung: as claimed, and in views of the frames as they were given."""
     claim = f"The top rung takes {top.bytes_per_frame / 1e3:.1f} kB a frame, {top.mean_bps / 1e6:.2f} Mbit/s"
     if top.psnr is not None:
-        claim += f", and is measured at {top.psnr:.1f} dB, {doubt_words(unsure)}"
+        claim += f", and is measured at {top.psnr:.1f} dB, {certainty_words(uncertainty)}"
     return f"{claim}. It shows the frames that were given at {result.quality.psnr:.1f} dB in {views}."
 
 
@@ -149,7 +149,7 @@ def advice(done: EncodeReport) -> str:
     """What would make the next encode better or quicker; empty where that is nothing."""
     seconds = {stage.name: stage.seconds for stage in done.stages()}
     share, told = {name: s / max(1e-9, sum(seconds.values())) for name, s in seconds.items()}, []
-    if not doubt_db(done.unsure) <= DOUBT_DB:  # also where it is not known
+    if not uncertainty_db(done.uncertainty) <= DOUBT_DB:  # also where it is not known
         told.append("The claim is not sure: more --measure-pictures make it so.")
     elif share["measuring"] > MUCH:
         told.append("Fewer --measure-pictures would be quicker, with a claim less sure.")

@@ -24,8 +24,8 @@ from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
-FORGIVEN_DEGREES = 1e-4  # beyond the turn
-FORGIVEN_SHARE = 1e-9  # of 1 + the largest coordinate: a camera's position comes from its matrix, which rounds
+FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
+FORGIVEN_SHARE = 1e-9  # of 1 + the largest coordinate, beyond the reach: positions that come from matrices round
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
 AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}
@@ -108,18 +108,9 @@ def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
     `region.turn` degrees off the focus: viewers are more often near the places than at the rim.
     """
     rng = np.random.default_rng(seed)
-    order = _take_turns(region, count, rng)
-    return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order)]
-
-
-def draw_places(region: Region, count: int, seed: int) -> list[int]:
-    """The places, from 0, that the views of `draw_views` are about."""
-    return _take_turns(region, count, np.random.default_rng(seed))
-
-
-def _take_turns(region: Region, count: int, rng: np.random.Generator) -> list[int]:
     rounds = range(-(-count // len(region.places)))
-    return [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
+    order = [place for _ in rounds for place in rng.permutation(len(region.places)).tolist()][:count]
+    return [_draw(region, region.places[i], rng, f"draw{number:03d}") for number, i in enumerate(order)]
 
 
 def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> Camera:
@@ -132,82 +123,6 @@ def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> 
     angle = np.radians(region.turn) * np.sqrt(rng.uniform())
     target = position + np.cos(angle) * ahead + np.sin(angle) * side
     return view_from(region, position, target, np.array(place.up), name)
-
-
-@dataclass(frozen=True, slots=True)
-class Departure:
-    """How far a viewer is outside of a region; both are 0 inside."""
-
-    distance: float  # world units beyond the reach of the nearest place
-    degrees: float  # by which he looks further away from its focus than the region allows
-
-    @property
-    def inside(self) -> bool:
-        """Whether the viewer is inside."""
-        return self.distance == 0 and self.degrees == 0
-
-
-def departure(region: Region, camera: Camera) -> Departure:
-    """How far the viewer is outside, from the place for which it is least: distance first, then direction."""
-    return departures(region, [camera])[0]
-
-
-def departures(region: Region, cameras: Sequence[Camera]) -> list[Departure]:
-    """The same for each of C cameras."""
-    positions = np.array([camera.position for camera in cameras]).reshape(-1, 3)
-    forward = np.array([camera.world_to_camera[2, :3] for camera in cameras]).reshape(-1, 3)
-    return [Departure(float(d), float(a)) for d, a, _ in zip(*leaving(region, positions, forward), strict=True)]
-
-
-def leaving(region: Region, positions: Vector, forward: Vector) -> tuple[Vector, Vector, NDArray[np.intp]]:
-    """The departures of C viewers at `positions` (C, 3) who look along `forward` (C, 3), of length 1.
-
-    They are (C,) world units, (C,) degrees, and (C,) the place for which they are least.
-    """
-    positions, forward = positions[:, None], forward[:, None]
-    centres, foci = (np.array([getattr(place, name) for place in region.places]) for name in ("position", "focus"))
-    slack = FORGIVEN_SHARE * (1 + np.abs(positions).max(axis=2))
-    away = np.linalg.norm(positions - centres, axis=2) - [place.reach for place in region.places]
-    ahead = foci - positions
-    length = np.linalg.norm(ahead, axis=2)
-    cosine = (ahead * forward).sum(axis=2) / np.maximum(length, np.finfo(float).tiny)
-    cosine[length <= slack] = 1.0  # at the focus every direction is towards it
-    degrees = np.degrees(np.arccos(np.clip(cosine, -1, 1))) - region.turn
-    distance = np.where(away > slack, away, 0.0)  # (C, P)
-    least = distance.min(axis=1)
-    degrees[degrees <= FORGIVEN_DEGREES] = 0.0
-    degrees[distance > least[:, None]] = np.inf
-    return least, degrees.min(axis=1), degrees.argmin(axis=1)
-
-
-def keep_inside(region: Region, positions: Vector, foci: Vector) -> tuple[Vector, Vector]:
-    """Viewers at `positions` (C, 3) who look at `foci` (C, 3), each moved to the nearest place that a region allows,
-    and there turned to the nearest direction: what players do (web/src/format/region.ts).
-    """
-    positions, foci, turn = positions.copy(), foci.copy(), np.radians(region.turn)
-    ahead = foci - positions
-    far = np.linalg.norm(ahead, axis=1, keepdims=True)
-    distance, degrees, nearest = leaving(region, positions, ahead / far)
-    for i in np.flatnonzero((distance > 0) | (degrees > 0)):
-        place, forward = region.places[nearest[i]], ahead[i] / far[i]
-        if distance[i] > 0:
-            away = positions[i] - place.position
-            positions[i] = place.position + away * (place.reach / np.linalg.norm(away))
-        axis = np.array(place.focus) - positions[i]
-        axis /= np.linalg.norm(axis)
-        side = forward - (forward @ axis) * axis
-        off = float(np.linalg.norm(side))
-        if np.arctan2(off, forward @ axis) > turn:
-            forward = np.cos(turn) * axis + np.sin(turn) * side / max(off, np.finfo(float).tiny)
-        foci[i] = positions[i] + far[i] * forward
-    return positions, foci
-
-
-def distances(places: Sequence[Place]) -> Vector:
-    """(P, P) world units between the positions of places."""
-    positions = np.array([place.position for place in places])
-    pairs: Vector = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    return pairs
 
 
 ORBIT = "orbit"  # the source of a region that is a guess
@@ -255,12 +170,6 @@ class RegionSummary:
     def views(self) -> str:
         """What a viewer's pictures are like."""
         return f"{self.width}x{self.height} pixels, {self.fov_y:.3g}° high, near plane at {self.near:g} units"
-
-
-def departure_words(d: Departure) -> str:
-    """How far a viewer is outside, empty where he is inside."""
-    parts = [f"{d.distance:.2g} units"] * (d.distance > 0) + [f"{d.degrees:.2g}°"] * (d.degrees > 0)
-    return " and ".join(parts)
 
 
 def _span(values: tuple[float, float]) -> str:

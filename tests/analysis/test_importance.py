@@ -15,7 +15,6 @@ from airgs_codec.analysis.importance import (
     DETAIL,
     LEAST_PIXELS,
     CostSums,
-    ExpectedError,
     RowPruning,
     WrittenRows,
     estimate_cost,
@@ -288,9 +287,7 @@ def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_th
     assert estimate_cost(seldom, np.zeros(1), ones)[0].tolist() == [3.0]
 
 
-def test_expected_errors_grow_with_the_square_of_steps():
-    assert ExpectedError(1.0, 2.0, 3.0).at(3.0) == ExpectedError(9.0, 18.0, 27.0)
-    assert ExpectedError(1.0, 2.0, 3.0).total == 6.0
+def test_all_rows_are_written_without_an_error():
     whole = WrittenRows.all(3)
     assert (whole.rows.tolist(), whole.error) == ([0, 1, 2], 0.0)
 

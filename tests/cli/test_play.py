@@ -9,10 +9,8 @@ from airgs_codec.cli.options import read_options
 from airgs_codec.cli.play import main
 from airgs_codec.play.http_files import HttpSettings
 from airgs_codec.play.settings import SessionSettings
-from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX, VALID
 from tests.support.servers import plainly_serving
-from tests.support.views import ring
 
 PACKAGE = VALID / "two-groups-sh1"
 TRACE = FOX / "trace.csv"
@@ -41,7 +39,7 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
         ]
         status = main([url, *options, "--json"])
     result = json.loads(capsys.readouterr().out)
-    assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "screen.png").exists()
+    assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "index.html").exists()
     assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
     assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
 
@@ -74,30 +72,10 @@ def test_json_repeats_exactly(capsys):
 
 def test_report_and_film(capsys, tmp_path):
     report, film = tmp_path / "report", tmp_path / "out.mp4"
-    status, out, _ = play(
-        capsys,
-        "--policy",
-        "fixed:0",
-        "--player.loops",
-        1,
-        "--report",
-        report,
-        "--video",
-        film,
-        "--views",
-        write_cameras(tmp_path / "views.json", ring(3)),
-    )
-    assert status == 0 and "start-up" in out and "outside the viewing region for 5 of 5 ticks" in out
-    assert (report / "index.html").exists() and (report / "screen.png").exists()
-    assert film.read_bytes()[4:8] == b"ftyp"
-
-
-def test_without_cameras_the_viewer_walks_through_the_region(capsys, tmp_path):
-    film = tmp_path / "out.mp4"
-    status, out, _ = play(capsys, "--policy", "fixed:0", "--player.loops", 1, "--video", film, "--json")
-    result = json.loads(out)
-    assert status == 0 and film.exists()
-    assert result["viewer"]["ticks_outside"] == 0 and result["region"]["source"] == "orbit"
+    options = ["--policy", "fixed:0", "--player.loops", 1, "--report", report, "--video", film, "--json"]
+    status, out, _ = play(capsys, *options)
+    assert status == 0 and json.loads(out)["region"]["source"] == "orbit"
+    assert (report / "index.html").exists() and film.read_bytes()[4:8] == b"ftyp"
 
 
 def test_defaults_are_those_of_the_settings():
@@ -129,7 +107,6 @@ def test_policies_are_compared_over_traces(capsys):
         (["--player.buffer", "nan"], "buffer"),
         (["--offset", "1e9"], "offset"),
         (["--scale", "0"], "scale"),
-        (["--views", "none.json", "--report", "never"], "none.json"),
     ],
 )
 def test_bad_options_are_one_line_and_2(capsys, options, words):

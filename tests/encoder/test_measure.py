@@ -1,38 +1,35 @@
-"""What is measured of every rung, and with how many pictures."""
+"""What is measured of every rung, with how many pictures, and how sure that is."""
 
 import math
-from collections import defaultdict
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airgs_codec.encoder import measure
 from airgs_codec.encoder.measure import (
     LOWER,
     OFF_LADDER,
-    ROUNDS,
-    QualityQuery,
-    Rounds,
-    measure_groups,
-    measure_round,
+    measure_group,
+    pictures_a_segment,
     pictures_of,
+    strides_of,
+    uncertainty_db,
+    with_quality,
 )
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.media.metrics import psnr
-from airgs_codec.package.manifest import Groups, on_ladder, pooled_quality
-from airgs_codec.package.package import Package, open_package
+from airgs_codec.media.metrics import Difference, psnr
+from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.scenes import moving_frames, write_sequence
 
 LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
+COUNT = 12  # pictures of a segment
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory):
-    """A package of two segments, L0 with Q0 and L1 with Q1, not measured."""
+def package(tmp_path_factory):
+    """A package of two segments of three frames, L0 with Q0 and L1 with Q1, not measured, and its sequence."""
     folder = tmp_path_factory.mktemp("quality")
     sequence = open_sequence(write_sequence(folder / "scene", moving_frames(80, 6)))
     settings = EncodeSettings(calibrate="none", levels=LEVELS, measure_pictures=0, preset="ultrafast", segment_s=0.1)
@@ -40,80 +37,57 @@ def small(tmp_path_factory):
     return open_package(folder / "out"), sequence
 
 
-def measured(small, monkeypatch, unsure, lower):
-    """For every rung (segment, level, key quality) squared errors of it and of the top rung; and the tables.
-
-    24 pictures a round, until doubts are as small as `unsure` and `lower`.
-    """
-    package, sequence = small
-    errors, tops = defaultdict(list), {}
-
-    def ask(asked):
-        pictures = pictures_of(views, package.manifest, 0, asked, len(package.manifest.segments))
-        found = measure_round(package, sequence, views.renderer, 0, pictures)
-        for segment, of_segment in enumerate(found):
-            by_rung = dict(zip(asked.strides, of_segment, strict=True))
-            if (0, 0) in by_rung:
-                tops[segment, asked.number] = by_rung[0, 0].squared
-            for (level, key), of_rung in by_rung.items():
-                assert len(of_rung.alike) == (len(of_rung.squared) if asked.number == 0 else 0)
-                top = tops[segment, asked.number][:: asked.strides[level, key]]
-                errors[segment, level, key] += zip(of_rung.squared, top, strict=True)
-        return [found]
-
-    monkeypatch.setattr(measure, "UNSURE", unsure)
-    monkeypatch.setattr(measure, "UNSURE_LOWER", lower)
-    views = ViewPlan.of(sequence, 24)  # small pictures: twice as many
-    found = measure_groups(QualityQuery(package.manifest, [0], views, Rounds(12), ask))
-    assert len(package.manifest.groups) == 1 and len(errors) == len(package.manifest.segments) * 4
-    return errors, found.whole(package.manifest)
-
-
-def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(small, monkeypatch):
+def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(package):
     """What is measured in few pictures is scaled by what the top rung shows in others."""
-    errors, m = measured(small, monkeypatch, unsure=100.0, lower=100.0)
-    few = -(-24 // OFF_LADDER)
-    check_scaled(errors, m, {(0, 0): 24, (1, 1): 24 // LOWER, (0, 1): few, (1, 0): few})
+    opened, sequence = package
+    m, views = opened.manifest, ViewPlan.of(sequence, 24)
+    assert strides_of(m) == {(0, 0): 1, (0, 1): OFF_LADDER, (1, 0): OFF_LADDER, (1, 1): LOWER}
+    errors = measure_group(opened, sequence, views.renderer, 0, pictures_of(views, m, 0, COUNT))
+    measured = with_quality(m, [errors], COUNT).manifest
+    assert measured.views.measured == COUNT and len(errors) == len(m.segments) == 2
+    for segment, of_segment in zip(measured.segments, errors, strict=True):
+        top = np.array([one.mse for one in of_segment[0]])
+        for ((level, key), stride), found in zip(strides_of(m).items(), of_segment, strict=True):
+            own, table = np.array([one.mse for one in found]), segment.levels[level]
+            assert len(own) == -(-COUNT // stride)
+            scale = top.mean() / top[::stride].mean()
+            assert table.psnr[key] == round(psnr(scale * own.mean()), 2)
+            assert table.worst[key] == round(psnr(scale * own.max()), 1)
+            assert table.ssim[key] == round(np.mean([one.ssim for one in found]), 4)
+            assert table.delta_e[key] == round(np.mean([one.delta_e for one in found]), 2)
 
 
-def test_more_pictures_of_the_top_rung_are_measured_until_its_error_is_sure(small, monkeypatch):
-    errors, m = measured(small, monkeypatch, unsure=0.0, lower=100.0)
-    few = -(-24 // OFF_LADDER)
-    check_scaled(errors, m, {(0, 0): 24 * ROUNDS, (1, 1): 24 // LOWER, (0, 1): few, (1, 0): few})
+def test_an_encode_has_as_many_pictures_as_were_asked_for_and_each_segment_one(package, tmp_path):
+    _, sequence = package
+    for asked, of_segment in ((5, 3), (1, 1)):
+        settings = EncodeSettings(
+            calibrate="none", levels=LEVELS[:1], measure_pictures=asked, preset="ultrafast", segment_s=0.1
+        )
+        encode(sequence, tmp_path / "out", settings)
+        assert open_package(tmp_path / "out").manifest.views.measured == of_segment
+    assert [pictures_a_segment(64, segments) for segments in (1, 3, 64, 1000)] == [64, 22, 1, 1]
 
 
-def test_more_pictures_are_measured_of_unsure_rungs_that_no_mixture_beats(small, monkeypatch):
-    """Here finest keys with coarse states are such a mixture."""
-    more = 24 * (ROUNDS - 1)
-    errors, m = measured(small, monkeypatch, unsure=100.0, lower=0.0)
-    rungs = [(j, q) for j in range(2) for q in range(2)]
-    ladder = on_ladder([(m.bytes_of(m.rung_files(q, j)), pooled_quality(m, j, q).psnr) for j, q in rungs])
-    assert [rung for rung, there in zip(rungs, ladder, strict=True) if there] == [(0, 0), (0, 1), (1, 1)]
-    few = -(-24 // OFF_LADDER)
-    check_scaled(errors, m, {(0, 0): 24 + more, (1, 1): 24 // LOWER + more, (0, 1): few + more, (1, 0): few})
+def uncertainty(m, *of_segments):
+    """What `with_quality` says of squared errors of the top rung of two segments."""
+    rungs = len(strides_of(m))
+    errors = [[[Difference(value, 1.0, 0.0) for value in of]] * rungs for of in of_segments]
+    return with_quality(m, [errors], len(of_segments[0])).uncertainty
 
 
-@pytest.mark.parametrize(("rounds", "known"), [(1, False), (2, True)])
-def test_one_picture_does_not_tell_its_doubt(small, rounds, known):
-    package, sequence = small
-    m, views = package.manifest, replace(ViewPlan.of(sequence, 24), small=False)
-    m = replace(m, groups=Groups.of([replace(m.groups[0], segments=m.groups[0].segments[:1])]))
-
-    def ask(asked):
-        pictures = pictures_of(views, m, 0, asked, len(m.segments))
-        return [measure_round(Package(package.files, m, 0), sequence, views.renderer, 0, pictures)]
-
-    found = measure_groups(QualityQuery(m, [0], views, Rounds(1).again(rounds), ask))
-    assert found.pictures == rounds and math.isfinite(found.unsure) is known
+def test_a_claim_is_as_sure_as_its_pictures_agree(package):
+    m = package[0].manifest
+    assert uncertainty(m, [2.0, 2.0], [2.0, 2.0]) == 0.0
+    assert uncertainty(m, [0.0], [0.0]) == 0.0
+    spread = 4 * 0.25**2 * 1.0 * 4 / 3  # four pictures, each for a quarter of the frames, 1 off their mean of 2
+    assert uncertainty(m, [1.0, 3.0], [1.0, 3.0]) == pytest.approx(spread**0.5 / 2)
+    assert (uncertainty_db(0.0), uncertainty_db(0.5)) == (0.0, pytest.approx(10 * math.log10(2)))
 
 
-def check_scaled(errors, m, counts):
-    """Two levels in two key qualities, with so many pictures each; the first one of all has most."""
-    assert m.views.measured == counts[0, 0]
-    for (segment, level, key), of in errors.items():
-        assert len(of) == counts[level, key]
-        own, top = np.transpose(of)
-        scale = np.mean(errors[segment, 0, 0]) / top.mean()
-        table = m.segments[segment].levels[level]
-        assert table.psnr[key] == round(psnr(scale * own.mean()), 2)
-        assert table.worst[key] == round(psnr(scale * own.max()), 1)
+def test_two_standard_errors_hold_for_most_draws_of_pictures(package):
+    """Errors of pictures are heavy-tailed: here, log-normal."""
+    m, rng, inside = package[0].manifest, np.random.default_rng(0), 0
+    for _ in range(400):
+        errors = rng.lognormal(sigma=0.7, size=(2, 16))
+        inside += abs(errors.mean() / math.exp(0.7**2 / 2) - 1) <= 2 * uncertainty(m, *errors.tolist()) + 1e-12
+    assert 0.88 <= inside / 400 <= 0.98

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.rows import LOOKED_FRAMES
-from airgs_codec.encoder import measure, prepare
+from airgs_codec.encoder import prepare
 from airgs_codec.encoder.pipeline import AHEAD, KEY, STEPS, SURVEY, Step, with_rows_of_others
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
@@ -29,7 +29,7 @@ SETTINGS = EncodeSettings(
     calibrate="steps", measure_pictures=1, decide_pictures=4, preset="ultrafast", group_frames=2, threads=1
 )
 GIVEN = {
-    "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "asked",
+    "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "pictures",
     "base_files", "frame", "camera", "row_error",
 }  # fmt: skip
 
@@ -61,8 +61,6 @@ def test_every_frame_is_read_once_where_memory_holds_all(scene, tmp_path, reads)
 
 def test_frames_that_memory_does_not_hold_are_read_three_times(scene, tmp_path, reads, monkeypatch):
     """To be named, surveyed, and encoded and measured; the first ones are looked at before."""
-    for name in ("UNSURE", "UNSURE_LOWER"):
-        monkeypatch.setattr(measure, name, np.inf)  # one round
     settings = replace(SETTINGS, calibrate="none", region=replace(region(place(0.0)), width=96, height=72))
     encode(open_sequence(scene), tmp_path / "held", settings)
     assert set(reads.values()) == {1}

@@ -10,9 +10,8 @@ from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import motion_classes, motion_units, share_class
 from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.encoder.plan import assign_depths, assign_tiers
-from airgs_codec.encoder.prepare import LengthCost
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.sample import encode_and_decode
+from airgs_codec.encoder.sample import at_equal_error, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import state_codec
@@ -65,7 +64,7 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     for unit in (units, shared):
         coded, decoded = encode_and_decode(moved / unit, np.ones(3), codec)
         error = float(np.mean(sensitivity * np.square((decoded - moved / unit) * unit)))
-        scores.append(LengthCost(8, sum(coded), error).score)
+        scores.append(at_equal_error(sum(coded), error))
     assert scores[together] < 0.9 * scores[not together]
 
 
@@ -88,7 +87,7 @@ def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     assert [level.tiers for level in m.levels] == [2, 2, 1, 1]
     assert not any(path.startswith("key/T1") for path in m.rung_files(0, 3))
     assert any(path.startswith("key/T1") for path in m.rung_files(0, 1))
-    core = m.groups[0].units[0].count
+    core = m.groups[0].tiers[0].count
     assert len(next(decode_frames(package, 0, 1, level=3)).gaussians) == core
     both = decode_canonical(package, 0, 0)
     assert (both.depths[core:][both.depths[core:] != STATIC] < 2).all()

@@ -8,28 +8,21 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.cli import encode as command
 from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
-from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder import search, verify
-from airgs_codec.encoder.batch import Measuring, encode_sequence, quality_query
-from airgs_codec.encoder.measure import ROUNDS, Rounds, measure_top
+from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
 from airgs_codec.encoder.search import (
     DELTA_E,
-    LEFT_OUT,
     PSNR,
     SIZE,
     Goal,
-    find_limit,
     find_quality,
     search_quality,
     weigh_colours,
 )
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.encoder.verify import Attempt
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs.work import temporary_work
@@ -39,7 +32,6 @@ from airgs_codec.package.package import open_package
 from airgs_codec.package.region import draw_views
 from airgs_codec.package.tables import pack_matrix, unpack_matrix
 from airgs_codec.render import cpu
-from airgs_codec.scene.gaussians import from_rotation_vector, multiply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
@@ -175,15 +167,6 @@ def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-FINE = StepSettings()
-COARSE = {
-    "sizes": replace(FINE, key=replace(FINE.key, log_scales=2.0), state=replace(FINE.state, log_scales=2.0)),
-    "colours": replace(FINE, key=replace(FINE.key, sh_dc=2.0), state=replace(FINE.state, sh_dc=2.0)),
-    "positions": replace(FINE, grid=4.0, state=replace(FINE.state, means=4.0)),
-    LEFT_OUT: replace(FINE, rows=0.2),
-}
-
-
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """A small moving scene."""
@@ -209,76 +192,10 @@ def test_colours_are_weighed_by_what_is_seen(scene):
     np.testing.assert_allclose(from_klt(to_klt(colours, stored), stored), colours, atol=1e-9)
 
 
-def limit_at(steps, prepared, work, metric=PSNR):
-    """The part that holds back a package of one level at these steps, and the metric without its error."""
-    settings = EncodeSettings(
-        calibrate="none",
-        levels=(LevelSettings(0.0),),
-        tiers=(1.0,),
-        key_factors=(1.0,),
-        steps=steps,
-        preset="ultrafast",
-    )
-    return find_limit(encode_sequence(prepared, settings, work), prepared, metric)
-
-
-def test_trials_after_the_first_are_measured_with_fewer_pictures_and_taken_for_all(scene, monkeypatch):
-    """Where pictures of the first rounds are easier than others, all trials are believed to be as far below them."""
+def test_a_goal_is_met_by_the_pictures_that_measure_the_package(scene):
     prepared, work = scene
-    settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=2)
-    rounds = []
-
-    def measure(query):
-        rounds.append((query.rounds.least, query.rounds.most))
-        found = measure_top(query)
-        return found if len(rounds) == 1 else replace(found, psnr=found.psnr + 5)
-
-    monkeypatch.setattr(search, "measure_top", measure)
-    attempt = search_quality(Attempt(prepared, prepared, settings, work, None, Rounds(2)), Goal(PSNR, 38.0))
-    taken = attempt.rounds.most
-    assert taken == attempt.rounds.least > 3 and len(rounds) == 1 + len(attempt.trials) > 2
-    assert rounds == [(1, ROUNDS), *[(-(-taken // 3), -(-taken // 3))] * len(attempt.trials)]
-    top = replace(attempt.settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
-    query = quality_query(encode_sequence(prepared, top, work), Measuring(prepared, attempt.rounds))
-    assert measure_top(query).psnr == pytest.approx(38, abs=0.3)
-
-
-def test_what_costs_more_than_expected_is_taken_back_before_a_search(scene, monkeypatch):
-    """1e-4 are expected, and half a decibel of it besides is taken, 0.12e-4: not of 30 or 15 % of the updates."""
-    prepared, work = scene
-    monkeypatch.setattr(verify, "_part_errors", lambda attempt, _: (0.0, 1e-4 * attempt.settings.levels[0].pruned))
-    shares = ((0.5, 0.2), (2.0, 0.4))
-    settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=2, shares=shares).at(1.0)
-    expected = ExpectedError(steps=1e-4)
-    begun = Attempt(prepared, prepared, settings, work, expected, Rounds(2))
-    found = search_quality(begun, Goal(PSNR, 38.0))
-    assert settings.levels[0].pruned == 0.3
-    assert found.settings.shares == ((0.5, 0.05), (2.0, 0.1))
-    assert (
-        found.stories == tuple(f"updates withheld cost {db} dB: fewer are" for db in (45.2, 48.2))
-        and found.expected is None
-    )
-    kept = search_quality(replace(begun, given=True), Goal(PSNR, 38.0))
-    assert kept.settings.shares == shares and kept.stories == ()
-
-
-@pytest.mark.parametrize("part", COARSE)
-def test_the_part_that_is_coarse_is_named(scene, part):
-    assert limit_at(COARSE[part], *scene)[0] == part
-
-
-def test_the_part_that_holds_colours_back_is_named(scene):
-    part, left = limit_at(COARSE["colours"], *scene, DELTA_E)
-    assert part == "colours" and 0 < left < 1
-
-
-def test_axes_of_rows_that_spin_have_the_names_that_the_group_gave_them(tmp_path):
-    first = moving_frames(200, 1)[0]
-    spins = (from_rotation_vector(np.tile([0.0, 0.0, 0.6 * t], (200, 1))) for t in range(3))
-    frames = [replace(first, quaternions=multiply(spin, first.quaternions).astype(np.float32)) for spin in spins]
-    sequence = open_sequence(write_sequence(tmp_path / "spinning", frames))
-    views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
-    coarse = replace(FINE, key=replace(FINE.key, log_scales=2.0), state=replace(FINE.state, log_scales=2.0))
-    with temporary_work() as work:
-        part, reached = limit_at(coarse, prepared_as_one_group(sequence, views, work), work)
-    assert part == "sizes" and reached > 36  # 32 with names of their own
+    settings = EncodeSettings(calibrate="none", preset="ultrafast", measure_pictures=12)
+    chosen, trials = search_quality(calibrate_sequence(prepared, settings, work), prepared, Goal(PSNR, 38.0), work)
+    found = measure_encoded(encode_sequence(prepared, chosen, work), prepared, 12).manifest
+    assert pooled_quality(found, 0, 0).psnr == pytest.approx(38.0, abs=0.3)
+    assert 1 < len(trials) <= 8 and chosen.levels == settings.levels

@@ -9,8 +9,8 @@ import pytest
 
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.doubt import doubt_db
-from airgs_codec.encoder.publish import EncodeReport, doubt_words
+from airgs_codec.encoder.measure import uncertainty_db
+from airgs_codec.encoder.publish import EncodeReport, certainty_words
 from airgs_codec.encoder.search import DELTA_E, PSNR, Goal
 from airgs_codec.inspect.report import advice, bought, holds_back, write_report
 from airgs_codec.inspect.summary import RungSummary
@@ -22,7 +22,7 @@ from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 from tests.support.views import moved
 
-DONE = EncodeReport(tiny_manifest(), 0, Restored(None), 0.1, 2.0, 3.0, 0.0, 6.0, 3.0, False, unsure=0.03)
+DONE = EncodeReport(tiny_manifest(), 0, Restored(None), 0.1, 2.0, 3.0, 0.0, 6.0, 3.0, False, uncertainty=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def test_what_each_second_bought_begins_with_what_took_longest():
     told = bought(DONE.stages())
     assert told.startswith("14 s in all. Encoding took 6.0 s: the package, at the first attempt.")
     assert "Order of rows" not in told and "Calibration took 3.0 s: nothing" in told
-    assert f"good to {doubt_db(0.03):.1f} dB" in told
+    assert f"good to {uncertainty_db(0.03):.1f} dB" in told
     top = DONE.manifest.bytes_of(DONE.manifest.rung_files(0, 0)) / DONE.manifest.frames
     more = dataclasses.replace(DONE, saved=top / 3, cached=True, search_s=12.0, goal=Goal(PSNR, 40.0), repairs=("L1",))
     more = dataclasses.replace(more, trials=((1.0, 42.0), (1.3, 40.05), (1.2, 41.0)))
@@ -92,14 +92,10 @@ def test_what_each_second_bought_begins_with_what_took_longest():
     assert "3 trials" not in bought(colours.stages()) and advice(colours) == ""  # a factor alone does not give it again
 
 
-def test_a_claim_is_as_good_as_two_standard_errors():
-    assert doubt_db(0.0) == 0 and doubt_db(0.5) == pytest.approx(3.01, abs=0.01)
-
-
 def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():
     assert advice(DONE) == ""
     assert "Fewer --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0))
-    for unsure in (0.2, math.inf):  # infinite: of one picture
-        assert "more --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0, unsure=unsure))
-    assert doubt_words(math.inf) == "whose doubt is not known"
+    for uncertainty in (0.2, math.inf):  # infinite: of one picture
+        assert "more --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0, uncertainty=uncertainty))
+    assert certainty_words(math.inf).startswith("of a single picture")
     assert "--calibrate none" in advice(dataclasses.replace(DONE, calibrate_s=60.0))

@@ -15,8 +15,6 @@ from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_json, parse_root, read_region
 from airgs_codec.package.references import fault_of
 from airgs_codec.package.region import (
-    departure,
-    draw_places,
     draw_views,
     levelled,
     misread,
@@ -33,7 +31,7 @@ from airgs_codec.package.tables import Place, World
 from airgs_codec.scene.formats.form import Axes
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
-from tests.support.regions import place, region, region_json
+from tests.support.regions import is_inside, place, region, region_json
 
 ROW = region(place(-3.0), place(0.0), place(3.0, reach=1.5))
 AS_JSON = region_json(ROW)
@@ -65,7 +63,7 @@ def test_draws_lie_inside(seed, reach, turn, shift):
     r = region(far, turn=turn)
     for view in draw_views(r, 4, seed):
         assert np.isfinite(view.world_to_camera).all()
-        assert departure(r, view).inside
+        assert is_inside(r, view)
 
 
 def test_the_same_seed_draws_the_same_views_and_another_one_others():
@@ -79,9 +77,7 @@ def test_places_take_turns():
     for start in range(0, 12, 3):
         three = draw_views(ROW, 12, 5)[start : start + 3]
         assert sorted(round(view.position[0] / 3) for view in three) == [-1, 0, 1]
-    here = [round(view.position[0] / 3) for view in draw_views(ROW, 7, 5)]
-    assert [[-1, 0, 1][number] for number in draw_places(ROW, 7, 5)] == here
-    assert draw_views(ROW, 0, 5) == draw_places(ROW, 0, 5) == []
+    assert draw_views(ROW, 0, 5) == []
 
 
 def test_distances_are_even_directions_even_over_the_sphere_and_axes_even_over_the_disk():

@@ -5,7 +5,6 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.package.manifest import on_ladder
-from airgs_codec.package.region import place_view
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.report.answer import (
     ASKED,
@@ -19,15 +18,12 @@ from airgs_codec.play.report.answer import (
     beaten_words,
     find_stalls,
 )
-from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.report.study import study_answer
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import Study, StudySettings, _session_row
-from airgs_codec.play.trace import Trace
 from tests.play.test_session import link, play
 from tests.support.manifests import missing, tiny_manifest
-from tests.support.regions import arc
 
 TINY = tiny_manifest()  # its rungs take 50.4 to 18.4 kbit/s
 LOST = missing(*(TINY.state_files(1, level)[0] for level in range(3)))
@@ -125,15 +121,6 @@ def test_rungs_that_were_shown_are_not_called_unseen():
     told = answer(play(TINY, link([8e6]), "fixed:Q1+L2"))["useless"]
     unseen = told.split("Not shown")[1]
     assert "Q0+L0" in unseen and "Q1+L2" not in unseen
-
-
-def test_who_stays_in_the_region_is_not_blamed():
-    log = simulate(Offers(replace(TINY, region=arc(180, 7, 0.9)), 0, 1000), Trace.open("const:9"), "fixed:0")
-    viewer = Viewer.of(log)
-    assert "outside" not in answer(log, viewer)["wrong"]
-    place = log.offers.manifest.region.places[0]
-    away = Viewer.of(log, [place_view(log.offers.manifest.region, replace(place, position=[50.0, 0.0, 0.0]))])
-    assert ("outside the viewing region" in answer(log, away)["wrong"]) == (away.outside > 0) and away.outside
 
 
 def study(qoe, traces=8, feasible=True, rungs=("Q0+L0",)):

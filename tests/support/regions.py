@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.package.region import FORGIVEN_DEGREES, FORGIVEN_SHARE
 from airgs_codec.package.tables import Place, Region
+from airgs_codec.scene.camera import Camera
+from tests.makers.vectors.region import departure
 
 
 def place(x: float, *, reach: float = 0.5) -> Place:
@@ -38,6 +41,14 @@ def arc(degrees: float, count: int, reach: float, radius: float = 3.0) -> Region
 def row(count: int, reach: float) -> Region:
     """Places one unit apart that look the same way, at something ten units away."""
     return region(*[Place([float(i), 0.0, 0.0], [float(i), 0.0, 10.0], [0.0, 1.0, 0.0], reach) for i in range(count)])
+
+
+def is_inside(region: Region, camera: Camera) -> bool:
+    """Whether a camera is inside of a region, by the definition that the vectors of players are made by."""
+    places = [asdict(place) for place in region.places]
+    ahead = camera.world_to_camera[2, :3].tolist()
+    distance, degrees = departure(places, region.turn, camera.position.tolist(), ahead)
+    return distance <= FORGIVEN_SHARE * (1 + np.abs(camera.position).max()) and degrees <= FORGIVEN_DEGREES
 
 
 # For tests of what becomes of packages: two small pictures of a group decide, and nothing is left out for lack of more.

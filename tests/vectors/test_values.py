@@ -10,10 +10,8 @@ from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.sidecar import KeySidecar
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.region import departure, departures
-from airgs_codec.package.tables import Grid, KeySteps, Place, Region, StateSteps, unpack_matrix
+from airgs_codec.package.tables import Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.render.reference import sh_colours
-from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.gaussians import to_matrices
 from tests.support.vectors import assert_near, cases, float32, label
 
@@ -91,21 +89,3 @@ def test_colours_from_directions():
     for case in cases("shown", "colours"):
         directions, sh = (torch.tensor([case[name]], dtype=torch.float64) for name in ("direction", "coefficients"))
         np.testing.assert_allclose(sh_colours(directions, sh)[0], case["colour"], rtol=0, atol=case["tolerance"])
-
-
-@pytest.mark.parametrize("case", cases("region"), ids=label)
-def test_regions(case):
-    places = [Place(p["position"], p["focus"], p["up"], p["reach"]) for p in case["places"]]
-    region = Region("file", 32, 24, 50.0, 0.01, case["turn"], places)
-    cameras = [viewer_of(viewer) for viewer in case["viewers"]]
-    for viewer, camera, found in zip(case["viewers"], cameras, departures(region, cameras), strict=True):
-        assert found == departure(region, camera)
-        assert found.inside == viewer["inside"]
-        assert found.distance == pytest.approx(viewer["distance"], abs=1e-6)
-        assert found.degrees == pytest.approx(viewer["degrees"], abs=1e-3)
-
-
-def viewer_of(viewer):
-    """The camera of a viewer."""
-    position = np.array(viewer["position"])
-    return look_at(position, position + viewer["forward"], np.array([0.0, -1, 0]), size=8, fov_y=1.0, name="viewer")

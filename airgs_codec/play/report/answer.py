@@ -11,7 +11,6 @@ from airgs_codec._report import listed
 from airgs_codec.package.manifest import on_ladder, pooled_quality
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.policies.named import DEFAULT_POLICY
-from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.session import SessionLog, session_bound
 
 LOOK = "Look at the files: airgs-manifest validate names those that are broken."
@@ -79,12 +78,12 @@ def find_stalls(log: SessionLog) -> list[Stall]:
     return stalls
 
 
-def answer(log: SessionLog, viewer: Viewer | None = None) -> dict[str, str]:
+def answer(log: SessionLog) -> dict[str, str]:
     """What a session comes to in whole sentences, by what they tell."""
     stalls = find_stalls(log)
     return {
         "good": _good(log),
-        "wrong": " ".join(_wrong(log, stalls, viewer)) or "Nothing: the viewer never waited after the first picture.",
+        "wrong": " ".join(_wrong(log, stalls)) or "Nothing: the viewer never waited after the first picture.",
         "useless": _useless(rung_record(log)),
         "change": " ".join(_advice(log, stalls)) or "Nothing.",
     }
@@ -101,7 +100,7 @@ def _good(log: SessionLog) -> str:
     return f"The screen showed {r.psnr_mean:.1f} dB on average, {worst:.1f} in its worst tenth.{most} {start}"
 
 
-def _wrong(log: SessionLog, stalls: Sequence[Stall], viewer: Viewer | None) -> list[str]:
+def _wrong(log: SessionLog, stalls: Sequence[Stall]) -> list[str]:
     r, told = log.metrics, []
     if stalls:
         share, first_s = f"{100 * r.stall_ratio:.1f} % of the time", stalls[0].at_s
@@ -115,10 +114,6 @@ def _wrong(log: SessionLog, stalls: Sequence[Stall], viewer: Viewer | None) -> l
         told.append(f"{r.lost_frames} frames were lost.")
     if r.wasted > MUCH_WASTE:
         told.append(f"{100 * r.wasted:.0f} % of the bytes served nothing.")
-    if r.tiles is not None and r.tiles.missing_s > 0:
-        told.append(f"A tile in sight was lacking for {r.tiles.missing_s:.1f} s.")
-    if viewer is not None and viewer.outside:
-        told.append(f"The viewer was {viewer.words}: there the package promises nothing.")
     return told
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -15,69 +15,50 @@ from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.media.mp4 import SOUND_RATE
 from airgs_codec.package.package import Package
-from airgs_codec.play.downloader import Shown
+from airgs_codec.package.region import levelled
+from airgs_codec.package.viewpath import path_of_region
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
+from airgs_codec.scene.camera import resized
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
+
+MOST_PIXELS = 640  # of the longer side of a picture
+
+
+def walk(log: SessionLog) -> list[Camera]:
+    """The camera of every display tick of a session, on a walk by the places of the package's region."""
+    m = log.offers.manifest
+    times = np.arange(len(log.screen_ticks)) / log.offers.fps
+    views = path_of_region(levelled(m.region, m.world)).cameras(times)
+    return [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in views]
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
     """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
-    In a lost segment the last Gaussians stay; None before the first that could be shown. Where tiles were fetched by
-    view, there are those that had come by then; a scene whose tiles have no rows has no Gaussians.
+    In a lost segment the last Gaussians stay; None before the first that could be shown.
     """
-    shown_at = -1
-    parts: dict[tuple[int, ...], list[Gaussians]] = {}  # of the segment shown: rung and tiles -> frames
+    decoded_at = -1
+    frames: list[Gaussians] = []
     last: Gaussians | None = None
-    for tick, (entry, frame) in enumerate(log.screen_ticks):
+    for entry, frame in log.screen_ticks:
         s = log.shown[entry]
-        if entry != shown_at:
-            parts = {}
-        shown_at = entry
         if s.rung is not None:
-            found = [_frames(package, log, entry, part, parts)[frame] for part in _parts(log, tick, entry)]
-            last = _joined(found, package.manifest.sh_degree)
+            if entry != decoded_at:
+                decoded_at, frames = entry, _segment(package, s.segment, log.offers.rungs[s.rung])
+            last = frames[frame]
         yield last, entry
 
 
-def _parts(log: SessionLog, tick: int, entry: int) -> list[tuple[int, ...]]:
-    """Return what is on the screen at a display tick: rungs, each with the tiles in it; without tiles: all."""
-    if log.tiles is None:
-        return [(log.shown[entry].rung or 0,)]
-    there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
-    return [(rung, *sorted(t for t in there if there[t] == rung)) for rung in sorted(set(there.values()))]
-
-
-def _joined(parts: Sequence[Gaussians], degree: int) -> Gaussians:
-    """All rows of a picture; no parts are no rows."""
-    if parts:
-        return parts[0] if len(parts) == 1 else join_rows(parts)
-    shapes = ((0, 3), (0, 4), (0, 3), (0,), (0, 3), (0, SH_REST[degree], 3))
-    return Gaussians(*(np.zeros(shape, np.float32) for shape in shapes))
-
-
-def _frames(
-    package: Package, log: SessionLog, entry: int, part: tuple[int, ...], known: dict[tuple[int, ...], list[Gaussians]]
-) -> list[Gaussians]:
-    if part not in known:
-        rung, *tiles = part
-        known[part] = _segment(package, log.shown[entry].segment, log.offers.rungs[rung], tiles or None)
-    return known[part]
-
-
-def _segment(
-    package: Package, index: int, rung: tuple[int, int], tiles: Sequence[int] | None = None
-) -> list[Gaussians]:
+def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussians]:
     m, (quality, level) = package.manifest, rung
     segment = m.segments[index]
-    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers, tiles)
-    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start), tiles))
+    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
+    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
 def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
@@ -93,18 +74,18 @@ def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], s
 def film(
     package: Package,
     log: SessionLog,
-    viewer: Viewer,
     path: Path,
     original: GaussianSequence | None = None,
     progress: Progress = silent,
+    renderer: Renderer = CPU,
 ) -> None:
-    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting, and by how
-    much he was outside of the region; beside it the same moment of the original, or of the best rung where there is no
-    `original`. It has the sound of the package; while the viewer waits, it is silent.
+    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting; beside it
+    the same moment of the original, or of the best rung where there is no `original`. It has the sound of the package;
+    while the viewer waits, it is silent.
 
     Raises CodecError.
     """
-    pictures = _pictures(package, log, viewer, original, progress)
+    pictures = _pictures(package, log, original, progress, renderer)
     write_movie(path, pictures, log.offers.manifest.fps, sound_of(package, log))
 
 
@@ -136,25 +117,25 @@ def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
 def _pictures(
     package: Package,
     log: SessionLog,
-    viewer: Viewer,
     original: GaussianSequence | None,
     progress: Progress,
+    renderer: Renderer,
 ) -> Iterator[NDArray[np.uint8]]:
-    c, ticks, draw = log.offers, log.screen_ticks, viewer.renderer.render
+    c, ticks, cameras, draw = log.offers, log.screen_ticks, walk(log), renderer.render
     best: dict[int, tuple[list[Gaussians], str]] = {}
     beside: Gaussians | None
     seen = [0] * len(log.shown)
     at = log.shown[0].start_s
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
         progress("rendering the screen", tick, len(ticks))
-        s, frame, camera = log.shown[entry], ticks[tick][1], viewer.cameras[tick]
+        s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
         waits = seen[entry] == s.frames
         seen[entry] += not waits
         picture = _black(camera) if gaussians is None else to_bytes(draw(gaussians, camera).rgb)
         words = "lost" if s.rung is None else c.names[s.rung]
         picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
-        for line, text in enumerate(filter(None, ["waiting for data" * waits, viewer.caption(tick)]), 1):
-            picture = label(picture, text, line)
+        if waits:
+            picture = label(picture, "waiting for data", 1)
         picture = buffer_bar(picture, buffered_s(log, at), log.settings.buffer_s, waits)
         if original is not None:
             beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
@@ -185,28 +166,6 @@ def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: 
     out[-thick:] = (150, 40, 30) if waits else (60, 60, 60)
     out[-thick:, :filled] = (70, 170, 95)
     return out
-
-
-def still(package: Package, log: SessionLog, camera: Camera, renderer: Renderer = CPU) -> NDArray[np.uint8]:
-    """(H, W, 3) the worst segment shown, as it was when it began: at the package's best rung, and as it was shown."""
-    c = log.offers
-    entries = [entry for entry, s in enumerate(log.shown) if s.rung is not None]
-    if not entries:
-        return label(_black(camera), "nothing could be shown")
-    entry = min(entries, key=lambda e: _goodness(log.shown[e]))
-    worst = log.shown[entry]
-    tick = next(tick for tick, (at, _) in enumerate(log.screen_ticks) if at == entry)
-    parts = [_frames(package, log, entry, part, {})[0] for part in _parts(log, tick, entry)]
-    text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
-    frames, best = _best(package, c, worst.segment)
-    beside = label(to_bytes(renderer.render(frames[0], camera).rgb) if frames else _black(camera), best)
-    seen = to_bytes(renderer.render(_joined(parts, package.manifest.sh_degree), camera).rgb)
-    return np.concatenate([beside, label(seen, text)], axis=1)
-
-
-def _goodness(shown: Shown) -> float:
-    """Quality in dB, or where it was not measured less for a later rung."""
-    return shown.psnr if shown.psnr is not None else -(shown.rung or 0)
 
 
 def _black(camera: Camera) -> NDArray[np.uint8]:

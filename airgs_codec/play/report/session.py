@@ -9,70 +9,46 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from airgs_codec._report import BLUE, GREEN, GREY, ORANGE, RED, Page, Picture, html_table, report_folder
-from airgs_codec.media.image import write_png
+from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, Picture, html_table, report_folder
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
-from airgs_codec.play.playout import TileFigures
 from airgs_codec.play.report.answer import answer, rung_record
-from airgs_codec.play.report.map import Viewer, draw_walk
 from airgs_codec.play.session import SessionLog, session_bound
 
 MOST_LINES = 10  # of what went wrong
 LEAST_DB = 2.0  # of an axis: less is not seen
 
 
-def write_report(
-    log: SessionLog, directory: Path, viewer: Viewer | None = None, screen: NDArray[np.uint8] | None = None
-) -> Path:
-    """Write index.html with its pictures, and session.json, into `directory`; gives the page.
-
-    `screen`: (H, 2 W, 3) what was seen, beside the best rung. Raises ConfigError.
-    """
+def write_report(log: SessionLog, directory: Path) -> Path:
+    """Write index.html and session.json into `directory`; gives the page. Raises ConfigError."""
     with report_folder(directory):
         record = {
             "metrics": log.metrics.as_dict(),
-            "answer": answer(log, viewer),
-            **place_record(log, viewer),
+            "answer": answer(log),
+            "region": region_record(log),
             "rungs": rung_record(log),
             "meanings": meanings(FIGURES),
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
         write_json(directory / "session.json", record)
-        if screen is not None:
-            write_png(directory / "screen.png", screen)
-        page = Page(
-            f"A session of {log.policy}", answer(log, viewer), _pictures(log, viewer, screen), _more(log, viewer)
-        )
+        page = Page(f"A session of {log.policy}", answer(log), _pictures(log), _more(log))
         return page.write(directory / "index.html")
 
 
-def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
-    """The viewing region, and how the viewer stayed in it (None: there was no walk), as plain values."""
-    region = dataclasses.asdict(RegionSummary.of(log.offers.manifest.region))
-    return {"region": region, "viewer": viewer.table() if viewer else None}
+def region_record(log: SessionLog) -> dict[str, Any]:
+    """The viewing region as plain values."""
+    return dataclasses.asdict(RegionSummary.of(log.offers.manifest.region))
 
 
-def _pictures(log: SessionLog, viewer: Viewer | None, screen: NDArray[np.uint8] | None) -> list[Picture]:
-    """What was seen, the link, the quality; and tiles, or a walk that left the region."""
+def _pictures(log: SessionLog) -> list[Picture]:
+    """The link and the quality."""
     rates = "The link and what was asked of it; red: the viewer waits."
     shown = "PSNR on the screen over time; red: the viewer waits."
-    pictures = [Picture(rates, partial(_rates, log)), Picture(shown, partial(_psnr, log))]
-    if screen is not None:
-        words = "The worst segment that was shown: at the package's best rung, and as it was seen."
-        pictures.insert(0, Picture(words, name="screen.png", panels=2, shape=screen.shape))
-    if log.tiles is not None:
-        words = "When each tile could be shown; orange: it came late, red: lacking in sight."
-        pictures.append(Picture(words, partial(plot_tiles, log)))
-    elif viewer is not None and viewer.outside:
-        words = "The viewing region from above, in world units; red: where the walk left it."
-        pictures.append(Picture(words, partial(draw_walk, viewer)))
-    return pictures
+    return [Picture(rates, partial(_rates, log)), Picture(shown, partial(_psnr, log))]
 
 
 def _over_time(axis: Any, log: SessionLog, name: str) -> None:
@@ -119,41 +95,9 @@ def _psnr(log: SessionLog, axis: Any) -> None:
     _over_time(axis, log, "dB")
 
 
-def plot_tiles(log: SessionLog, axis: Any) -> None:
-    """A row for every tile: when it could be shown, from when it came late, and when it was lacking in sight."""
-    assert log.tiles is not None, "only of a session in which tiles were fetched by view"
-    fps, count = log.offers.fps, log.offers.manifest.tiles
-    for position, entry in enumerate(log.shown):
-        end_s = entry.start_s + entry.frames / fps
-        for event in log.tiles.came(position):
-            from_s, late = max(entry.start_s, event.ready_s), event.ready_s > entry.start_s
-            if from_s < end_s:
-                axis.plot([from_s, end_s], [event.tile] * 2, color=ORANGE if late else GREEN, linewidth=4)
-    ticks, tiles = np.nonzero(log.tiles.missing)
-    axis.plot(log.tiles.tick_times[ticks], tiles, "|", color=RED, ms=6)
-    axis.set_yticks(range(count), [str(tile + 1) for tile in range(count)], fontsize=8)
-    _over_time(axis, log, "tile")
-    axis.set_ylim(count - 0.5, -0.5)
-
-
-def tile_words(figures: TileFigures) -> str:
-    """Return what was fetched and what was lacking."""
-    sizes = ", ".join(f"{size / 1e3:.0f}" for size in figures.bytes)
-    return (
-        f"{100 * figures.fetched:.0f} % fetched, {figures.late} after their segment had begun; "
-        f"one in sight was lacking for {figures.missing_s:.2f} s; kB of each: {sizes}"
-    )
-
-
-def format_metrics(log: SessionLog, viewer: Viewer | None = None) -> str:
+def format_metrics(log: SessionLog) -> str:
     """The figures as lines of text."""
-    return "\n".join(f"{name:<22}{value}" for name, value in [*_readable(log), *_place_rows(log, viewer)])
-
-
-def _place_rows(log: SessionLog, viewer: Viewer | None) -> list[tuple[str, str]]:
-    region = RegionSummary.of(log.offers.manifest.region)
-    rows = [("viewing region", region.words), ("views", region.views)]
-    return rows + ([("viewer", viewer.words)] if viewer else [])
+    return "\n".join(f"{name:<22}{value}" for name, value in _readable(log))
 
 
 def _readable(log: SessionLog) -> list[tuple[str, str]]:
@@ -187,13 +131,12 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
     if bound is not None:
         regret = f"regret {bound - log.mean_quality:.2f} dB"
         rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
-    if log.metrics.tiles is not None:
-        rows.append(("tiles", tile_words(log.metrics.tiles)))
     if log.lost:
         rows.append(("lost", f"{r['lost_frames']} frames; {some(log.lost)}"))
     if log.retried:
         rows.append(("asked for again", f"{len(log.retried)} files; {some(log.retried)}"))
-    return rows
+    region = RegionSummary.of(log.offers.manifest.region)
+    return [*rows, ("viewing region", region.words), ("views", region.views)]
 
 
 def _gaussian_words(log: SessionLog) -> str:
@@ -221,7 +164,7 @@ def _startup_words(m: SessionMetrics) -> str:
     return f"{m.startup_s:.3f} s: {m.startup_requests} requests, {m.startup_bytes / 1e3:.1f} kB, {tables}"
 
 
-def _more(log: SessionLog, viewer: Viewer | None) -> dict[str, str]:
+def _more(log: SessionLog) -> dict[str, str]:
     """All figures, and what the package says of its rungs, as HTML."""
     rungs = [
         (
@@ -235,6 +178,6 @@ def _more(log: SessionLog, viewer: Viewer | None) -> dict[str, str]:
     ]
     head = ("rung, best first", "PSNR", "worst picture", "Mbit/s", "segments shown", "worth its bytes")
     return {
-        "All figures": html_table([*_readable(log), *_place_rows(log, viewer)]),
+        "All figures": html_table(_readable(log)),
         "What the package claims of its rungs": html_table(rungs, head),
     }

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.errors import SceneError
 from airgs_codec.media.image import fit_lens, read_mask, undistort, write_png
 from airgs_codec.media.masks import cut_out, distorted, filled, learn_colours, unlike_background, write_mask
 from airgs_codec.render import render
@@ -14,7 +14,7 @@ from airgs_codec.trainer.data.foreground import Found, find_masks, with_found_ma
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.plates import Masks
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.pipeline import open_run, train_part
+from airgs_codec.trainer.pipeline import open_run
 from tests.support.multiview_files import write_views
 from tests.support.training import SETTINGS
 from tests.support.views import coloured_cloud, moved, ring
@@ -159,11 +159,6 @@ def test_a_run_trains_the_subject_alone_and_goes_on_with_its_masks(scene, masked
     assert (tmp_path / "m" / "masks").is_dir()
     run.model.discard()
     assert not (tmp_path / "m").exists()
-
-
-def test_parts_of_a_run_do_not_find_masks(scene, tmp_path):
-    with pytest.raises(ConfigError, match="--part: expected masks beside the pictures"):
-        train_part(scene, AUTO, "cpu", None)
 
 
 def test_a_cut_follows_colours_and_keeps_what_is_sure():

@@ -1,4 +1,4 @@
-// Camera paths: read, and what lies between keyframes; tests/scene/test_keyframes.py is the same in Python.
+// Camera paths: read, and what lies between keyframes.
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { CameraPath, readCameraPath } from "../../src/play/keyframes.ts";
