@@ -23,6 +23,7 @@ from airgs_codec.cli.common import (
     expect_rate,
     expect_report,
     fraction,
+    open_frames,
     report,
     views,
 )
@@ -51,7 +52,6 @@ from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render import read_cameras
 from airgs_codec.render.backend import open_renderer
-from airgs_codec.scene.sequence import open_sequence
 
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
 COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
@@ -201,7 +201,7 @@ def _view(m: Manifest, options: Play) -> View | None:
 
 def _present(package: Package, log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
-    original = open_sequence(options.original, **options.clip.baking()) if options.original else None
+    original = open_frames(options.original, quiet=options.json, **options.clip.baking()) if options.original else None
     viewer = _viewer(log, options) if options.report or options.video else None
     if options.report and viewer:
         write_report(log, options.report, viewer, still(package, log, viewer.cameras[0], viewer.renderer))
