@@ -21,7 +21,7 @@ COMMAND = [sys.executable, "-c", "import sys; from airgs_codec.cli.serve import 
 
 @pytest.mark.parametrize(
     ("options", "number"),
-    [([], signal.SIGINT), (["--trace", "const:100", "--rtt", "1", "--access-log"], signal.SIGTERM)],
+    [([], signal.SIGINT), (["--access-log"], signal.SIGTERM)],
 )
 def test_it_serves_until_it_is_told_to_stop(options, number):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
@@ -62,9 +62,6 @@ def test_what_cannot_be_served_is_one_line_and_status_2(tmp_path, capsys):
             [package, "--port", str(taken.getsockname()[1])],
             [package, "--port", "65536"],
             [package, "--host", "no.such.host.invalid"],
-            [package, "--trace", str(tmp_path / "nothing.csv")],
-            [package, "--rtt", "-1"],
-            [package, "--rtt", "nan"],
             [package, "--certificate", "chain.pem"],
             [package, "--certificate", "chain.pem", "--key", "key.pem"],
         ]
