@@ -16,8 +16,7 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
-from airgs_codec.serve.app import make_app
-from airgs_codec.serve.files import PackageFiles
+from airgs_codec.serve.app import Packages, make_app
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
 from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
 from airgs_codec.serve.server import serve as serve_app
@@ -48,13 +47,13 @@ def main(argv: Sequence[str] | None = None) -> int:
 @takes(Serve)
 def serve(options: Serve) -> int:
     """Serve packages over HTTP, each below its name."""
-    files = PackageFiles(list(options.packages))
+    packages = Packages(list(options.packages))
     certificate = _certificate(options)
     settings = ServerSettings(certificate, access_log=_access_log() if options.access_log else None)
     listening = listen(options.host, options.port, settings.patience_s)
     _allow_connections()
-    say(_greeting(files, listening, "https" if certificate else "http"))
-    asyncio.run(_serve_until_signal(files, listening, settings))
+    say(_greeting(packages, listening, "https" if certificate else "http"))
+    asyncio.run(_serve_until_signal(packages, listening, settings))
     say("stopped")
     return 0
 
@@ -65,11 +64,11 @@ def _allow_connections() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
-async def _serve_until_signal(files: PackageFiles, listening: socket.socket, settings: ServerSettings) -> None:
+async def _serve_until_signal(packages: Packages, listening: socket.socket, settings: ServerSettings) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    await serve_app(make_app(files), listening, settings, stop)
+    await serve_app(make_app(packages), listening, settings, stop)
 
 
 def _certificate(options: Serve) -> Certificate | None:
@@ -99,10 +98,10 @@ class _Printable(logging.Formatter):
         return "".join(c if c.isprintable() else "?" for c in super().format(record))
 
 
-def _greeting(files: PackageFiles, listening: socket.socket, scheme: str) -> str:
+def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:
     """Where the server and the packages are, then what to open in a browser."""
     host, port = listening.getsockname()[:2]
-    names = sorted(files.packages)
+    names = sorted(packages.now())
     address = _address(scheme, host, port)
     local = _address(scheme, "localhost" if host in ANY_HOST else host, port)
     if not names:
