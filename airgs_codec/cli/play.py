@@ -35,8 +35,7 @@ from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.package.region import before_background
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
-from airgs_codec.play.http import HttpDownloader, fetch_beside
-from airgs_codec.play.http_files import HttpSettings
+from airgs_codec.play.http import HttpDownloader, HttpSettings, fetch_beside
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still

@@ -27,8 +27,8 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, POSTER_NAME, ROOTS
+from airgs_codec.package.package import REPR_DIGEST, repr_digest
 from airgs_codec.package.tables import shorten
-from airgs_codec.play.repr_digest import REPR_DIGEST, repr_value
 from airgs_codec.serve import pages
 from airgs_codec.serve.cards import list_page
 from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, player_address
@@ -243,7 +243,7 @@ def _answer(request: Request, folder: Path, path: str, kind: str) -> Response | 
     if zipped:
         response.headers["Content-Encoding"] = "gzip"
     if not lasting:  # no table says what its bytes are
-        response.headers[REPR_DIGEST] = repr_value(hashlib.sha256(bytes(response.body)).digest())
+        response.headers[REPR_DIGEST] = repr_digest(bytes(response.body))
     if kind == "text/html":
         response.headers[POLICY] = content_policy(data.decode())
     return response

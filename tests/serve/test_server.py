@@ -15,11 +15,10 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.package import check_repr_digest
 from airgs_codec.package.tables import digest
 from airgs_codec.places.whole import write_bytes
-from airgs_codec.play.http import HttpDownloader
-from airgs_codec.play.http_files import HttpSettings
-from airgs_codec.play.repr_digest import check_repr_digest
+from airgs_codec.play.http import HttpDownloader, HttpSettings
 from airgs_codec.play.session import play
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.serve.app import media_type

@@ -151,7 +151,7 @@ export const DECAY_S = 0.5;
 export const CORNERS = 6;
 export const SMALL_TURN = 1e-06;
 
-// airgs_codec.play.http_files
+// airgs_codec.play.http
 export const BUSY: readonly number[] = [429, 502, 503, 504];
 export const GARBLED = ["size_mismatch", "hash_mismatch", "not_json"] as const;
 export const LONGEST_PAUSE_S = 4.0;
