@@ -108,7 +108,7 @@ class Encode:
         None, "a file whose sound goes with the frames (default: the clip's own)", metavar="FILE", topic="output"
     )
     attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
-    report: Path | None = report("a page with what came out beside what was given, and who did which job")
+    report: Path | None = report("a page with what came out beside what was given")
     verbose: bool = setting(False, "print all tables, as airgs-manifest inspect does", topic="output")
     json: bool = as_json()
 
