@@ -30,8 +30,7 @@ from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, POSTER
 from airgs_codec.package.package import REPR_DIGEST, repr_digest
 from airgs_codec.package.tables import shorten
 from airgs_codec.serve import pages
-from airgs_codec.serve.cards import list_page
-from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, player_address
+from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, list_page, player_address
 
 LASTING = "public, max-age=31536000, immutable"
 CHECKED = "no-cache"  # may be stored, but is asked for again each time
