@@ -68,7 +68,7 @@ class Place(ABC):
 
     @abstractmethod
     def delete(self, paths: Iterable[str]) -> None:
-        """Delete files. Raises OSError."""
+        """Delete files that are there. Raises OSError."""
 
     def read(self, path: str) -> bytes | None:
         """Return the bytes of a file; None where there is none. Raises what `open` does."""
@@ -76,11 +76,9 @@ class Place(ABC):
         return None if found is None else found[1]()
 
     def exists(self, path: str) -> bool:
-        """Return whether there is such a file."""
         return self.open(path) is not None
 
     def paths(self) -> list[str]:
-        """Return all paths, sorted."""
         return sorted(self.sizes())
 
 
@@ -93,11 +91,9 @@ class Folder(Place):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """The folder."""
         return str(self.path)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
         file = self._file(path)
         try:
             found = os.lstat(file)
@@ -108,18 +104,16 @@ class Folder(Place):
         return (found.st_size, file.read_bytes) if stat.S_ISREG(found.st_mode) else None
 
     def sizes(self) -> dict[str, int]:
-        """See `Place.sizes`; links count as files."""
-        entries = (p for p in self.path.rglob("*") if p.is_symlink() or not p.is_dir())
+        entries = (p for p in self.path.rglob("*") if p.is_symlink() or not p.is_dir())  # links count as files
         return {p.relative_to(self.path).as_posix(): p.lstat().st_size for p in entries}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`. Raises FormatError (unsafe_path) below a link."""
+        """Also raises FormatError (unsafe_path) below a link."""
         file = self._file(path)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(file, data, self.lasting)
 
     def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
         for path in paths:
             self._file(path).unlink(missing_ok=True)
 
@@ -141,20 +135,16 @@ class Memory(Place):
     files: dict[str, bytes] = field(default_factory=dict)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
         data = self.files.get(path)
         return None if data is None else (len(data), lambda: data)
 
     def sizes(self) -> dict[str, int]:
-        """See `Place.sizes`."""
         return {path: len(data) for path, data in self.files.items()}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`."""
         self.files[path] = bytes(data)
 
     def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
         for path in list(paths):
             self.files.pop(path, None)
 
@@ -163,7 +153,6 @@ class Bucket(Place):
     """The objects below one prefix of an object store, or the files below an address of a web server."""
 
     def __init__(self, name: str, objects: ObjectStore) -> None:
-        """`name`: the address, for messages."""
         self.name = name
         self._objects = objects
 
@@ -171,7 +160,6 @@ class Bucket(Place):
         return _reopened, (self.name,)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
         with self._told(path):
             found = self._get(path)
         if found is None:
@@ -201,7 +189,6 @@ class Bucket(Place):
             return {meta["path"]: meta["size"] for some in listed for meta in some if meta["path"]}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`."""
         with self._told(path):
             self._objects.put(path, data, attributes=dict(headers))
 
@@ -211,7 +198,6 @@ class Bucket(Place):
             self._objects.copy(source, target)
 
     def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
         with self._told():
             if gone := sorted(paths):
                 self._objects.delete(gone)
