@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 import resource
 import signal
 import socket
@@ -36,7 +35,6 @@ class Serve:
         None, "certificate with its chain, for https with HTTP/2; needs --key", metavar="PEM"
     )
     key: Path | None = setting(None, "key of the certificate", metavar="PEM")
-    access_log: bool = setting(False, "a line on stderr for every request, in Apache's combined log format")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -49,7 +47,7 @@ def serve(options: Serve) -> int:
     """Serve packages over HTTP, each below its name."""
     packages = Packages(list(options.packages))
     certificate = _certificate(options)
-    settings = ServerSettings(certificate, access_log=_access_log() if options.access_log else None)
+    settings = ServerSettings(certificate)
     listening = listen(options.host, options.port, settings.patience_s)
     _allow_connections()
     say(_greeting(packages, listening, "https" if certificate else "http"))
@@ -79,23 +77,6 @@ def _certificate(options: Serve) -> Certificate | None:
     certificate = Certificate(options.certificate, options.key)
     check_certificate(certificate)
     return certificate
-
-
-def _access_log() -> logging.Logger:
-    log = logging.getLogger("airgs_codec.serve.access")
-    log.setLevel(logging.INFO)
-    log.propagate = False
-    handler = logging.StreamHandler()
-    handler.setFormatter(_Printable())
-    log.handlers = [handler]
-    return log
-
-
-class _Printable(logging.Formatter):
-    """One line a record: what a client sent cannot break it, or speak to the terminal."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return "".join(c if c.isprintable() else "?" for c in super().format(record))
 
 
 def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:

@@ -23,7 +23,6 @@ PATIENCE_S = 20.0
 BACKLOG = 1024  # connections that wait to be taken
 SILENCE = 6  # times the patience without a word from a client end its connection, even while it takes an answer
 CONNECTION_REQUESTS = 1_000_000  # a viewer's connection lives as long as a sequence
-LOG_FORMAT = '%(h)s - - %(t)s "%(m)s %(Uq)s HTTP/%(H)s" %(s)s %(b)s "%(f)s" "%(a)s"'  # Apache's combined log
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,7 +40,6 @@ class ServerSettings:
     certificate: Certificate | None = None  # for https and HTTP/2 in browsers
     patience_s: float = PATIENCE_S  # for the headers of a request, and for the next request
     grace_s: float = 3.0  # for answers under way when the server stops
-    access_log: logging.Logger | None = None
 
 
 def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socket:
@@ -97,7 +95,6 @@ def _config(listening: socket.socket, settings: ServerSettings) -> Config:
     config.graceful_timeout = settings.grace_s
     config.include_server_header = False
     config.errorlog = logging.getLogger("airgs_codec.serve")
-    config.accesslog, config.access_log_format = settings.access_log, LOG_FORMAT
     if settings.certificate:
         config.certfile, config.keyfile = os.fspath(settings.certificate.chain), os.fspath(settings.certificate.key)
         config.ssl_handshake_timeout = settings.patience_s
