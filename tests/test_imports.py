@@ -41,7 +41,7 @@ MAY_IMPORT = {
     "matplotlib": {"_report.py"},
     "dask": {"jobs/dask_engine.py"},
     "distributed": {"jobs/dask_engine.py"},
-    "aiohttp": {"play/http_files.py"},
+    "aiohttp": {"play/http.py"},
     "hypercorn": {"serve/server.py"},
     "obstore": {"places/place.py"},
     "starlette": {"serve/app.py", "serve/server.py"},

@@ -11,8 +11,6 @@ from airgs_codec._report import Page, Picture, html_table, listed, new_figure, p
 from airgs_codec.cli.manifest import main as manifest_main
 from airgs_codec.cli.play import main as play_main
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.job import Record
-from airgs_codec.jobs.report import jobs_answer
 from tests.support.paths import VALID
 
 MOVING = str(VALID / "moving")
@@ -130,16 +128,3 @@ def test_panels_beside_each_other_are_shown_one_by_one():
 def test_long_lists_of_names_are_cut():
     assert listed(["a"]) == "a" and listed(["a", "b"]) == "a and b" and listed(["a", "b", "c"]) == "a, b and c"
     assert listed(list("abcdefg")) == "a, b, c, d, e and 2 more"
-
-
-def test_jobs_say_whether_workers_were_idle():
-    def ran(worker, begun, seconds, kind="keys"):
-        return Record(kind, "", worker, begun, seconds, 10)
-
-    busy, idle = (
-        jobs_answer([ran("a", 0.0, 9.0), ran("b", 0.0, 9.0)]),
-        jobs_answer([ran("a", 0.0, 9.0), ran("b", 9.0, 1.0)]),
-    )
-    assert "busy 100 % of the time" in busy["good"].replace("100%", "100 %") and not busy["change"]
-    assert "50%" in idle["good"] and "keys took most" in idle["good"]
-    assert "Fewer workers" in jobs_answer([ran("a", 0.0, 9.0), ran("b", 0.0, 0.1), ran("c", 0.0, 0.1)])["change"]

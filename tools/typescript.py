@@ -20,7 +20,7 @@ import numpy as np
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
 from airgs_codec.package import layout, parse, references, region, tables
-from airgs_codec.play import buffered, downloader, fetcher, http_files, ladder, offers, player
+from airgs_codec.play import buffered, downloader, fetcher, http, ladder, offers, player
 from airgs_codec.play.policies import mpc, named, state
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
@@ -85,7 +85,7 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
 
 
 def _of_players() -> dict[ModuleType, dict[str, Any]]:
-    settings, patience = SessionSettings(), http_files.HttpSettings()
+    settings, patience = SessionSettings(), http.HttpSettings()
     return {
         named: _same(named, "DEFAULT_POLICY") | {"POLICY_NAMES": list(named.ADAPTIVE)},
         state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
@@ -97,7 +97,7 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
         player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S")
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}},
-        http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
+        http: _same(http, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},
     }
 

@@ -7,7 +7,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
+from airgs_codec.cli.terminal import Bar, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.beside import MAX_FPS, exact_number
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from airgs_codec.jobs.work import Work
     from airgs_codec.package.tables import World
     from airgs_codec.progress import Progress
+    from airgs_codec.scene.sequence import GaussianSequence
 
 
 def expect_rate(option: str, fps: Fraction | None) -> None:
@@ -227,6 +229,20 @@ class WorkOptions:
         from airgs_codec.jobs.dask_engine import DaskEngine
 
         return DaskEngine.at(found[1]) if found[1] else DaskEngine.local(self.jobs)
+
+
+def open_frames(place: str, *, quiet: bool = False, **how: Any) -> GaussianSequence:
+    """Return the sequence at a place; copying it from an address shows a bar, and a line of what was copied.
+
+    `how`: arguments of `open_sequence`, which says what is raised.
+    """
+    from airgs_codec.scene.sequence import open_sequence
+
+    with closing(Bar(quiet)) as bar:
+        sequence = open_sequence(place, progress=bar, **how)
+    if sequence.copied and not quiet:
+        warn(str(sequence.copied))
+    return sequence
 
 
 def expect_report(folder: Path | None) -> None:

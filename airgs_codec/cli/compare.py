@@ -10,7 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, frames, package, parse_range, views
+from airgs_codec.cli.common import (
+    PACKAGE,
+    BakingOptions,
+    as_json,
+    expect_folder,
+    frames,
+    open_frames,
+    package,
+    parse_range,
+    views,
+)
 from airgs_codec.cli.options import nested, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
@@ -47,7 +57,7 @@ from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.camera import UP, orbit_views
 from airgs_codec.scene.formats.table import is_clip
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.scene.sequence import GaussianSequence
 
 EVERY = "only every N-th of the frames"
 
@@ -143,7 +153,8 @@ class Rungs:
 @takes(Rungs)
 def rungs(options: Rungs) -> int:
     """Measure PSNR, SSIM and CIEDE2000 of every rung against the original."""
-    package, original = open_package(options.package), open_sequence(options.original, **options.clip.baking())
+    package = open_package(options.package)
+    original = open_frames(options.original, quiet=options.json, **options.clip.baking())
     if len(original) != package.manifest.frames:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
     _expect_least(every=(options.every, 1), draws=(options.draws, 0), seed=(options.seed, 0))

@@ -22,6 +22,7 @@ from airgs_codec.cli.common import (
     expect_report,
     expect_room,
     frame_rate,
+    open_frames,
     report,
     views,
 )
@@ -106,7 +107,7 @@ class Encode:
         None, "a file whose sound goes with the frames (default: the clip's own)", metavar="FILE", topic="output"
     )
     attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
-    report: Path | None = report("a page with what came out beside what was given, and who did which job")
+    report: Path | None = report("a page with what came out beside what was given")
     verbose: bool = setting(False, "print all tables, as airgs-manifest inspect does", topic="output")
     json: bool = as_json()
 
@@ -129,7 +130,7 @@ def encode(options: Encode) -> int:
     if sequence.clip and not options.json:
         say(f"clip: {options.scene}: {sequence.clip.note}")
     goal = _goal(options, sequence)
-    cameras = sequence.files.name_of(sequence.cameras_path) if sequence.cameras_path else None
+    cameras = sequence.name_of(sequence.cameras_path) if sequence.cameras_path else None
     if cameras and not options.json:
         held_out = sum(camera.held_out for camera in sequence.cameras)
         say(f"cameras: {cameras}, {len(sequence.cameras)} of them, {held_out} held out")
@@ -193,7 +194,8 @@ def _open(options: Encode) -> GaussianSequence:
     """The sequence that is encoded, trained where pictures were given."""
     folder = Path(options.scene)
     if is_address(options.scene) or not is_multiview(folder):
-        return open_sequence(options.scene, views=options.views, fps=options.fps, **options.clip.baking())
+        baking = options.clip.baking()
+        return open_frames(options.scene, quiet=options.json, views=options.views, fps=options.fps, **baking)
     if options.settings.get("track"):
         raise ConfigError(f"{options.scene}: expected frames for --track, got multi-view pictures, trained as one")
     if options.clip.given():

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, package
+from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, open_frames, package
 from airgs_codec.cli.options import App, expect_one, make_app, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.package.package import open_package
@@ -76,9 +76,8 @@ def validate(options: Validate) -> int:
     """Check every rule of the format: status 0, or 1 with one line a finding."""
     from airgs_codec.inspect import validate as check
     from airgs_codec.inspect.errors import format_errors, measure_errors
-    from airgs_codec.scene.sequence import open_sequence
 
-    against = open_sequence(options.against, **options.clip.baking()) if options.against else None
+    against = open_frames(options.against, quiet=options.json, **options.clip.baking()) if options.against else None
     findings, measured = check.validate(options.package), []
     if not findings and against is not None:
         measured = list(measure_errors(open_package(options.package), against))

@@ -18,6 +18,7 @@ from airgs_codec.cli.common import (
     device,
     expect_folder,
     expect_report,
+    open_frames,
     report,
 )
 from airgs_codec.cli.options import nested, run_program, takes
@@ -26,8 +27,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
-from airgs_codec.play.http import HttpDownloader, fetch_beside
-from airgs_codec.play.http_files import HttpSettings
+from airgs_codec.play.http import HttpDownloader, HttpSettings, fetch_beside
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film
@@ -39,7 +39,6 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
-from airgs_codec.scene.sequence import open_sequence
 
 PAPER = ("paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff")
 COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
@@ -136,7 +135,7 @@ def _settings(package: Package | None, options: Play) -> SessionSettings:
 
 def _present(package: Package, log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
-    original = open_sequence(options.original, **options.clip.baking()) if options.original else None
+    original = open_frames(options.original, quiet=options.json, **options.clip.baking()) if options.original else None
     if options.report:
         write_report(log, options.report)
     if options.video:

@@ -1,9 +1,8 @@
-"""airgs-serve: packages over HTTP, at full speed or over a shaped link."""
+"""airgs-serve: packages over HTTP."""
 
 from __future__ import annotations
 
 import asyncio
-import logging
 import resource
 import signal
 import socket
@@ -16,11 +15,9 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.trace import Link, Trace
-from airgs_codec.serve.app import make_app
-from airgs_codec.serve.files import PackageFiles
+from airgs_codec.serve.app import Packages, make_app
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
-from airgs_codec.serve.server import Certificate, ServerSettings, Shape, check_certificate, listen
+from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
 from airgs_codec.serve.server import serve as serve_app
 
 PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
@@ -34,15 +31,10 @@ class Serve:
     packages: tuple[Path, ...] = required(PACKAGES, metavar="PACKAGE")
     host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")
     port: int = setting(8000, "port to listen at, 0: any free one")
-    trace: str | None = setting(None, "rates that answers pass at, shared by all connections; as airgs-play takes it")
-    rtt: float | None = setting(
-        None, "how late requests arrive (default: as airgs-play with --trace, else 0)", metavar="MS"
-    )
     certificate: Path | None = setting(
         None, "certificate with its chain, for https with HTTP/2; needs --key", metavar="PEM"
     )
     key: Path | None = setting(None, "key of the certificate", metavar="PEM")
-    access_log: bool = setting(False, "a line on stderr for every request, in Apache's combined log format")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -52,14 +44,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @takes(Serve)
 def serve(options: Serve) -> int:
-    """Serve packages over HTTP, each below its name, at full speed or over a shaped link."""
-    files = PackageFiles(list(options.packages))
-    shape, certificate = _shape(options), _certificate(options)
-    settings = ServerSettings(shape, certificate, access_log=_access_log() if options.access_log else None)
+    """Serve packages over HTTP, each below its name."""
+    packages = Packages(list(options.packages))
+    certificate = _certificate(options)
+    settings = ServerSettings(certificate)
     listening = listen(options.host, options.port, settings.patience_s)
     _allow_connections()
-    say(_greeting(files, listening, "https" if certificate else "http"))
-    asyncio.run(_serve_until_signal(files, listening, settings))
+    say(_greeting(packages, listening, "https" if certificate else "http"))
+    asyncio.run(_serve_until_signal(packages, listening, settings))
     say("stopped")
     return 0
 
@@ -70,20 +62,11 @@ def _allow_connections() -> None:
     resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
-async def _serve_until_signal(files: PackageFiles, listening: socket.socket, settings: ServerSettings) -> None:
+async def _serve_until_signal(packages: Packages, listening: socket.socket, settings: ServerSettings) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    await serve_app(make_app(files), listening, settings, stop)
-
-
-def _shape(options: Serve) -> Shape | None:
-    if options.trace is None and options.rtt is None:
-        return None
-    trace: Trace | None = Trace.open(options.trace) if options.trace is not None else None
-    rtt_s = None if options.rtt is None else options.rtt / 1e3
-    link = Link.over(trace or Trace.open("const:1"), rtt_s)  # checks the round trip
-    return Shape(trace, link.rtt_s)
+    await serve_app(make_app(packages), listening, settings, stop)
 
 
 def _certificate(options: Serve) -> Certificate | None:
@@ -96,27 +79,10 @@ def _certificate(options: Serve) -> Certificate | None:
     return certificate
 
 
-def _access_log() -> logging.Logger:
-    log = logging.getLogger("airgs_codec.serve.access")
-    log.setLevel(logging.INFO)
-    log.propagate = False
-    handler = logging.StreamHandler()
-    handler.setFormatter(_Printable())
-    log.handlers = [handler]
-    return log
-
-
-class _Printable(logging.Formatter):
-    """One line a record: what a client sent cannot break it, or speak to the terminal."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return "".join(c if c.isprintable() else "?" for c in super().format(record))
-
-
-def _greeting(files: PackageFiles, listening: socket.socket, scheme: str) -> str:
+def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:
     """Where the server and the packages are, then what to open in a browser."""
     host, port = listening.getsockname()[:2]
-    names = sorted(files.packages)
+    names = sorted(packages.now())
     address = _address(scheme, host, port)
     local = _address(scheme, "localhost" if host in ANY_HOST else host, port)
     if not names:

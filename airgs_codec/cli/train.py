@@ -27,7 +27,6 @@ from airgs_codec.cli.matching import match_cameras, pose_rig
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.job import Record
 from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
@@ -120,7 +119,7 @@ def train(options: Train) -> int:
 
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
-    from airgs_codec.trainer.pipeline import open_run
+    from airgs_codec.trainer.pipeline import open_run, train_in_jobs
     from airgs_codec.trainer.record import known_offsets
     from airgs_codec.trainer.report import write_report
 
@@ -143,28 +142,20 @@ def train(options: Train) -> int:
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 
-    def page(jobs: Sequence[Record] = ()) -> None:
+    def page() -> None:
         exposed = run.capture.pictures.with_exposure(run.model.record.exposure)
         if options.report:
-            write_report(run.model, exposed, options.report, renderer, jobs)
+            write_report(run.model, exposed, options.report, renderer)
 
     if shared:
-        page(_train_in_jobs(options, run))
+        with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
+            follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
     else:
         run_training(run, quiet=options.json, page=page if options.report else None)
-        page()
+    page()
     model = run.model
     say(json.dumps(summary(model)) if options.json else as_words(model, options.report))
     return 0
-
-
-def _train_in_jobs(options: Train, run: Run) -> list[Record]:
-    """Train by jobs; gives who did which."""
-    from airgs_codec.trainer.pipeline import train_in_jobs
-
-    with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
-        follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
-        return work.records()
 
 
 def _scene(options: Train) -> MultiviewScene:

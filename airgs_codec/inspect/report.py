@@ -19,9 +19,6 @@ from airgs_codec.inspect.plot import plot_rungs
 from airgs_codec.inspect.sides import Side, before_both, shared_views, side_of
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.inspect.text import bytes_by_attribute
-from airgs_codec.jobs.report import LINK
-from airgs_codec.jobs.report import NAME as JOBS_NAME
-from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.image import to_bytes, write_png
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.package import Package
@@ -45,7 +42,7 @@ DOUBT_DB = 0.5  # of a claim, from which more pictures should measure
 def write_report(
     folder: Path, given: GaussianSequence, package: Package, done: EncodeReport, progress: Progress = silent
 ) -> Path:
-    """Write index.html with the answer, charts, the worst picture and a film, and jobs.html; gives the first.
+    """Write index.html with the answer, charts, the worst picture and a film; gives its path.
 
     `given`: what was encoded, as it came. Raises ConfigError when they cannot be written, or without matplotlib.
     """
@@ -57,8 +54,6 @@ def write_report(
         worst, name = side_by_side(a, b, _worst(result)), f"frame-{_worst(result).frame:06d}.png"
         write_png(folder / name, worst)
         write_movie(folder / FILM_NAME, _film(a, b, before_both(a, b, [front])[0]), m.fps)
-        if done.records:
-            write_jobs(folder / JOBS_NAME, done.records)
         pictures = [
             Picture("Seconds of each part of the work.", partial(_draw_stages, stages)),
             Picture("What viewers fetch and see; grey: no player should.", partial(plot_rungs, rungs)),
@@ -73,7 +68,7 @@ def write_report(
             "change": advice(done) or "Nothing.",
         }
         decided = html_table([(str(number), line) for number, line in enumerate(m.decisions, 1)])
-        more = {"Who did what": LINK if done.records else "", "What was decided": decided}
+        more = {"What was decided": decided}
         return Page("What was encoded", answer, pictures, more).write(folder / "index.html")
 
 

@@ -106,7 +106,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
 
 def _of_scene(name: str, sequence: GaussianSequence) -> Side:
     held = [header.bytes for header in sequence.headers]  # of frames that are in no file
-    stated = sequence.clip or sequence.files.beside(sequence.folder / SETTINGS_NAME) or sequence.fps != DEFAULT_FPS
+    stated = sequence.clip or (sequence.folder / SETTINGS_NAME).is_file() or sequence.fps != DEFAULT_FPS
     return Side(
         name=name,
         rung=None,

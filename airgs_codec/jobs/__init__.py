@@ -2,5 +2,5 @@
 
 `job` names a job by the content of everything that it reads and by its code, and is what a worker does with it; stores
 (`places.results`) have results under these names; `engines` and `dask_engine` say where workers are; `work` runs jobs
-and gives their results; `report` draws who did what when.
+and gives their results.
 """

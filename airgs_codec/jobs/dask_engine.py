@@ -51,10 +51,9 @@ class DaskEngine:
         return DaskEngine(Client(cluster), cluster, max(1, available_cores() // count))
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """Give what `function` gives for each tuple of arguments, as they are finished.
+        """`needs` must have been given to workers of a cluster that others run when they were started.
 
-        `needs`: what workers of a cluster that others run must have been started with. Raises what a call raises first,
-        WorkError where workers die of a call, none has what is needed, or the scheduler is gone.
+        Also raises WorkError where the scheduler is gone.
         """
         resources = {} if self._cluster else dict(needs)
         if resources and calls:

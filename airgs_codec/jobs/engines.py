@@ -44,12 +44,11 @@ class InProcess:
     """One call after the other, here."""
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """Give what `function` gives for each tuple of arguments, in their order. Raises what a call raises."""
         for call in calls:
             yield function(*call)
 
     def close(self) -> None:
-        """Nothing is held."""
+        pass
 
 
 class Processes:
@@ -62,10 +61,7 @@ class Processes:
         self._pool: ProcessPoolExecutor | None = None
 
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
-        """Give what `function` gives for each tuple of arguments, as they are finished.
-
-        Raises what a call raises first, WorkError where DEATHS processes have died one after another.
-        """
+        """Also raises WorkError where DEATHS processes have died one after another."""
         left, deaths = dict(enumerate(calls)), 0
         while left:
             try:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import hashlib
+import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -23,6 +25,7 @@ if TYPE_CHECKING:  # decoding needs no cameras
 
 PATIENCE_S, MOST_OF_PAGE = 2.0, 1 << 16  # bytes, of a page that may have a player
 OPENED = "an open package or the path of one"  # what functions expect that take either
+REPR_DIGEST = "Repr-Digest"  # of an answer over HTTP (RFC 9530): all that checks airgs.json, which no table lists
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
 
 
@@ -109,6 +112,17 @@ def check_digest(relative: str, data: bytes | bytearray, entry: FileEntry) -> No
     """Raise FormatError(hash_mismatch) unless a file has the digest of its entry."""
     if digest(data) != entry.sha256:
         raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in the tables")
+
+
+def repr_digest(data: bytes) -> str:
+    """The value of the header REPR_DIGEST for an answer with these bytes."""
+    return f"sha-256=:{base64.b64encode(hashlib.sha256(data).digest()).decode()}:"
+
+
+def check_repr_digest(where: str, data: bytes, header: str) -> None:
+    """Raise FormatError(hash_mismatch) for bytes that are not those of the header; one without SHA-256 says nothing."""
+    if re.search(r"\bsha-256=:[A-Za-z0-9+/]+=*:", header) and repr_digest(data) not in header:
+        raise FormatError("hash_mismatch", where, "the SHA-256 differs from the one in the headers of the answer")
 
 
 def open_manifest(root: Root, read: Read) -> Manifest:

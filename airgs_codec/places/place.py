@@ -9,18 +9,23 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import stat
+import tempfile
+import weakref
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from airgs_codec._arguments import path_argument
-from airgs_codec.errors import ConfigError, FormatError, TransportError
+from airgs_codec.errors import ConfigError, FormatError, SceneError, TransportError
 from airgs_codec.places.whole import atomic_path, write_bytes
+from airgs_codec.progress import Progress, silent
 
 if TYPE_CHECKING:
     from obstore import GetResult
@@ -63,7 +68,7 @@ class Place(ABC):
 
     @abstractmethod
     def delete(self, paths: Iterable[str]) -> None:
-        """Delete files. Raises OSError."""
+        """Delete files that are there. Raises OSError."""
 
     def read(self, path: str) -> bytes | None:
         """Return the bytes of a file; None where there is none. Raises what `open` does."""
@@ -71,11 +76,9 @@ class Place(ABC):
         return None if found is None else found[1]()
 
     def exists(self, path: str) -> bool:
-        """Return whether there is such a file."""
         return self.open(path) is not None
 
     def paths(self) -> list[str]:
-        """Return all paths, sorted."""
         return sorted(self.sizes())
 
 
@@ -88,11 +91,9 @@ class Folder(Place):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """The folder."""
         return str(self.path)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
         file = self._file(path)
         try:
             found = os.lstat(file)
@@ -103,18 +104,16 @@ class Folder(Place):
         return (found.st_size, file.read_bytes) if stat.S_ISREG(found.st_mode) else None
 
     def sizes(self) -> dict[str, int]:
-        """See `Place.sizes`; links count as files."""
-        entries = (p for p in self.path.rglob("*") if p.is_symlink() or not p.is_dir())
+        entries = (p for p in self.path.rglob("*") if p.is_symlink() or not p.is_dir())  # links count as files
         return {p.relative_to(self.path).as_posix(): p.lstat().st_size for p in entries}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`. Raises FormatError (unsafe_path) below a link."""
+        """Also raises FormatError (unsafe_path) below a link."""
         file = self._file(path)
         file.parent.mkdir(parents=True, exist_ok=True)
         write_bytes(file, data, self.lasting)
 
     def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
         for path in paths:
             self._file(path).unlink(missing_ok=True)
 
@@ -136,20 +135,16 @@ class Memory(Place):
     files: dict[str, bytes] = field(default_factory=dict)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
         data = self.files.get(path)
         return None if data is None else (len(data), lambda: data)
 
     def sizes(self) -> dict[str, int]:
-        """See `Place.sizes`."""
         return {path: len(data) for path, data in self.files.items()}
 
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`."""
         self.files[path] = bytes(data)
 
     def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
         for path in list(paths):
             self.files.pop(path, None)
 
@@ -158,7 +153,6 @@ class Bucket(Place):
     """The objects below one prefix of an object store, or the files below an address of a web server."""
 
     def __init__(self, name: str, objects: ObjectStore) -> None:
-        """`name`: the address, for messages."""
         self.name = name
         self._objects = objects
 
@@ -166,7 +160,6 @@ class Bucket(Place):
         return _reopened, (self.name,)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
         with self._told(path):
             found = self._get(path)
         if found is None:
@@ -177,11 +170,6 @@ class Bucket(Place):
                 return bytes(found.bytes())
 
         return found.meta["size"], read
-
-    def read_start(self, path: str, length: int) -> bytes:
-        """Return the first bytes of an object that is there and not empty, all of it where it is shorter."""
-        with self._told(path):
-            return bytes(self._objects.get_range(path, start=0, length=length))
 
     def download(self, path: str, target: Path) -> int | None:
         """Write an object to a file, whole or not at all, and return its length; None where there is none."""
@@ -200,14 +188,7 @@ class Bucket(Place):
             listed = self._objects.list(below or None)
             return {meta["path"]: meta["size"] for some in listed for meta in some if meta["path"]}
 
-    def own_sizes(self) -> dict[str, int]:
-        """Return the length of every object in the prefix itself, and not below another slash."""
-        with self._told():
-            found = self._objects.list_with_delimiter()["objects"]
-            return {meta["path"]: meta["size"] for meta in found if meta["path"]}
-
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`."""
         with self._told(path):
             self._objects.put(path, data, attributes=dict(headers))
 
@@ -217,7 +198,6 @@ class Bucket(Place):
             self._objects.copy(source, target)
 
     def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
         with self._told():
             if gone := sorted(paths):
                 self._objects.delete(gone)
@@ -239,6 +219,99 @@ class Bucket(Place):
             yield
         except (BaseError, OSError) as error:
             raise TransportError(f"{self.name}{'/' if path else ''}{path}: {_words(error)}") from error
+
+
+class Copied:
+    """A folder or a file at an address, copied to a temporary folder of this machine, which goes with this object.
+
+    A process of this machine that unpickles it reads the same copy; on another machine it is copied again.
+    """
+
+    def __init__(
+        self, address: str, beside: tuple[str, ...] = (), progress: Progress = silent, path: Path | None = None
+    ) -> None:
+        """`address`: a prefix, or one file, with which files and folders of the names `beside` are copied.
+
+        `path`: where it lies in another process; nothing is done where it is there already.
+
+        Raises ConfigError for an address that cannot be and where the disk has no room, SceneError where nothing is
+        there, TransportError.
+        """
+        self.address, self._beside = address.rstrip("/"), beside
+        self.files = self.bytes = 0
+        if path and path.exists():
+            self.path = path
+            return
+        source = bucket_at(self.address)
+        sizes = _as_files(source.sizes())
+        holder, _, name = self.address.rpartition("/")
+        if not sizes and not holder.endswith("/") and (found := (source := bucket_at(holder)).open(name)):
+            small = [(path, source.open(path)) for path in beside]
+            sizes = {name: found[0], **{path: there[0] for path, there in small if there}}
+            sizes |= _as_files({path: size for part in beside for path, size in source.sizes(part).items()})
+        if not sizes:
+            raise SceneError(f"{address}: expected a prefix with frames below it, or a file, got nothing")
+        alone = source.name != self.address
+        if path is None:
+            path = Path(tempfile.mkdtemp(prefix="airgs-")) / source.name.rpartition("/")[2] / (name if alone else "")
+        self.path, folder = path, path.parent if alone else path
+        weakref.finalize(self, shutil.rmtree, folder.parent, ignore_errors=True)
+        self._copy(source, sizes, folder, progress)
+
+    def _copy(self, source: Bucket, sizes: Mapping[str, int], folder: Path, progress: Progress) -> None:
+        """Copy files to a folder, which appears when all of them are there."""
+        total = sum(sizes.values())
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        free = shutil.disk_usage(folder.parent).free
+        if free < total:
+            expected = f"expected {total / 1e9:.2f} GB of room for {self.address}"
+            raise ConfigError(f"{folder.parent}: {expected}, got {free / 1e9:.2f} GB")
+        stage = Path(tempfile.mkdtemp(dir=folder.parent))
+
+        def fetch(path: str) -> int:
+            target = stage / path
+            target.parent.mkdir(parents=True, exist_ok=True)
+            size = source.download(path, target)
+            if size is None:
+                raise SceneError(f"{source.name}/{path}: expected the file that was listed, got nothing")
+            return size
+
+        progress("copying", 0, max(1, total))
+        with ThreadPoolExecutor(PARALLEL) as pool:
+            for size in pool.map(fetch, sizes):
+                self.files, self.bytes = self.files + 1, self.bytes + size
+                progress("copying", self.bytes, max(self.bytes, total, 1))
+        with suppress(OSError):  # another process was sooner
+            stage.rename(folder)
+
+    def named(self, words: str) -> str:
+        """Words with addresses in place of paths of copies."""
+        holder = self.address.rpartition("/")[0]
+        return words.replace(str(self.path), self.address).replace(str(self.path.parent), holder)
+
+    def __str__(self) -> str:
+        """What was copied, for people."""
+        return f"{self.address}: {self.files} file{'s' * (self.files != 1)}, {self.bytes / 1e6:.3g} MB, copied here"
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _copied_here, (self.address, self._beside, self.path)
+
+
+_copies: dict[Path, Copied] = {}  # of sequences that were pickled in another process, so that they stay
+
+
+def _copied_here(address: str, beside: tuple[str, ...], path: Path) -> Copied:
+    """The copy that was pickled in another process: the same for all who unpickle it while it is there."""
+    if path not in _copies or not path.exists():
+        _copies[path] = Copied(address, beside, path=path)
+    return _copies[path]
+
+
+def _as_files(sizes: Mapping[str, int]) -> dict[str, int]:
+    """The objects that can be files: not those that stand for a folder, and none outside of their prefix."""
+    paths = {name: PurePosixPath(name) for name in sizes}
+    folders = {str(folder) for path in paths.values() for folder in path.parents}
+    return {name: sizes[name] for name, path in paths.items() if name not in folders and ".." not in path.parts}
 
 
 def is_address(place: str | Path) -> bool:

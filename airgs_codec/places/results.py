@@ -40,21 +40,22 @@ _BROKEN = (
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """Entries by name, which workers in other processes and on other machines see as well; it can be pickled."""
+    """Entries by name, which workers in other processes and on other machines see as well; it can be pickled.
+
+    All methods raise OSError (TransportError) where the place fails.
+    """
 
     place: Place
 
     @property
     def name(self) -> str:
-        """The place, for messages."""
         return self.place.name
 
     def has(self, entry: str) -> bool:
-        """Return whether there is such an entry. Raises OSError (TransportError)."""
         return self.place.exists(_path(entry))
 
     def read(self, entry: str) -> bytes | None:
-        """Return the bytes of an entry; None where there is none that is whole. Raises OSError (TransportError)."""
+        """Return the bytes of an entry; None where there is none that is whole."""
         sealed = self.place.read(_path(entry))
         data = None if sealed is None else unseal(sealed)
         if sealed is not None and data is None:
@@ -62,11 +63,10 @@ class Store:
         return data
 
     def delete(self, entry: str) -> None:
-        """Remove an entry. Raises OSError (TransportError)."""
         self.place.delete([_path(entry)])
 
     def write(self, entry: str, data: bytes) -> None:
-        """Put an entry, whole or not at all; one of the same name is replaced. Raises OSError (TransportError)."""
+        """Put an entry, whole or not at all; one of the same name is replaced."""
         self.place.write(_path(entry), seal(data))
 
 
@@ -95,7 +95,6 @@ def _path(entry: str) -> str:
 
 
 def seal(data: bytes) -> bytes:
-    """Return an entry as it is stored."""
     return hashlib.sha256(data).digest() + data
 
 

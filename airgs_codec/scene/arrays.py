@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import described
 from airgs_codec.errors import SceneError
-from airgs_codec.places.mirror import Files
 from airgs_codec.scene.beside import frame_rate
 from airgs_codec.scene.formats.form import Clip, FrameHeader
 from airgs_codec.scene.formats.ply import read_ply, write_ply
@@ -28,14 +27,6 @@ from airgs_codec.scene.gaussians import Gaussians
 Frame = Gaussians | Mapping[str, Any]
 NAMES = tuple(field.name for field in fields(Gaussians))
 IN_MEMORY = Path("frames in memory")  # in place of a file
-
-
-class Nowhere(Files):
-    """Frames beside which no files lie."""
-
-    def beside(self, path: Path) -> Path | None:
-        """See `Files.beside`."""
-        return None
 
 
 def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) -> Clip:

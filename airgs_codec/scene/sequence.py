@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,9 +15,9 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, path_argument
 from airgs_codec.errors import SceneError
-from airgs_codec.places.mirror import LOCAL, Files, Habits, Mirror
-from airgs_codec.places.place import is_address
-from airgs_codec.scene.arrays import IN_MEMORY, Nowhere, clip_of
+from airgs_codec.places.place import Copied, is_address
+from airgs_codec.progress import Progress, silent, told
+from airgs_codec.scene.arrays import IN_MEMORY, clip_of
 from airgs_codec.scene.beside import (
     ATTRIBUTION_NAME,
     DEFAULT_FPS,
@@ -30,15 +31,11 @@ from airgs_codec.scene.beside import (
     read_settings,
 )
 from airgs_codec.scene.camera import BLACK, Background, Camera
-from airgs_codec.scene.cameras import colmap
 from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
 from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
-from airgs_codec.scene.formats.gltf import external_buffers
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
-from airgs_codec.scene.formats.ply_elements import HEADER_END, MAX_HEADER
-from airgs_codec.scene.formats.sog import META_NAME
 from airgs_codec.scene.formats.table import (
     CLIP_SUFFIXES,
     Found,
@@ -55,28 +52,15 @@ from airgs_codec.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from airgs_codec.media.sound import SoundTrack  # and PyAV with it
 
+BESIDE = (ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
-
-
-def _is_small(name: str) -> bool:
-    """Whether an object is one of the small files by which frames and cameras are found."""
-    path = PurePosixPath(name)
-    by_name = path.name in {SETTINGS_NAME, META_NAME, *CAMERA_NAMES}
-    return by_name or ("sparse" in path.parts and path.name in colmap.CAMERA_PARTS)
-
-
-def _find_parts(path: Path) -> list[str]:
-    return external_buffers(path) if path.suffix.lower() == ".gltf" else []
-
-
-HABITS = Habits(_is_small, (".ply", HEADER_END, MAX_HEADER), "sparse", _find_parts)
 
 
 @dataclass(frozen=True, slots=True)
 class GaussianSequence:
     """A sequence as `open_sequence` or `from_arrays` gives it: frames in display order, read when they are asked for.
 
-    It can be pickled. Paths are names for `files`, which gives where each can be read.
+    It can be pickled.
     """
 
     folder: Path
@@ -93,7 +77,7 @@ class GaussianSequence:
     orders: Mapping[int, NDArray[np.int32]] = field(default_factory=dict, compare=False)  # by frame, see `place_rows`
     breaks: tuple[int, ...] = ()  # frames whose rows are not those of the frame before, though they are as many
     clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
-    files: Files = field(default=LOCAL, compare=False)  # where they are
+    copied: Copied | None = field(default=None, compare=False)  # from an address; paths are those of the copy
     held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
     credit: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
     sound_track: SoundTrack | None = None  # as long as the sequence; None: what the clip brings
@@ -119,7 +103,7 @@ class GaussianSequence:
         clip = clip_of(frames, fps)
         paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
         found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind)
-        return replace(found, alone=True, clip=clip, files=Nowhere())
+        return replace(found, alone=True, clip=clip)
 
     @property
     def sh_degree(self) -> int:
@@ -134,27 +118,28 @@ class GaussianSequence:
     @property
     def format(self) -> FrameFormat:
         """The format of the frames, where they are no clip. Raises SceneError."""
-        with self.files.hold(self.paths[:1]) as [path]:
-            return format_of(path)
+        return format_of(self.paths[0])
 
     @property
     def attribution(self) -> str:
         """Who made the scene: `credit`, else what ATTRIBUTION.txt says; empty without one. Raises SceneError."""
         if self.credit is not None:
             return self.credit
-        with self.files.naming():
-            path = self.files.beside(self.folder / ATTRIBUTION_NAME)
-            return read_attribution(path.parent) if path else ""
+        with _naming(self.copied):
+            return read_attribution(self.folder)
 
     def sound(self) -> bytes | None:
         """The file of sound that the clip brings; None without one. Raises SceneError."""
         if self.clip is None or self.clip.sound is None:
             return None
-        with self.files.hold(self.paths[:1]) as [path]:
-            return self.clip.sound(path)
+        return self.clip.sound(self.paths[0])
 
     def __len__(self) -> int:
         return len(self.paths)
+
+    def name_of(self, path: Path) -> str:
+        """A path for people: the address, where it was copied from one."""
+        return self.copied.named(str(path)) if self.copied else str(path)
 
     def count(self, frame: int) -> int:
         """The number of rows of a frame as it is read."""
@@ -167,9 +152,9 @@ class GaussianSequence:
         """
         if self.alone or any(frame in self.orders for frame in range(start, stop)):
             return None
-        with self.files.naming():
-            path = self.files.beside(self.folder / USAGE_NAME)
-            return load_usage(path, start, stop, self.count(start)) if path else None
+        path = self.folder / USAGE_NAME
+        with _naming(self.copied):
+            return load_usage(path, start, stop, self.count(start)) if path.is_file() else None
 
     def read(self, frame: int) -> Gaussians:
         """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
@@ -183,7 +168,8 @@ class GaussianSequence:
             self.held.clear()
 
     def _read_file(self, frame: int) -> Gaussians:
-        with self.files.hold([self.paths[frame]]) as [path]:
+        path = self.paths[frame]
+        with _naming(self.copied):
             return self.clip.read(path, frame) if self.clip else read_frame(path)
 
     def load(self, wanted: Iterable[int]) -> Repaired:
@@ -197,8 +183,7 @@ class GaussianSequence:
         where = f"{(self.paths[0] if self.alone else self.folder).name} {span}"
         held = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= HELD_BYTES
         stored = LazyFrames(self.read, numbers)
-        with self.files.hold(dict.fromkeys(self.paths[n] for n in numbers if not self.held or n not in self.held)):
-            done = repair(list(stored) if held else stored, where)
+        done = repair(list(stored) if held else stored, where)
         return replace(done, frames=list(done.frames)) if held else done
 
 
@@ -209,10 +194,12 @@ def open_sequence(
     fps: Fraction | float | None = None,
     bake_fps: Fraction | float | None = None,
     duration: Fraction | float | None = None,
+    progress: Progress | type = silent,
 ) -> GaussianSequence:
     """Open a folder of frames, a file of one frame or a clip; rows are read only when they are asked for.
 
-    It may be at an address, s3://, gs:// or az://: then files are fetched when they are read (`places.mirror`).
+    It may be at an address, s3://, gs:// or az://: then all of it is copied to a temporary folder first, which goes
+    with the sequence; `progress` is told of that.
     Frames are of any format in `scene.formats.table.FRAMES`, all of the same, in natural order of their names (frame2
     before frame10); of an INRIA model the newest iteration is taken. Beside them may lie
 
@@ -236,22 +223,29 @@ def open_sequence(
     folder = path_argument("folder", folder)
     rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
-    files, place = Mirror.at(str(folder), HABITS) if is_address(folder) else (LOCAL, Path(folder))
-    with files.naming():
-        return replace(_open(files, place, bake, views, fps), files=files)
+    copied = Copied(str(folder), BESIDE, told(progress)) if is_address(folder) else None
+    with _naming(copied):
+        return replace(_open(copied.path if copied else Path(folder), bake, views, fps), copied=copied)
 
 
-def _open(
-    files: Files, place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None
-) -> GaussianSequence:
+@contextmanager
+def _naming(copied: Copied | None) -> Iterator[None]:
+    """Have a SceneError that the block raises name files by their addresses, not where they were copied to."""
+    try:
+        yield
+    except SceneError as error:
+        if copied is None:
+            raise
+        raise SceneError(copied.named(str(error))) from error
+
+
+def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None) -> GaussianSequence:
     found = find_frames(place)
-    if len(found.paths) == 1 and (form := files.read_headers(found.paths, clip_format)[0]):
-        with files.hold(found.paths) as [path]:
-            return _sequence_of_clip(found, form.open(path, bake), views, fps)
+    if len(found.paths) == 1 and (form := clip_format(found.paths[0])):
+        return _sequence_of_clip(found, form.open(found.paths[0], bake), views, fps)
     if bake != Bake():
         raise SceneError(f"{place}: expected a clip to bake ({', '.join(CLIP_SUFFIXES)}), got frames")
-    headers = files.read_headers(found.paths, read_frame_header)
-    frames = list(zip(found.paths, headers, strict=True))
+    frames = [(path, read_frame_header(path)) for path in found.paths]
     return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
 
 

@@ -1,41 +1,41 @@
 """The application: files of packages below their names, a list of the packages above them, and the player.
 
-A request for a file is answered with conditions, ranges and content coding (RFC 9110).
+Starlette sends files, with its ranges and conditions, in pieces as a connection takes them. Texts, which change while a
+package grows, are read whole: what a client gets under one entity tag is one version, never a mixture of two.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import gzip
+import hashlib
+import os
 import re
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+import stat
+from collections.abc import Mapping
+from pathlib import Path
 
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import (
-    HTMLResponse,
-    JSONResponse,
-    PlainTextResponse,
-    RedirectResponse,
-    Response,
-    StreamingResponse,
-)
+from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
+from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, POSTER_NAME, ROOTS
+from airgs_codec.package.package import REPR_DIGEST, repr_digest
 from airgs_codec.package.tables import shorten
-from airgs_codec.play.repr_digest import REPR_DIGEST, repr_value
-from airgs_codec.serve.cards import list_page
-from airgs_codec.serve.files import PackageFiles, Snapshot, Version
-from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, player_address
+from airgs_codec.serve import pages
+from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, list_page, player_address
 
 LASTING = "public, max-age=31536000, immutable"
 CHECKED = "no-cache"  # may be stored, but is asked for again each time
-PIECE_BYTES = 1 << 16  # read for a connection and given to it at once, so that a slow one holds little memory
-_RANGE = re.compile(r"\s*bytes\s*=\s*(\d*)\s*-\s*(\d*)\s*", re.ASCII | re.IGNORECASE)
-_DIGITS = 18  # of a position in a file; one with more lies behind every end
+LEAST_ZIPPED_BYTES = 1024  # what fits one packet gains nothing
+MOST_HELD_BYTES = 4 << 20  # of a text that is read whole and zipped; a longer one is sent in pieces
 METHODS = "GET, HEAD, OPTIONS"
 POLICY = "Content-Security-Policy"
 HEAD_BYTES = 16 * 1024  # of a request's target and headers
@@ -52,105 +52,92 @@ PREFLIGHT = {
     "Access-Control-Allow-Headers": "If-None-Match, If-Range, Range",
     "Access-Control-Max-Age": "86400",
 }
+_BELOW = r"(?:group|index|key|sound|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
+_PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME, POSTER_NAME)), _BELOW]), re.ASCII)
+_TEXT = (".json", ".mpd", ".html", ".js")  # the only files that are not compressed already
+_FILES = StaticFiles()
 
 
-class Body(StreamingResponse):
-    """A response whose body is read in pieces, each when the connection has taken the one before.
+class Packages:
+    """The folders of packages by their names: those named one by one, and those in folders that hold packages."""
 
-    It ends with the connection; where a piece cannot be read, the connection ends with it.
-    """
+    def __init__(self, folders: list[Path]) -> None:
+        """`folders`: packages, and folders that hold packages, of which new ones are found as they appear.
 
-    def __init__(
-        self, version: Version, part: range, status_code: int, headers: Mapping[str, str], media_type: str
-    ) -> None:
-        self._long = len(part) > PIECE_BYTES
-        length = {"Content-Length": str(len(part))}
-        super().__init__(_pieces(version.read, part), status_code, {**headers, **length}, media_type)
+        Raises ConfigError for a folder of neither kind and for two packages of one name.
+        """
+        self._named: dict[str, Path] = {}
+        self._holders: list[Path] = []
+        self._known: dict[str, Path] = {}
+        for folder in folders:
+            own = _is_package(folder)
+            found = {folder.resolve().name: folder.absolute()} if own else _packages_in(folder)
+            if not found and not _is_empty(folder):
+                kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one"
+                raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
+            for name in sorted(found.keys() & self._known.keys()):
+                raise ConfigError(f"{found[name]}: expected packages of different names, got {name} twice")
+            self._known |= found
+            if own:
+                self._named |= found
+            else:
+                self._holders.append(folder.absolute())
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Send it (ASGI); nothing is read for HEAD."""
-        if scope["method"] == "HEAD":
-            self.body_iterator = _pieces(Version.of(b"").read, range(0))
-        if self._long:
-            await super().__call__(scope, receive, send)
-        else:  # nobody need look whether the connection ends meanwhile
-            await self.stream_response(send)
+    def now(self) -> dict[str, Path]:
+        """Those that are there now. Where a name has come up twice, the folder that was named first has it."""
+        found: dict[str, Path] = {}
+        for holder in reversed(self._holders):
+            found |= _packages_in(holder)
+        self._known = found | self._named
+        return dict(self._known)
 
-
-async def _pieces(read: Callable[[int, int], bytes], part: range) -> AsyncIterator[bytes]:
-    for start in range(part.start, part.stop, PIECE_BYTES):
-        yield await asyncio.to_thread(read, start, min(start + PIECE_BYTES, part.stop))
-
-
-def answer(snapshot: Snapshot, asked: Mapping[str, str]) -> Response:
-    """The response to GET with the headers `asked` (names in lower case): 200, 206, 304 or 416.
-
-    Several ranges in one request are answered with the whole file, as RFC 9110 section 14.2 allows.
-    """
-    zipped = None if "range" in asked or not _takes_gzip(asked) else snapshot.zipped
-    version, tag = zipped or snapshot.plain, shorten(snapshot.plain.sha256)
-    tag = f'"{tag}"' if zipped is None else f'"{tag}-gzip"'
-    headers = {"ETag": tag, "Cache-Control": LASTING if snapshot.lasting else CHECKED, "Accept-Ranges": "bytes"}
-    if not snapshot.lasting:  # no table says what its bytes are
-        headers[REPR_DIGEST] = repr_value(version.sha256)
-    if snapshot.zipped is not None:
-        headers["Vary"] = "Accept-Encoding"
-    if _is_known(asked.get("if-none-match", ""), tag):
-        return Response(status_code=304, headers=headers)
-    if zipped is not None:
-        headers["Content-Encoding"] = "gzip"
-    part = _part(asked, tag, version.size)
-    if part is None:
-        return Body(version, range(version.size), 200, headers, snapshot.media_type)
-    if not part:
-        return Response(status_code=416, headers={"Content-Range": f"bytes */{version.size}"})
-    headers["Content-Range"] = f"bytes {part.start}-{part.stop - 1}/{version.size}"
-    return Body(version, part, 206, headers, snapshot.media_type)
+    def find(self, name: str) -> Path | None:
+        """The folder of a package, None where there is no such package."""
+        return self._known.get(name) or self.now().get(name)
 
 
-def parse_range(text: str, size: int) -> range | None:
-    """The bytes that a Range header asks for, of `size`: an empty range if there are none of them.
+def _is_package(folder: Path) -> bool:
+    return os.path.isfile(folder / JSON_NAME)  # False, too, where it may not be looked at
 
-    None where the header is to be ignored: no range of bytes, or several.
-    """
-    match = _RANGE.fullmatch(text)
-    if not match or not any(match.groups()):
+
+def _is_empty(folder: Path) -> bool:
+    """Whether a folder has no files but hidden ones: packages may be on their way."""
+    return folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
+
+
+def _packages_in(holder: Path) -> dict[str, Path]:
+    """The packages in a folder: no links, nothing hidden, and no name that an address cannot have."""
+    try:
+        with os.scandir(holder) as entries:
+            names = sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False))
+    except OSError:
+        return {}
+    usable = (name for name in names if not name.startswith(".") and name.isprintable())
+    return {name: holder.absolute() / name for name in usable if _is_package(holder / name)}
+
+
+def media_type(path: str) -> str | None:
+    """The media type of a file of a package by its path, None for a path that no file of a package has."""
+    if not _PATH.fullmatch(path):
         return None
-    first, last = (_position(digits) for digits in match.groups())
-    if first is None:  # the last so many bytes
-        return range(max(0, size - (last or 0)), size)
-    if last is not None and last < first:
+    name = path.rpartition("/")[2]
+    return MEDIA_TYPES.get(name[name.index(".") :])
+
+
+def find_file(folder: Path, path: str) -> tuple[str, os.stat_result] | None:
+    """A plain file below a folder that can be read, no link on the way to it; None if there is none."""
+    try:
+        file = os.path.realpath(folder / path, strict=True)
+        found = os.stat(file)
+    except OSError:
         return None
-    return range(min(first, size), size if last is None else min(last + 1, size))
+    direct = file == os.path.join(os.path.realpath(folder), path)
+    return (file, found) if direct and stat.S_ISREG(found.st_mode) and os.access(file, os.R_OK) else None
 
 
-def _position(digits: str) -> int | None:
-    digits = digits.lstrip("0") or digits[:1]
-    return (int(digits) if len(digits) <= _DIGITS else 10**_DIGITS) if digits else None
-
-
-def _part(asked: Mapping[str, str], tag: str, size: int) -> range | None:
-    if asked.get("if-range", tag) != tag:
-        return None
-    return parse_range(asked.get("range", ""), size)
-
-
-def _is_known(header: str, tag: str) -> bool:
-    """Return whether If-None-Match names the tag; the comparison is the weak one, as it has to be."""
-    return header.strip() == "*" or tag in (part.strip().removeprefix("W/") for part in header.split(","))
-
-
-def _takes_gzip(asked: Mapping[str, str]) -> bool:
-    for part in asked.get("accept-encoding", "").lower().split(","):
-        coding, _, weight = part.partition(";")
-        if coding.strip() == "gzip":
-            return not re.fullmatch(r"\s*q\s*=\s*0(\.0*)?\s*", weight)
-    return False
-
-
-def make_app(files: PackageFiles) -> Starlette:
+def make_app(packages: Packages) -> Starlette:
     """The ASGI application that serves these packages."""
-    site = _Site(files)
+    site = _Site(packages)
     routes = [
         Route("/", site.index),
         Route("/{page}", site.page),  # never a file of a package: those lie below a name
@@ -177,7 +164,7 @@ class _Gate:
                 MutableHeaders(scope=message).update(EVERYWHERE)
             await send(message)
 
-        with contextlib.suppress(OSError):  # the connection is broken: nobody waits for the rest
+        with contextlib.suppress(OSError):  # the connection is broken, or the file is gone: the answer ends
             await self._choose(scope)(scope, receive, send_more)
 
     def _choose(self, scope: Scope) -> ASGIApp:
@@ -198,13 +185,13 @@ def _refusal(words: str, status: int, headers: Mapping[str, str] = NOTHING_MORE)
 
 
 class _Site:
-    def __init__(self, files: PackageFiles) -> None:
-        self._files = files
+    def __init__(self, packages: Packages) -> None:
+        self._packages = packages
 
     async def index(self, request: Request) -> Response:
         """The packages, as JSON where the client asks for it, else as a page."""
         headers = {"Cache-Control": CHECKED, "Vary": "Accept"}
-        packages = await asyncio.to_thread(lambda: self._files.packages)
+        packages = await asyncio.to_thread(self._packages.now)
         if "application/json" in request.headers.get("accept", ""):
             return JSONResponse([addresses(name) for name in sorted(packages)], headers=headers)
         page = await asyncio.to_thread(list_page, packages)
@@ -213,31 +200,49 @@ class _Site:
     async def page(self, request: Request) -> Response:
         """A file of the player."""
         name = request.path_params["page"]
-        if name not in PAGE_TYPES:
-            return _missing("no such file")
-        return await _respond(self._files.read_page(name), request, NOT_BUILT)
+        kind = PAGE_TYPES.get(name)
+        if kind is None:
+            return PlainTextResponse("no such file\n", 404)
+        response = await asyncio.to_thread(_answer, request, pages.PAGE, name, kind)
+        return response or PlainTextResponse(f"{NOT_BUILT}\n", 404)
 
     async def file(self, request: Request) -> Response:
         """A file of a package; the folder itself leads to the player."""
         name, path = request.path_params["name"], request.path_params["path"]
-        if not path and name in await asyncio.to_thread(lambda: self._files.packages):
+        if not path and name in await asyncio.to_thread(self._packages.now):
             return RedirectResponse(f"..{player_address(name)}", 307, {"Cache-Control": CHECKED})
-        return await _respond(self._files.read(**request.path_params), request, "no such file")
+        kind = media_type(path)
+        folder = await asyncio.to_thread(self._packages.find, name) if kind else None
+        response = await asyncio.to_thread(_answer, request, folder, path, kind) if kind and folder else None
+        return response or PlainTextResponse("no such file\n", 404)
 
 
-async def _respond(reading: Awaitable[Snapshot | None], request: Request, missing: str) -> Response:
+def _answer(request: Request, folder: Path, path: str, kind: str) -> Response | None:
+    """The response with a file; None where there is none."""
+    found = find_file(folder, path)
+    if found is None:
+        return None
+    file, status = found
+    lasting = "/" in path or path in (INIT_NAME, POSTER_NAME)  # neither a root of a package nor the page
+    caching = {"Cache-Control": LASTING if lasting else CHECKED}
+    if not path.endswith(_TEXT) or status.st_size > MOST_HELD_BYTES:
+        response = _FILES.file_response(file, status, request.scope)
+        response.headers.update(caching if response.status_code == 304 else {"Content-Type": kind, **caching})
+        return response
     try:
-        snapshot = await reading
+        data = Path(file).read_bytes()
     except OSError:
-        return PlainTextResponse("this file cannot be read now\n", 503, {"Retry-After": "1"})
-    if snapshot is None:
-        return _missing(missing)
-    response = answer(snapshot, request.headers)
-    if snapshot.media_type == "text/html":
-        page = snapshot.plain.read(0, snapshot.plain.size)
-        response.headers[POLICY] = content_policy(page.decode())
+        return None
+    tag = shorten(hashlib.sha256(data).digest())
+    zipped = len(data) >= LEAST_ZIPPED_BYTES and "gzip" in request.headers.get("accept-encoding", "").lower()
+    headers = Headers({"ETag": f'"{tag}-gzip"' if zipped else f'"{tag}"', "Vary": "Accept-Encoding", **caching})
+    if _FILES.is_not_modified(headers, request.headers):
+        return Response(status_code=304, headers=headers)
+    response = Response(gzip.compress(data, 6, mtime=0) if zipped else data, 200, headers, kind)
+    if zipped:
+        response.headers["Content-Encoding"] = "gzip"
+    if not lasting:  # no table says what its bytes are
+        response.headers[REPR_DIGEST] = repr_digest(bytes(response.body))
+    if kind == "text/html":
+        response.headers[POLICY] = content_policy(data.decode())
     return response
-
-
-def _missing(words: str) -> Response:
-    return PlainTextResponse(f"{words}\n", 404)

@@ -28,8 +28,17 @@ from airgs_codec.package.parse import parse_root
 from airgs_codec.places.place import Folder, is_address
 from airgs_codec.places.whole import staged_folder
 from airgs_codec.progress import Progress, silent
-from airgs_codec.serve.cards import Glance, card, look_at, page_of, title_of
-from airgs_codec.serve.pages import PLAYER_SCRIPT, PLAYER_SCRIPTS, content_policy, read_scripts
+from airgs_codec.serve.pages import (
+    PLAYER_SCRIPT,
+    PLAYER_SCRIPTS,
+    Glance,
+    card,
+    content_policy,
+    look_at,
+    page_of,
+    read_scripts,
+    title_of,
+)
 
 PLAIN = ".nojekyll"
 PARALLEL = 8  # files that are read at a time

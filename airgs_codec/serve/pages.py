@@ -1,18 +1,27 @@
-"""The page that plays packages: its files, its address, and what it may load.
+"""Pages of the server and of exported sites: the player, its address and what it may load; packages as cards in a list.
 
-The player is built from web/ into the folder `page/` (`make page`), which is a part of the installed package.
+The player is built from web/ into the folder `page/` (`make page`), which is a part of the installed package. What
+packages say of themselves is only text.
 """
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import html
+import logging
 import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import JSON_NAME, MPD_NAME
+from airgs_codec.errors import AirgsError, ConfigError, FormatError
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
+from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
+from airgs_codec.package.package import open_package
 
 PAGE = Path(__file__).parent / "page"
 PLAYER_PAGE, PLAYER_SCRIPT = "player.html", "airgs-player.js"
@@ -32,6 +41,25 @@ _POLICY = {  # what a page may load, of each kind; nothing of any other
     "form-action": "'none'",
 }
 _INLINE = re.compile(r"<script\b(?![^>]*\bsrc\s*=)[^>]*>(.*?)</script>", re.DOTALL | re.IGNORECASE)
+SUFFIX = ".airgs"  # of a package's name, which titles leave out
+PASSING = ("missing_file", "unsafe_path", "size_mismatch", "hash_mismatch")  # can be mended beside airgs.json
+LOOKED_AT = 8  # groups of a package: a longer one would take too long
+STYLE = """
+:root { color-scheme: light dark }
+body { font: 1rem/1.45 system-ui, sans-serif; margin: 0 auto; max-width: 76rem; padding: 1rem }
+h1 { font-size: 1.4rem; margin: 0 0 1rem }
+ul { list-style: none; margin: 0; padding: 0; display: grid; gap: 1rem;
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 17rem), 1fr)) }
+li { border: 1px solid #8884; border-radius: .75rem; overflow: hidden; overflow-wrap: anywhere; padding-bottom: .75rem }
+li > a { display: block; color: inherit; font-size: 1.1rem; font-weight: 600; text-decoration: none }
+li > a:hover, li > a:focus-visible { text-decoration: underline }
+.poster { display: grid; place-items: center; position: relative; aspect-ratio: 4 / 3; margin-bottom: .6rem;
+  background: #000; color: #fff9; font-size: 2.5rem }
+.poster img { position: absolute; width: 100%; height: 100%; object-fit: contain }
+.title, p { display: block; margin: .25rem 1rem 0 }
+p { font-size: .875rem; opacity: .8 }
+"""
+_log = logging.getLogger(__name__)
 
 
 def content_policy(page: str) -> str:
@@ -63,3 +91,120 @@ def addresses(name: str) -> dict[str, str]:
     """Return where a package is, from the root of the server: its name, what plays it, and its tables."""
     tables, mpd = (f"/{quote(name)}/{path}" for path in (JSON_NAME, MPD_NAME))
     return {"name": name, "play": player_address(name), "tables": tables, "mpd": mpd}
+
+
+@dataclass(frozen=True, slots=True)
+class Glance:
+    """A package in a few figures. Those of bytes and PSNR are of its first groups where there are more than LOOKED_AT.
+
+    The best rung is the first.
+    """
+
+    frames: int
+    fps: Fraction
+    live: bool
+    bytes: int  # of all files; scaled up to all frames where only the first groups were looked at
+    whole: bool  # whether all groups were looked at
+    bps: float  # bits a second of the best rung, without tables
+    psnr: float | None  # dB of the best rung, None where it was not measured
+    credit: str  # whom the scene is by
+    has_poster: bool
+
+    @property
+    def words(self) -> str:
+        """The same for people."""
+        about = "" if self.whole else "about "
+        best = [f"{about}{self.bps / 1e6:.3g} Mbit/s", *([] if self.psnr is None else [f"{self.psnr:.1f} dB"])]
+        parts = [
+            f"{float(self.frames / self.fps):.1f} s",
+            "1 frame" if self.frames == 1 else f"{self.frames} frames",
+            f"{about}{_size(self.bytes)}",
+            f"{' and '.join(best)} at best",
+            *(["live"] if self.live else []),
+        ]
+        return " · ".join(parts)
+
+
+def look_at(m: Manifest, root_bytes: int) -> Glance:
+    """The figures of a package from the tables of a few groups. Raises FormatError where they are refused."""
+    first, whole = m.groups[:LOOKED_AT], len(m.groups) <= LOOKED_AT
+    part = m if whole else replace(m, frames=first[-1].stop, groups=Groups.of(first))
+    listed = part.media_bytes() + part.bytes_of(part.table_files())
+    best = pooled_quality(part, 0, 0)
+    size = root_bytes + listed * m.frames // part.frames
+    bps = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)
+    psnr = best.psnr if best else None
+    return Glance(m.frames, m.fps, m.live, size, whole, bps, psnr, m.attribution, m.poster is not None)
+
+
+@lru_cache(256)
+def _look(folder: Path, stamp: tuple[int, int]) -> Glance | str:
+    """The package whose airgs.json has this stamp. Raises AirgsError, OSError for faults that may pass."""
+    try:
+        package = open_package(folder)
+        return look_at(package.manifest, package.root_bytes + package.mpd_bytes)
+    except FormatError as error:
+        if error.reason in PASSING:
+            raise
+        return f"cannot be played: {error}"
+
+
+def describe(folder: Path) -> Glance | str:
+    """The package in a folder, or what is wrong with it: no package keeps others from being listed."""
+    try:
+        found = (folder / JSON_NAME).stat()
+        seen = _look(folder, (found.st_mtime_ns, found.st_size))
+    except (AirgsError, OSError) as error:
+        seen = f"cannot be played: {error}"
+    except Exception:
+        _log.exception("%s", folder)
+        seen = "cannot be played: reading it failed"
+    return seen.replace(f"{folder}/", "") if isinstance(seen, str) else seen  # where it lies is nothing for strangers
+
+
+def title_of(name: str) -> str:
+    """The name of a package as a title."""
+    return name.removesuffix(SUFFIX)
+
+
+def escape(text: str) -> str:
+    """Text of a package as HTML, with nothing in it that is not seen or cannot be sent."""
+    return html.escape("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text))
+
+
+def list_page(packages: Mapping[str, Path]) -> str:
+    """The page at the root of the server."""
+    rows = ((name, player_address(name), f"/{quote(name)}/", describe(packages[name])) for name in sorted(packages))
+    return page_of("Packages", [card(*row) for row in rows])
+
+
+def page_of(title: str, cards: Sequence[str], head: str = "") -> str:
+    """An HTML page with cards; `head`: more elements of its head."""
+    rows = "".join(f"<li>{one}</li>\n" for one in cards)
+    return (
+        f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{html.escape(title)}</title>\n'
+        '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
+        f"{head}<style>{STYLE}</style>\n<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n</html>\n"
+    )
+
+
+def card(name: str, page: str, folder: str, seen: Glance | str) -> str:
+    """A package as HTML; `page` plays it, and its files are in `folder`, which ends in /: both are addresses."""
+    root = html.escape(folder)
+    if isinstance(seen, str):
+        picture, lines = "", [seen]
+    else:
+        picture = f'<img src="{root}{POSTER_NAME}" alt="" loading="lazy">' if seen.has_poster else "▷"
+        lines = [seen.words, *seen.credit.split("\n")]
+    files = " · ".join(f'<a href="{root}{path}">{path}</a>' for path in (JSON_NAME, MPD_NAME))
+    head = f'<span class="poster">{picture}</span><span class="title">{escape(title_of(name))}</span>'
+    return (
+        f'<a href="{html.escape(page)}">{head}</a>'
+        f"{''.join(f'<p>{escape(line)}</p>' for line in lines if line)}<p>{files}</p>"
+    )
+
+
+def _size(count: int) -> str:
+    if count < 1e6:
+        return f"{count / 1e3:.3g} kB"
+    return f"{count / 1e6:.3g} MB" if count < 1e9 else f"{count / 1e9:.3g} GB"

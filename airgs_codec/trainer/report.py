@@ -15,10 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._report import BLUE, GREY, ORANGE, RED, Page, Picture, report_folder
-from airgs_codec.jobs.job import Record as Job
-from airgs_codec.jobs.report import LINK
-from airgs_codec.jobs.report import NAME as JOBS_NAME
-from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.image import label, to_bytes, write_png
 from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import about
@@ -35,13 +31,10 @@ MATCHED_DB = 1.0  # by which an exposure that is matched shows more, from which 
 DRIFT_DB = 1.0  # that the last third of the frames shows less than the first
 
 
-def write_report(
-    model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU, jobs: Sequence[Job] = ()
-) -> Path:
+def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Renderer = CPU) -> Path:
     """Write index.html with its charts and the pictures of two frames into a directory, and give its path.
 
-    `jobs`: that the run was trained by, of which jobs.html tells; none: it was not trained by jobs. Raises ConfigError
-    when they cannot be written, or without matplotlib.
+    Raises ConfigError when they cannot be written, or without matplotlib.
     """
     record = model.record
     first, worst = frames_to_show(record.frames)
@@ -58,10 +51,8 @@ def write_report(
             write_png(directory / name, panels)
             words += f": filmed, trained, and {ERROR_GAIN} times the error."
             shown.append(Picture(words, name=name, panels=3, shape=panels.shape))
-        if jobs:
-            write_jobs(directory / JOBS_NAME, jobs)
         settings = f"<p><code>{html.escape(str(record.settings))}</code></p>"
-        more = {"Who did what": LINK if jobs else "", "Settings": settings}
+        more = {"Settings": settings}
         title, again = f"Training of {model.folder.name}", None if record.complete else RELOADED_S
         return Page(title, answer, shown, more, again).write(directory / "index.html")
 

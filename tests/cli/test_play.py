@@ -7,7 +7,7 @@ import pytest
 from airgs_codec.cli import play as play_command
 from airgs_codec.cli.options import read_options
 from airgs_codec.cli.play import main
-from airgs_codec.play.http_files import HttpSettings
+from airgs_codec.play.http import HttpSettings
 from airgs_codec.play.settings import SessionSettings
 from tests.support.paths import FOX, VALID
 from tests.support.servers import plainly_serving

@@ -1,6 +1,5 @@
 """airgs-serve as a user runs it: it says where, serves, stops when it is told to."""
 
-import re
 import shutil
 import signal
 import socket
@@ -14,18 +13,13 @@ from airgs_codec.cli import serve
 from tests.support.paths import VALID
 
 PACKAGE = VALID / "two-groups-sh1"
-DATE = r"\[\d\d/\w{3}/\d{4}(:\d\d){3} [+-]\d{4}\]"
-COMBINED = re.compile(rf'127\.0\.0\.1:\d+ - - {DATE} "GET /\S+ HTTP/1\.1" 200 \d+ "-" "Python-urllib/\S+"\n')
 COMMAND = [sys.executable, "-c", "import sys; from airgs_codec.cli.serve import main; sys.exit(main())"]
 
 
-@pytest.mark.parametrize(
-    ("options", "number"),
-    [([], signal.SIGINT), (["--trace", "const:100", "--rtt", "1", "--access-log"], signal.SIGTERM)],
-)
-def test_it_serves_until_it_is_told_to_stop(options, number):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_serves_until_it_is_told_to_stop(number):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen([*COMMAND, str(PACKAGE), "--port", "0", *options], **pipes) as process:
+    with subprocess.Popen([*COMMAND, str(PACKAGE), "--port", "0"], **pipes) as process:
         address = process.stdout.readline().split()[-1]
         folder = process.stdout.readline().strip()
         assert folder == f"{address}{PACKAGE.name}/"
@@ -36,7 +30,7 @@ def test_it_serves_until_it_is_told_to_stop(options, number):
         process.send_signal(number)
         out, errors = process.communicate(timeout=20)
     assert process.returncode == 0 and out == "stopped\n"
-    assert errors.count("\n") == len(COMBINED.findall(errors)) == (1 if options else 0)
+    assert not errors
 
 
 def test_a_server_may_be_there_before_its_first_package(tmp_path):
@@ -62,9 +56,6 @@ def test_what_cannot_be_served_is_one_line_and_status_2(tmp_path, capsys):
             [package, "--port", str(taken.getsockname()[1])],
             [package, "--port", "65536"],
             [package, "--host", "no.such.host.invalid"],
-            [package, "--trace", str(tmp_path / "nothing.csv")],
-            [package, "--rtt", "-1"],
-            [package, "--rtt", "nan"],
             [package, "--certificate", "chain.pem"],
             [package, "--certificate", "chain.pem", "--key", "key.pem"],
         ]
@@ -73,8 +64,3 @@ def test_what_cannot_be_served_is_one_line_and_status_2(tmp_path, capsys):
             line = capsys.readouterr().err
             assert line.startswith("airgs-serve: ") and line.count("\n") == 1
             assert "expected" in line or "cannot read" in line
-
-
-def test_what_a_client_sends_cannot_speak_to_the_terminal():
-    record = serve.logging.LogRecord("a", 20, "", 0, 'GET /\x1b[2J\n127.0.0.1 "GET /', (), None)
-    assert serve._Printable().format(record) == 'GET /?[2J?127.0.0.1 "GET /'

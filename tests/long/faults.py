@@ -36,7 +36,7 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.package import publish
 from airgs_codec.places.place import PLAIN, Folder, Place
 from airgs_codec.places.results import Store
-from airgs_codec.play import http, http_files, player
+from airgs_codec.play import http, player
 from airgs_codec.play.session import play
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.scene.sequence import GrowingFolder, open_sequence
@@ -169,12 +169,9 @@ def jump(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Itera
         growing, clock = Growing(folder / f"growing{number}", *range(50, 66), 0), Clock(chance, back=False)
         with (
             patch.object(http, "time", clock.module()),
-            patch.object(http_files, "time", clock.module()),
             patch.object(player, "POLL_S", 0.0),
             faultily_serving(growing.folder, Weather(0.0)) as port,
-            http.HttpDownloader(
-                f"http://127.0.0.1:{port}", http_files.HttpSettings(as_fast=True), growing.received
-            ) as link,
+            http.HttpDownloader(f"http://127.0.0.1:{port}", http.HttpSettings(as_fast=True), growing.received) as link,
         ):
             log = play(link.open(), link, "fixed:0", SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0))
         shown = [s.segment for s in log.shown]

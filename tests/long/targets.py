@@ -48,7 +48,7 @@ from airgs_codec.scene.beside import Usage, load_usage, read_settings, save_usag
 from airgs_codec.scene.cameras.read import read_cameras
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.serve.cards import look_at
+from airgs_codec.serve.pages import look_at
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.record import VERSION, read_model
 from tests.support.camera_files import FORMS, as_inria

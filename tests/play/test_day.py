@@ -64,8 +64,6 @@ class Link:
         unchanged, self.root = path == JSON_NAME and data == self.root, data if path == JSON_NAME else self.root
         self.table_bytes += HEADER_BYTES + (0 if unchanged else len(gzip.compress(data)))
         self.tables.accept(path, data)
-        if path == JSON_NAME:
-            self.tables.forget(len(self.tables.offers.manifest.groups) - REMEMBERED_GROUPS)
 
     def fetch(self, request: Request, give_up: object = None) -> Arrival:
         self.publisher.publish_until(request.sent_s)
@@ -81,7 +79,6 @@ def memory_of(link, player):
     tables, keys = player.fetcher.tables, player.fetcher.keys
     return {
         "tables of the publisher": len(link.publisher.package.manifest.groups._kept),
-        "tables of the viewer": len(link.tables._files),
         "names": len(tables._paths),
         "segments": len(tables._complete),
         "keys": len(keys.decoded(0)),

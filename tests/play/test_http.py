@@ -15,20 +15,18 @@ import pytest
 
 from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.package import open_package
+from airgs_codec.package.package import check_repr_digest, open_package, repr_digest
 from airgs_codec.play.downloader import Batch, BatchKind, Request
-from airgs_codec.play.http import HttpDownloader, fetch_beside
-from airgs_codec.play.http_files import LEAST_BYTES, FileClient, HttpSettings, Transfer, connect
+from airgs_codec.play.http import LEAST_BYTES, FileClient, HttpDownloader, HttpSettings, Transfer, connect, fetch_beside
 from airgs_codec.play.report.session import format_metrics
-from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID
 from tests.support.servers import plainly_serving, serving
 from tools.lab.bench.link import compare
+from tools.lab.relay import shaped
 
 PACKAGE = VALID / "two-groups-sh1"
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1)
@@ -315,7 +313,7 @@ def test_the_real_link_is_never_faster_than_the_simulated_one():
     """Part of a second of play; how close it comes is measured by tools/lab/bench/link.py, not here."""
     trace = Trace("t", np.array([0.0, 0.2, 0.4]), np.array([4e5, 0.0, 8e6]), 10.0)
     rules = SessionSettings(loops=1, pipelined=False, abandon=False, startup_s=0.0, buffer_s=2.0)
-    with serving(PACKAGE, settings=ServerSettings(Shape(trace, 0.02))) as port:
+    with serving(PACKAGE) as server, shaped(server, trace, 0.02) as port:
         real = play_url(local(port, PACKAGE.name), rules=rules)
     simulated = simulate(real.offers, Link(trace, 0.02), "fixed:0", rules)
     assert compare(real, simulated)[0] == len(simulated.fetches) == len(real.fetches)

@@ -10,8 +10,7 @@ from airgs_codec.errors import TransportError
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import open_package
 from airgs_codec.play import player
-from airgs_codec.play.http import HttpDownloader
-from airgs_codec.play.http_files import HttpSettings
+from airgs_codec.play.http import HttpDownloader, HttpSettings
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace

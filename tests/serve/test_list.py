@@ -15,9 +15,9 @@ from airgs_codec.package.index import PAGE
 from airgs_codec.package.package import open_package
 from airgs_codec.package.parse import MAX_VALUES
 from airgs_codec.package.tables import digest
-from airgs_codec.serve import cards
-from airgs_codec.serve.cards import describe, list_page
-from airgs_codec.serve.files import Shelves
+from airgs_codec.serve import pages
+from airgs_codec.serve.app import Packages
+from airgs_codec.serve.pages import describe, list_page
 from tests.support.effort import few_calls
 from tests.support.mutations import apply, edit_text, link_file, read_files, remove_file, set_value, write_files
 from tests.support.paths import VALID
@@ -77,7 +77,7 @@ def test_a_bad_package_is_a_line_in_the_list_and_the_good_one_another(holder):
 
 def test_what_is_wrong_with_tables_is_found_once(holder):
     """Nobody can keep a server busy by asking for its list."""
-    packages = Shelves([holder]).packages()
+    packages = Packages([holder]).now()
     list_page(packages)
     with pytest.MonkeyPatch.context() as patch, few_calls(30_000):
         patch.setattr(parse, "inflate", lambda data, where: pytest.fail(where))
@@ -94,7 +94,7 @@ def test_a_fault_that_may_pass_is_looked_for_again(holder, tmp_path):
 
 def test_our_own_failure_on_a_package_is_a_line_as_well(holder, monkeypatch, caplog, tmp_path):
     package = shutil.copytree(holder / "good", tmp_path / "good")
-    monkeypatch.setattr(cards, "look_at", lambda *_: 1 // 0)
+    monkeypatch.setattr(pages, "look_at", lambda *_: 1 // 0)
     assert describe(package) == "cannot be played: reading it failed" and "ZeroDivisionError" in caplog.text
 
 
@@ -107,7 +107,7 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
         return look(path, *arguments, **options)
 
     monkeypatch.setattr(os, "stat", refuse)
-    names = Shelves([holder]).packages()
+    names = Packages([holder]).now()
     assert "good" in names and "no mpd" not in names
 
 
@@ -117,7 +117,7 @@ def test_a_file_that_may_not_be_read_is_a_line(holder, tmp_path, monkeypatch):
     def refuse(folder):
         raise PermissionError(13, "Permission denied", f"{folder}/airgs.json")
 
-    monkeypatch.setattr(cards, "open_package", refuse)
+    monkeypatch.setattr(pages, "open_package", refuse)
     assert describe(package) == "cannot be played: [Errno 13] Permission denied: 'airgs.json'"
 
 

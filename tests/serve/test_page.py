@@ -11,9 +11,8 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 import pytest
 
 from airgs_codec.package.package import open_package
-from airgs_codec.serve import cards
-from airgs_codec.serve.cards import look_at
-from airgs_codec.serve.pages import content_policy, player_address
+from airgs_codec.serve import pages
+from airgs_codec.serve.pages import content_policy, look_at, player_address
 from tests.support.page import FILES, INLINE, put_page
 from tests.support.paths import VALID
 from tests.support.servers import serving
@@ -158,7 +157,7 @@ def test_a_card_has_the_poster_and_the_credit_of_its_package_as_text(page, demo_
 def test_of_a_long_package_the_first_groups_stand_for_all(monkeypatch):
     package = open_package(PACKAGE)
     whole = look_at(package.manifest, 1000)
-    monkeypatch.setattr(cards, "LOOKED_AT", 1)
+    monkeypatch.setattr(pages, "LOOKED_AT", 1)
     guess = look_at(package.manifest, 1000)
     assert (whole.whole, guess.whole, guess.frames) == (True, False, whole.frames)
     assert guess.bytes == pytest.approx(whole.bytes, rel=0.5) and guess.psnr == pytest.approx(whole.psnr, abs=3)

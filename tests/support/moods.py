@@ -15,7 +15,6 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from airgs_codec.serve.server import ServerSettings
 from tests.support.servers import serving
 
 WRONG = 0  # in the place of a status: the file with a wrong byte
@@ -74,15 +73,15 @@ class Moods:
 class Switch:
     """A server that can be away and come back at the same port."""
 
-    def __init__(self, folder: Path, moods: Moods, settings: ServerSettings | None) -> None:
-        self._folder, self._moods, self._settings = folder, moods, settings
+    def __init__(self, folder: Path, moods: Moods) -> None:
+        self._folder, self._moods = folder, moods
         self._up = ExitStack()
         self.port = 0
         self.begin()
 
     def begin(self) -> bytes:
         """Take connections, from now on."""
-        around = serving(self._folder, settings=self._settings, port=self.port, around=self._moods.around)
+        around = serving(self._folder, port=self.port, around=self._moods.around)
         self.port = self._up.enter_context(around)
         return b"begun"
 
@@ -93,8 +92,8 @@ class Switch:
 
 
 @contextmanager
-def moodily_serving(folder: Path, moods: Moods, settings: ServerSettings | None = None) -> Iterator[Switch]:
+def moodily_serving(folder: Path, moods: Moods) -> Iterator[Switch]:
     """The project's server in front of a package."""
-    switch = Switch(folder, moods, settings)
+    switch = Switch(folder, moods)
     with contextlib.closing(switch._up):
         yield switch

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from airgs_codec.serve import files, pages
+from airgs_codec.serve import pages
 
 INLINE = "document.title = 'ready';"
 FILES = {
@@ -25,6 +25,5 @@ def put_page(folder: Path, patch: pytest.MonkeyPatch) -> Path:
     folder.mkdir(exist_ok=True)
     for name, text in FILES.items():
         (folder / name).write_text(text)
-    for module in (files, pages):
-        patch.setattr(module, "PAGE", folder)
+    patch.setattr(pages, "PAGE", folder)
     return folder

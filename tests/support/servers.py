@@ -13,8 +13,7 @@ from urllib.request import Request, urlopen
 from starlette.types import ASGIApp
 
 from airgs_codec.places.place import bucket_at
-from airgs_codec.serve.app import make_app
-from airgs_codec.serve.files import PackageFiles
+from airgs_codec.serve.app import Packages, make_app
 from airgs_codec.serve.server import ServerSettings, listen, serve
 
 
@@ -26,7 +25,7 @@ def serving(
     around: Callable[[ASGIApp], ASGIApp] = lambda app: app,
 ) -> Iterator[int]:
     """The project's server, its application in what stands around it; gives its port."""
-    app = around(make_app(PackageFiles(list(folders))))
+    app = around(make_app(Packages(list(folders))))
     settings = settings or ServerSettings()
     loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", port, settings.patience_s)
     port = listening.getsockname()[1]

@@ -243,5 +243,4 @@ def test_the_command_trains_in_jobs_and_reports(blobs, tmp_path, capsys):
     words += ["--group-frames", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "r")]
     assert train_main([*words, "-o", str(tmp_path / "m"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["keyframes"] == [0, 2]
-    assert 'href="jobs.html"' in (tmp_path / "r" / "index.html").read_text()
-    assert "chunks of frames" in (tmp_path / "r" / "jobs.html").read_text()
+    assert "<svg" in (tmp_path / "r" / "index.html").read_text()

@@ -1,6 +1,7 @@
 """The player on a page under conditions as people have them: links, servers, growing packages, undecided viewers."""
 
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 from urllib.parse import urlencode
 
@@ -11,11 +12,11 @@ from airgs_codec.package.manifest import Groups
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_json
 from airgs_codec.play.trace import Trace
-from airgs_codec.serve.server import ServerSettings, Shape
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.moods import SILENT, WRONG, Moods, moodily_serving, outage
 from tests.support.paths import GOLDEN
 from tests.support.repeated import write_repeated
+from tools.lab.relay import shaped
 
 PAGE = (
     b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/conditions.js"></script>'
@@ -45,12 +46,15 @@ def fox(tmp_path_factory):
     return make
 
 
-def look(folder, check, moods=None, settings=None, known=(), **query):
+def look(folder, check, moods=None, link=None, known=(), **query):
     """What the page reports of a check on a package, and how often each file was asked for."""
     moods = moods or Moods()
-    with moodily_serving(folder, moods, settings) as server:
+    with (
+        moodily_serving(folder, moods) as server,
+        shaped(server.port, link, 0.03) if link else nullcontext(server.port) as port,
+    ):
         told = {"/page.html": lambda: PAGE, "/end": server.end, "/begin": server.begin}
-        src = f"http://127.0.0.1:{server.port}/{folder.name}/"
+        src = f"http://127.0.0.1:{port}/{folder.name}/"
         with serve({"web": WEB}, told) as site:
             seen = visit(f"{site.url}/page.html?{urlencode({'src': src, 'check': check, **query})}")
     assert seen.complaints(known) == []
@@ -63,7 +67,7 @@ def trace(*parts):
     """A link by (seconds, bit/s); the last rate holds."""
     lengths, rates = zip(*parts, strict=True)
     starts = np.concatenate([[0.0], np.cumsum(lengths)[:-1]])
-    return ServerSettings(shape=Shape(Trace("test", starts, np.array(rates, float), sum(lengths), end="hold"), 0.03))
+    return Trace("test", starts, np.array(rates, float), sum(lengths), end="hold")
 
 
 class Growth:
@@ -109,7 +113,7 @@ def check_whole_pass(report, frames):
 
 def test_over_a_link_that_falls_and_rises_again_rungs_follow(fox):
     folder = fox(20)
-    report = look(folder, "once", settings=trace((5, 2e6), (7, 7e4), (9, 2e6)), buffer=3)
+    report = look(folder, "once", link=trace((5, 2e6), (7, 7e4), (9, 2e6)), buffer=3)
     assert report["problems"] == []
     check_whole_pass(report, 20 * FPS)
     quality = [info["psnr"] for info in report["rungInfo"]]

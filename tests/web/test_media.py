@@ -14,8 +14,7 @@ from airgs_codec.decoder.decode import Part, decode_frames
 from airgs_codec.encoder import representation
 from airgs_codec.encoder.publish import encode
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.package import open_package
-from airgs_codec.play.repr_digest import REPR_DIGEST, repr_digest
+from airgs_codec.package.package import REPR_DIGEST, open_package, repr_digest
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.browser import Answer, missing
 from tests.support.digests import lined_files

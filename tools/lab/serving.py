@@ -15,9 +15,9 @@ SERVE = "import sys; from airgs_codec.cli.serve import main; sys.exit(main())"
 
 
 @contextmanager
-def airgs_serve(package: Path, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+def airgs_serve(package: Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`airgs-serve PACKAGE` in a process of its own, and its address, below which the package has its name."""
-    command = [sys.executable, "-c", SERVE, str(package), "--port", "0", *options]
+    command = [sys.executable, "-c", SERVE, str(package), "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout

@@ -75,13 +75,6 @@ def read_gltf(path: Path) -> Gaussians:
         return join_rows([_read(document.json, buffers, p, degree) for p in primitives])
 
 
-def external_buffers(path: Path) -> list[str]:
-    """Names of the files beside it that its buffers are in. Raises SceneError."""
-    with expecting(path, _WORDS):
-        uris = [buffer.get("uri") for buffer in _open(path, only_json=True).json.get("buffers", [])]
-        return [unquote(uri) for uri in uris if uri and not uri.startswith("data:")]
-
-
 def _open(path: Path, *, only_json: bool = False) -> _Document:
     """Read the JSON and, unless only that is asked for, the binary chunk. Raises OSError, ValueError."""
     with path.open("rb") as file:

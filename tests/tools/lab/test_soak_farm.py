@@ -17,6 +17,5 @@ def test_two_workers_four_jobs_and_a_few_failures_end_with_the_same_bytes(tmp_pa
     (row,) = page.sections[0].tables[0].rows
     assert row["same bytes"] and not page.failed and row["jobs"] >= 4 and row["made"] >= 2
     assert "Traceback" not in (tmp_path / "out" / "runs.log").read_text()
-    assert "<svg" in (tmp_path / "out" / "jobs.html").read_text()
     with pytest.raises(ConfigError, match="expected a new folder"):
         farm.run(farm.Options(), lab)

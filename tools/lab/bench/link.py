@@ -1,7 +1,7 @@
 """Simulated sessions against the same player over real HTTP on loopback, shaped by the same trace.
 
-`airgs-serve --trace` in a process of its own holds requests back for a round trip, and writes no byte of its answers
-earlier than the trace lets it pass. The player runs against it by the real clock, then over the simulated link with the
+A relay in front of `airgs-serve` holds requests back for a round trip, and passes no byte of its answers earlier than
+the trace lets it. The player runs against it by the real clock, then over the simulated link with the
 same settings; neither pipelines batches. Arrivals are compared as long as both asked for the same.
 """
 
@@ -19,6 +19,7 @@ from airgs_codec.play.session import SessionLog, play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
+from tools.lab.relay import shaped
 from tools.lab.serving import airgs_serve
 
 
@@ -41,9 +42,10 @@ def run(options: Options, lab: Lab) -> Page:
 def row_of(options: Options, offers: Offers, trace: str) -> Row:
     loops = max(1, round(options.seconds / offers.duration_s))
     settings = SessionSettings(loops=loops, pipelined=False)
-    with airgs_serve(options.package, "--trace", trace) as (_, url):
-        real = play_really(f"{url}/{options.package.resolve().name}/", options.policy, settings)
-    simulated = simulate(offers, Link.over(Trace.open(trace)), options.policy, settings)
+    link = Link.over(Trace.open(trace))
+    with airgs_serve(options.package) as (_, url), shaped(int(url.rpartition(":")[2]), link.trace, link.rtt_s) as port:
+        real = play_really(f"http://127.0.0.1:{port}/{options.package.resolve().name}/", options.policy, settings)
+    simulated = simulate(offers, link, options.policy, settings)
     same, mean, worst = compare(real, simulated)
     return {
         "trace": Path(trace).name, "same batches": same, "of": len(simulated.fetches),

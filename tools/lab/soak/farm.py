@@ -4,7 +4,7 @@ A made sequence is encoded by one process, and by a cluster of this machine in w
 scheduler is killed (SIGKILL), or a result in the store is cut short or deleted; writes to the store are slow at random,
 and some fail as on a full disk. What ends is begun again: workers and the scheduler by a supervisor, the encode as its
 user would repeat it. Failures go on until there were as many as asked for; then the encode may finish. The folder gets
-jobs.html and runs.log, too; exit status 1 where the packages differ.
+runs.log, too; exit status 1 where the packages differ.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.dask_engine import DaskEngine
-from airgs_codec.jobs.report import write_report
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.place import PLAIN, Folder
 from airgs_codec.places.results import Store, pack, unpack
@@ -122,7 +121,6 @@ def run(options: Options, lab: Lab) -> Page:
     made: Counter[str] = Counter()
     took, runs = seconds_of(lambda: torment(options, lab, made))
     records, same = unpack((out / "records").read_bytes()), _same(out / "one.airgs", out / "farm.airgs")
-    write_report(out / "jobs.html", records)
     failures = ", ".join(f"{count} {name}" for name, count in sorted(made.items()))
     row = {"jobs": len(records), "failures": failures, "made": made.total(), "commands": runs, "same bytes": same}
     row |= {"seconds of one process": alone.wall, "seconds of the cluster": took.wall}

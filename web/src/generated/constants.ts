@@ -137,7 +137,7 @@ export const POLL_S = 1.0;
 export const SILENCE_S = 60.0;
 export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true} as const;
 
-// airgs_codec.play.http_files
+// airgs_codec.play.http
 export const BUSY: readonly number[] = [429, 502, 503, 504];
 export const GARBLED = ["size_mismatch", "hash_mismatch", "not_json"] as const;
 export const LONGEST_PAUSE_S = 4.0;

@@ -1,15 +1,14 @@
-"""A shaped link: the bucket by a clock of its own, and the relay in front of a server."""
+"""A slow link: the bucket by a clock of its own, and the relay in front of a server."""
 
-import socket
 import time
 
 import numpy as np
 import pytest
 
 from airgs_codec.play.trace import Trace
-from airgs_codec.serve.server import LATE_S, Bucket, ServerSettings, Shape
 from tests.support.paths import VALID
 from tests.support.servers import say, serving
+from tools.lab.relay import LATE_S, Bucket, shaped
 
 PACKAGE = VALID / "two-groups-sh1"
 REQUEST = b"GET /two-groups-sh1/airgs.json HTTP/1.1\r\nHost: a\r\n"
@@ -59,32 +58,13 @@ def test_the_trace_begins_with_the_first_request():
 
 def test_answers_come_a_round_trip_late_and_no_faster_than_the_link():
     size = len(say_plainly(REQUEST + CLOSE))
-    shape = Shape(Trace.open(f"const:{8e-6 * size / 0.1:g}"), 0.05)  # an answer in 0.1 s
-    with serving(PACKAGE, settings=ServerSettings(shape)) as port:
+    trace = Trace.open(f"const:{8e-6 * size / 0.1:g}")  # an answer in 0.1 s
+    with serving(PACKAGE) as server, shaped(server, trace, 0.05) as port:
         began_s = time.monotonic()
         answer = say(port, 2 * (REQUEST + b"\r\n") + REQUEST + CLOSE)  # share a round trip
         took_s = time.monotonic() - began_s
     assert len(answer) > 2.9 * size and answer.count(b"HTTP/1.1 200") == 3
     assert took_s >= 0.05 + 2.9 * 0.1
-
-
-def test_a_round_trip_alone_is_a_shape_and_a_client_may_give_up():
-    with serving(PACKAGE, settings=ServerSettings(Shape(None, 0.05))) as port:
-        with socket.create_connection(("127.0.0.1", port)) as gone:
-            gone.sendall(REQUEST + b"\r\n")
-        began_s = time.monotonic()
-        assert say(port, REQUEST + CLOSE).startswith(b"HTTP/1.1 200")
-        assert time.monotonic() - began_s >= 0.05
-
-
-def test_answers_under_way_do_not_keep_the_server_from_stopping():
-    shape = Shape(Trace.open("const:0.02"), 0.0)  # the rest would take seconds
-    with (
-        serving(PACKAGE, settings=ServerSettings(shape, grace_s=0.1)) as port,
-        socket.create_connection(("127.0.0.1", port), 10) as waiting,
-    ):
-        waiting.sendall(REQUEST + b"\r\n")
-        assert waiting.recv(1)
 
 
 def say_plainly(data):
