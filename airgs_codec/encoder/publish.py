@@ -23,7 +23,7 @@ from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
 from airgs_codec.errors import WorkError
 from airgs_codec.jobs.job import Record, Stored, code_digest, read_result
 from airgs_codec.jobs.work import Work, temporary_work
-from airgs_codec.media.sound import SoundTrack, encode_sound
+from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import manifest_of, root_of, write_file
@@ -217,7 +217,7 @@ def _encode(
     goal: Goal | None,
     work: Work,
 ) -> tuple[EncodeReport, Finished]:
-    beside = Beside(sequence.attribution, sequence.sound_track or _own_sound(sequence))
+    beside = Beside(sequence.attribution, sequence.sound_track)
     with tracked(hold_frames(sequence), settings, work) as found:
         return _encode_rows(found, settings, goal, beside, work)
 
@@ -254,12 +254,6 @@ def _encode_rows(
         finished = replace(finished, root=root_of(manifest), groups=groups, shared=shared)
     told = (found.saved, goal, attempt.trials, verified.stories, verified.unsure)
     return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records(), *told), finished
-
-
-def _own_sound(sequence: GaussianSequence) -> SoundTrack | None:
-    """The sound that a clip brings. Raises SceneError."""
-    data = sequence.sound()
-    return None if data is None else encode_sound(sequence.paths[0], len(sequence) / sequence.fps, data)
 
 
 def finish(verified: Verified, manifest: Manifest) -> Finished:

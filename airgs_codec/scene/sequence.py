@@ -96,7 +96,7 @@ class GaussianSequence:
     files: Files = field(default=LOCAL, compare=False)  # where they are
     held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
     credit: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
-    sound_track: SoundTrack | None = None  # as long as the sequence; None: what the clip brings
+    sound_track: SoundTrack | None = None  # as long as the sequence
 
     @staticmethod
     def from_arrays(
@@ -128,8 +128,8 @@ class GaussianSequence:
 
     @property
     def axes(self) -> Axes | None:
-        """Which way is up, where the file of a clip or the specification of the frames' format says it."""
-        return self.clip.axes if self.clip else self.format.axes
+        """Which way is up, where the specification of the frames' format says it."""
+        return None if self.clip else self.format.axes
 
     @property
     def format(self) -> FrameFormat:
@@ -145,13 +145,6 @@ class GaussianSequence:
         with self.files.naming():
             path = self.files.beside(self.folder / ATTRIBUTION_NAME)
             return read_attribution(path.parent) if path else ""
-
-    def sound(self) -> bytes | None:
-        """The file of sound that the clip brings; None without one. Raises SceneError."""
-        if self.clip is None or self.clip.sound is None:
-            return None
-        with self.files.hold(self.paths[:1]) as [path]:
-            return self.clip.sound(path)
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -268,7 +261,7 @@ def _sequence_of_clip(
             clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
     frames = [(path, header) for header in clip.headers]
     sequence = sequence_of(found.folder, frames, views=views, fps=clip.fps if fps is None else fps, alone=True)
-    return replace(sequence, clip=clip, breaks=clip.breaks)
+    return replace(sequence, clip=clip)
 
 
 def sequence_of(

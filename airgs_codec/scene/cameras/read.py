@@ -8,7 +8,7 @@ from typing import Any
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras import colmap, fourdgs, inria, llff, panoptic, transforms
+from airgs_codec.scene.cameras import colmap, inria, llff, panoptic, transforms
 from airgs_codec.scene.cameras.posed import Posed, distinct
 from airgs_codec.scene.files import expecting, read_json
 
@@ -16,7 +16,6 @@ Reader = Callable[[Path], list[Posed]]
 
 BY_MAGIC: tuple[tuple[bytes, Reader], ...] = (
     (inria.SPLATV_MAGIC, inria.read_splatv),
-    (fourdgs.MAGIC, fourdgs.read),
     (llff.MAGIC, llff.read),
 )
 BY_JSON: tuple[tuple[Callable[[Any], bool], Reader], ...] = (
@@ -25,11 +24,11 @@ BY_JSON: tuple[tuple[Callable[[Any], bool], Reader], ...] = (
     (inria.fits, inria.read),
 )
 NAMES = (transforms.NAME, inria.NAME, "sparse", panoptic.NAME)  # what is looked for beside a scene, in this order
-SUFFIXES = (".json", ".splatv", ".4dgs", ".npy")  # of files that may have cameras under another name
+SUFFIXES = (".json", ".splatv", ".npy")  # of files that may have cameras under another name
 BOM = b"\xef\xbb\xbf"  # that Windows puts before UTF-8
 WORDS = (
-    "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy, "
-    ".splatv or .4dgs)"
+    "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy "
+    "or .splatv)"
 )
 
 

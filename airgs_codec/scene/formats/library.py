@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
-import shutil
-import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +12,7 @@ import numpy as np
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.form import FrameHeader
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.formats.sandbox import CONVERT, run_limited
+from airgs_codec.scene.formats.sandbox import run_limited
 from airgs_codec.scene.gaussians import SATURATED_LOGIT, Gaussians
 
 LIBRARY = "gaussforge"
@@ -28,11 +25,6 @@ def expect_library(path: Path, form: str, library: str) -> None:
         raise SceneError(f"{path}: {form} files need {library}: pip install 'airgs-codec[formats]'")
 
 
-def find_command(name: str) -> str | None:
-    """Return where a command is, beside this Python or on the path; None where it is not."""
-    return shutil.which(name, path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
-
-
 def read_with_library(path: Path, form: str, data: bytes, header: FrameHeader) -> Gaussians:
     """The Gaussians in the bytes of a file whose header has been read; `form` is the library's name of the format.
 
@@ -41,7 +33,7 @@ def read_with_library(path: Path, form: str, data: bytes, header: FrameHeader) -
     expect_library(path, form, LIBRARY)
     with tempfile.TemporaryDirectory() as folder:
         target = Path(folder) / "frame.ply"
-        reason = run_limited(CONVERT, [form, "ply", str(target)], _COPIES * header.bytes, data)
+        reason = run_limited(LIBRARY, [form, "ply", str(target)], _COPIES * header.bytes, data)
         try:
             found = read_ply(target)
         except SceneError:
@@ -64,6 +56,6 @@ def write_with_library(path: Path, form: str, gaussians: Gaussians) -> None:
         source = Path(folder) / "frame.ply"
         write_ply(source, gaussians)
         more = _COPIES * FrameHeader(len(gaussians), gaussians.sh_degree).bytes
-        reason = run_limited(CONVERT, ["ply", form, str(path.absolute())], more, source.read_bytes(), seconds=None)
+        reason = run_limited(LIBRARY, ["ply", form, str(path.absolute())], more, source.read_bytes(), seconds=None)
     if reason or not path.is_file():
         raise SceneError(f"{path}: gaussforge cannot write {len(gaussians)} Gaussians as {form}: {reason}")

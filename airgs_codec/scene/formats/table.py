@@ -15,22 +15,18 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.files import reading
 from airgs_codec.scene.formats.compressed_ply import COMPRESSED
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader
-from airgs_codec.scene.formats.fourdgs import FOUR_DGS
-from airgs_codec.scene.formats.ftgs import FTGS
 from airgs_codec.scene.formats.gltf import GLTF
+from airgs_codec.scene.formats.library_clips import FOUR_DGS, SPLAT4D
 from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.ply_elements import read_header
 from airgs_codec.scene.formats.sog import META_NAME, SOG, is_sog_folder
 from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
 from airgs_codec.scene.formats.splat import SPLAT
-from airgs_codec.scene.formats.splat4d import SPLAT4D
 from airgs_codec.scene.formats.spz import SPZ
-from airgs_codec.scene.formats.tsog import TSOG
 from airgs_codec.scene.gaussians import Gaussians
 
 FRAMES = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
-CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, TSOG, SPACETIME_PLY, FTGS)
-FORMATS = (*FRAMES, *CLIPS)
+CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, SPACETIME_PLY)
 FRAME_SUFFIXES = tuple(dict.fromkeys(suffix for form in FRAMES for suffix in form.suffixes))
 CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if suffix not in FRAME_SUFFIXES)
 POINT_CLOUD = "point_cloud"  # of an INRIA model: point_cloud/iteration_7000/point_cloud.ply
@@ -74,7 +70,7 @@ def _told(path: Path) -> FrameFormat | ClipFormat | None:
     """The format that the name of a file and, of a .ply, its header tell; None for a name that no format has."""
     if path.is_dir():
         return SOG
-    named = [form for form in FORMATS if path.suffix.lower() in form.suffixes]
+    named = [form for form in (*FRAMES, *CLIPS) if path.suffix.lower() in form.suffixes]
     if len(named) < 2:
         return named[0] if named else None
     header = read_header(path)

@@ -15,16 +15,14 @@ from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, Losses, refuse_writing
-from airgs_codec.scene.formats.library import find_command
+from airgs_codec.scene.formats.form import FrameFormat, Losses
 from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.sog import META_NAME, SOG, write_sog_folder
-from airgs_codec.scene.formats.table import CLIPS, FRAMES
+from airgs_codec.scene.formats.table import FRAMES
 from airgs_codec.scene.gaussians import Gaussians
 
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
-WRITERS: tuple[FrameFormat | ClipFormat, ...] = (*FRAMES, *(form for form in CLIPS if form.write is not refuse_writing))
-KEYS = tuple(form.key for form in WRITERS)  # the names of formats that can be asked for
+KEYS = tuple(form.key for form in FRAMES)  # the names of formats that can be asked for
 Numbered = tuple[int, Gaussians]  # a frame and its number
 
 
@@ -33,28 +31,27 @@ class Target:
     """A place for frames: a file, a folder of files 000000.spz and on, or one frame that is a folder."""
 
     path: Path
-    form: FrameFormat | ClipFormat
+    form: FrameFormat
     folder: bool
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
     """Return where so many frames go, by the format's name or the ending of a place.
 
-    A place may have any name. One that ends like no format is a folder of frames, or the file of a clip format that is
-    named; so is what ends in a slash or exists as a folder. Raises ConfigError when the ending is that of another
-    format, the place does not suit the number of frames or is in the way, or the library that writes is not there.
+    A place may have any name: one that ends like no format is a folder of frames; so is what ends in a slash or exists
+    as a folder. Raises ConfigError when the ending is that of another format, the place does not suit the number of
+    frames or is in the way, or the library that writes is not there.
     """
     if not place:
         raise ConfigError("expected the name of a file or folder for the frames, got an empty one")
     path = Path(place)
-    named = next((form for form in WRITERS if form.key == key), None)
-    endings = [form for form in WRITERS if path.name.lower().endswith(f".{form.key}")]
+    named = next((form for form in FRAMES if form.key == key), None)
+    endings = [form for form in FRAMES if path.name.lower().endswith(f".{form.key}")]
     ending = max(endings, key=lambda form: len(form.key), default=None)
     if path.name == META_NAME and named in (None, SOG):
         target = Target(path.parent, SOG_FOLDER, True)
     elif place.endswith(os.sep) or ending is None:
-        is_clip = isinstance(named, ClipFormat) and not place.endswith(os.sep) and not path.is_dir()
-        target = Target(path, named or INRIA, not is_clip)
+        target = Target(path, named or INRIA, True)
     elif named not in (None, ending):
         raise ConfigError(
             f"{place}: expected a name that ends in .{named.key}, or in / for a folder, got another format"
@@ -71,20 +68,17 @@ def _check(place: str, target: Target, frames: int) -> None:
         raise ConfigError(f"{target.path}: expected a folder, got a file")
     if not target.folder and target.path.is_dir():
         raise ConfigError(f"{place}: expected a file, got a folder: end it in / to write frames into it")
-    if isinstance(target.form, ClipFormat):
-        if target.folder:
-            raise ConfigError(f"{place}: expected a file whose name ends in .{target.form.key}, which holds all frames")
-    elif frames != 1 and (not target.folder or target.form is SOG_FOLDER):
+    if frames != 1 and (not target.folder or target.form is SOG_FOLDER):
         hint = f"for more, name a folder and --format {target.form.key.removesuffix('-folder')}"
         raise ConfigError(f"{place}: expected one frame, got {frames} (--frames N; {hint})")
-    if (need := target.form.writer) and importlib.util.find_spec(need) is None and find_command(need) is None:
+    if (need := target.form.writer) and importlib.util.find_spec(need) is None:
         raise ConfigError(f"{place}: {target.form.name} needs {need}: pip install 'airgs-codec[formats]'")
 
 
 def write_frames(
-    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK, sound: bytes = b""
+    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK
 ) -> list[str]:
-    """Write numbered frames, so many a second, with a sound in MP4; returns what is lost of them, a line for each kind.
+    """Write numbered frames, so many a second; returns what is lost of them, a line for each kind.
 
     A folder of frames without a sequence.json gets one, with the frame rate and the background.
 
@@ -95,9 +89,7 @@ def write_frames(
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
         try:
-            if isinstance(target.form, ClipFormat):
-                target.form.write(temporary, (g for _, g in fitted), float(fps), sound)
-            elif target.folder and target.form is not SOG_FOLDER:
+            if target.folder and target.form is not SOG_FOLDER:
                 for number, gaussians in fitted:
                     target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
                 if not (target.path / SETTINGS_NAME).exists():
@@ -106,7 +98,7 @@ def write_frames(
                 target.form.write(temporary, *(g for _, g in fitted))
         except SceneError as error:  # of a name that nobody has given
             raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
-    return losses.lines() + [f"{target.form.name} has no sound"] * (bool(sound) and not target.form.holds.sound)
+    return losses.lines()
 
 
 def write(gaussians: Gaussians, path: str | Path) -> list[str]:

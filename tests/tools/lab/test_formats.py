@@ -3,11 +3,10 @@
 import pytest
 
 from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.formats.splat4d import SPLAT4D
 from airgs_codec.scene.formats.table import SPLAT
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
-from tools.lab.bench.formats import clip_row, copies, frame_row
+from tools.lab.bench.formats import copies, frame_row
 
 
 def test_copies_are_as_many_as_are_asked_for_and_apart():
@@ -23,8 +22,3 @@ def test_a_format_without_sh_loses_more_than_its_rounding(tmp_path):
     assert (row["format"], row["SH"], row["order of rows"]) == (".splat", "none", "kept")
     assert 30 < row["PSNR, dB"] < 45 and row["large, MB"] == pytest.approx(0.2, abs=0.05)
     assert row["read, s"] > 0 and row["memory, MB"] > 10
-
-
-def test_a_clip_has_a_row_as_well():
-    row = clip_row(SPLAT4D, FOX)
-    assert (row["format"], row["SH"]) == (".splat4d", "none") and row["PSNR, dB"] > 30

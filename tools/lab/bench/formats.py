@@ -1,10 +1,9 @@
 """What a round trip through each splat format costs: PSNR, bytes, seconds, memory.
 
 Frame 0 of a scene, as the format holds it, is written and read again; PSNR is of all pictures by the scene's held-out
-cameras together, against the frame as it was. Clips hold all frames of the scene, and are timed with them. Files of one
-frame are timed with copies of that frame beside each other, --rows Gaussians: the median of --repeat runs, each in a
-process of its own, whose largest resident memory (with that of the library's process, where it has one) counts the
-interpreter, too. Writing is timed once.
+cameras together, against the frame as it was. Files are timed with copies of that frame beside each other, --rows
+Gaussians: the median of --repeat runs, each in a process of its own, whose largest resident memory (with that of the
+library's process, where it has one) counts the interpreter, too. Writing is timed once.
 """
 
 from __future__ import annotations
@@ -19,9 +18,9 @@ import numpy as np
 
 from airgs_codec.inspect.compare import Comparison, compare_two
 from airgs_codec.inspect.sides import compared_views, open_side
-from airgs_codec.scene.formats.form import ClipFormat, Format, FrameFormat
+from airgs_codec.scene.formats.form import FrameFormat
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.formats.table import CLIPS, FRAMES
+from airgs_codec.scene.formats.table import FRAMES
 from airgs_codec.scene.formats.write import choose_target, write_frames
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
@@ -42,16 +41,13 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Both tables."""
+    """The table of formats."""
     with tempfile.TemporaryDirectory() as folder:
         large = Path(folder) / "large.ply"
         write_ply(large, copies(open_sequence(options.scene).load([0]).frames[0], options.rows))
         frames = [frame_row(form, options.scene, large, options.repeat) for form in FRAMES]
-    clips = [clip_row(form, options.scene) for form in CLIPS if form.writer]
-    clips += [{"format": form.name, "SH": "not written"} for form in CLIPS if not form.writer]
-    answer = f"Files of one frame are timed with {options.rows:,} Gaussians; clips hold the frames of the scene."
-    tables = [Table("formats", frames), Table("formats-clips", clips)]
-    return Page([Section(answer, tables=tables)])
+    answer = f"Files are timed with {options.rows:,} Gaussians."
+    return Page([Section(answer, tables=[Table("formats", frames)])])
 
 
 def copies(frame: Gaussians, rows: int) -> Gaussians:
@@ -85,7 +81,7 @@ def round_trip(scene: Path, sequence: GaussianSequence, written: Path) -> Compar
     return compare_two(open_side(str(scene)), other, range(other.frames), cameras)
 
 
-def facts(form: Format) -> Row:
+def facts(form: FrameFormat) -> Row:
     """Return what the code knows without measuring."""
     holds = form.holds
     degrees = f"0 to {holds.sh_degree}" if holds.sh_degree else "none"
@@ -107,26 +103,3 @@ def frame_row(form: FrameFormat, scene: Path, large: Path, repeat: int) -> Row:
             "write, s": written.wall, "read, s": median(took.wall for _, took in runs),
             "memory, MB": max(process.peak_mb for process, _ in runs),
         }  # fmt: skip
-
-
-def clip_row(form: ClipFormat, scene: Path) -> Row:
-    """A row of the table of formats that hold many frames."""
-    sequence = open_sequence(scene)
-    count = len(sequence)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"clip.{form.key}"
-        frames = [(i, sequence.load([i]).frames[0]) for i in range(count)]
-        written, _ = seconds_of(lambda: write_frames(choose_target(str(path), None, count), frames, sequence.fps))
-        read_again, _ = seconds_of(lambda: _read_all(path, count))
-        times = {"write, s": written.wall / count, "read, s": read_again.wall / count}
-        sizes = {
-            "PSNR, dB": round_trip(scene, sequence, path).quality.psnr,
-            "a frame, kB": path.stat().st_size / count / 1e3,
-        }
-        return facts(form) | sizes | times
-
-
-def _read_all(path: Path, count: int) -> None:
-    sequence = open_sequence(path)
-    for i in range(count):
-        sequence.read(i)
