@@ -13,7 +13,7 @@ from airgs_codec.decoder.decode import decode
 from airgs_codec.errors import SceneError
 from airgs_codec.inspect.sides import open_side
 from airgs_codec.package.package import open_package
-from airgs_codec.scene.cameras.inria import PLACEHOLDER
+from airgs_codec.scene.cameras.forms import PLACEHOLDER
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.formats.table import read_frame_header
 from airgs_codec.scene.gaussians import SATURATED_LOGIT, SH_C0, logits_of, sigmoid
