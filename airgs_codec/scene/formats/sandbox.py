@@ -12,7 +12,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from pathlib import Path
 
@@ -122,7 +122,7 @@ def _bake_4dgs(fps: str, target: str) -> None:
     Path(f"{target}.json").write_text(json.dumps(said))
 
 
-PROGRAMS = {"gaussforge": _convert, "fourdgs": _bake_4dgs}
+PROGRAMS: dict[str, Callable[..., None]] = {"gaussforge": _convert, "fourdgs": _bake_4dgs}
 
 if __name__ == "__main__":
     main(*sys.argv[1:])

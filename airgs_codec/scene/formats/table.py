@@ -16,7 +16,7 @@ from airgs_codec.scene.files import reading
 from airgs_codec.scene.formats.compressed_ply import COMPRESSED
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.gltf import GLTF
-from airgs_codec.scene.formats.library_clips import FOUR_DGS, SPLAT4D
+from airgs_codec.scene.formats.library import FOUR_DGS, SPLAT4D
 from airgs_codec.scene.formats.ply import INRIA
 from airgs_codec.scene.formats.ply_elements import read_header
 from airgs_codec.scene.formats.sog import META_NAME, SOG, is_sog_folder

@@ -6,6 +6,7 @@ deviation)^2 / 2); frame i of F is at i / (F - 1) (FORMAT.md of OpsiClear-4DGS/f
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -49,14 +50,17 @@ def write_ftgs(path: Path, frames: Sequence[Gaussians], _fps: float) -> None:
     rest = m.rest.sh_rest.transpose(0, 2, 1).reshape(len(m.rest), -1)
     still = (m.rest.means, m.rest.quaternions, m.rest.log_scales, logits, m.rest.sh_dc)
     table = np.concatenate([*still, m.centres[:, None], deviations, m.motion[:, 0], rest], axis=1)
-    with path.open("wb") as file:
-        write_floats(file, names, iter([table]), len(m.rest), [f"{name} {value}" for name, value in said.items()])
+    target = io.BytesIO()
+    write_floats(target, names, iter([table]), len(m.rest))
+    comments = "".join(f"comment {name} {value}\n" for name, value in said.items()).encode()
+    path.write_bytes(target.getvalue().replace(b"element", comments + b"element", 1))
 
 
 def read_ftgs(path: Path, frame: int) -> Gaussians:
     """One frame of a file that `write_ftgs` wrote."""
     header = read_header(path)
-    said = dict(line.split(maxsplit=1) for line in header.comments)
+    lines = path.read_bytes()[: header.size].decode().splitlines()
+    said = dict(line.split()[1:] for line in lines if line.startswith("comment"))
     rest = _rest_names(int(said["sh_degree"]))
     columns = read_columns(path, header, header.elements[0], (*_COLUMNS, rest))
     means, quaternions, log_scales, logits, dc, centres, deviations, velocity, sh = columns
