@@ -16,7 +16,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import background_of, misread
-from airgs_codec.scene.formats.write import KEYS, Numbered, choose_target, write_frames
+from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write_frames
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import pytest
 from airgs_codec.cli import decode
 from airgs_codec.decoder.decode import decode as decode_frame
 from airgs_codec.package.package import open_package
-from airgs_codec.scene.formats import write
+from airgs_codec.scene.formats import table
 from airgs_codec.scene.formats.table import FRAMES, read_frame
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import GOLDEN, VALID
@@ -127,13 +127,13 @@ def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, c
 
     broken = [replace(form, write=full) if form.key == "splat" else form for form in FRAMES]
     with monkeypatch.context() as patched:
-        patched.setattr(write, "FRAMES", broken)
+        patched.setattr(table, "FRAMES", broken)
         assert "No space left" in refusal(capsys, *options)
         assert not any(tmp_path.iterdir())
     assert run(*options) == 0
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with monkeypatch.context() as patched:
-        patched.setattr(write, "FRAMES", broken)
+        patched.setattr(table, "FRAMES", broken)
         assert "No space left" in refusal(capsys, *options)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
@@ -143,8 +143,8 @@ def test_a_stopped_command_leaves_nothing(tmp_path, number, status):
     """It is stopped when its frames are written, but not yet in their place."""
     code = f"""import os, signal, sys
 from airgs_codec.cli import decode
-from airgs_codec.scene.formats import write
-write.write_settings = lambda *_, **__: os.kill(os.getpid(), {int(number)})
+from airgs_codec.scene.formats import table
+table.write_settings = lambda *_, **__: os.kill(os.getpid(), {int(number)})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(decode.main(sys.argv[1:]))"""
     command = [sys.executable, "-c", code, str(FOX), "-o", f"{tmp_path}/new/frames/"]

@@ -20,8 +20,7 @@ from airgs_codec.inspect.compare import Comparison, compare_two
 from airgs_codec.inspect.sides import compared_views, open_side
 from airgs_codec.scene.formats.form import FrameFormat
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.formats.table import FRAMES
-from airgs_codec.scene.formats.write import choose_target, write_frames
+from airgs_codec.scene.formats.table import FRAMES, choose_target, write_frames
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, Took, alone, seconds_of, setting
