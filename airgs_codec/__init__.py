@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from airgs_codec.play.trace import Trace
     from airgs_codec.render.backend import draw
     from airgs_codec.scene.camera import Camera
-    from airgs_codec.scene.formats.table import read
-    from airgs_codec.scene.formats.write import write
+    from airgs_codec.scene.formats.table import read, write
     from airgs_codec.scene.gaussians import Gaussians
     from airgs_codec.scene.sequence import GaussianSequence as Sequence
     from airgs_codec.scene.sequence import open_sequence
@@ -84,7 +83,7 @@ _HOMES = {
     "simulate": "play.session",
     "train": "trainer",
     "validate": "inspect.validate",
-    "write": "scene.formats.write",
+    "write": "scene.formats.table",
 }
 _NAMES_THERE = {"Sequence": "GaussianSequence"}  # where it is another
 

@@ -24,7 +24,7 @@ MAY_IMPORT = {
     "gsplat": {"render/cuda.py"},
     "pycolmap": {"trainer/data/rig.py"},
     "gaussforge": {"scene/formats/sandbox.py"},
-    "fourdgs": {"scene/formats/bake_4dgs.py", "scene/formats/fourdgs.py"},
+    "fourdgs": {"scene/formats/sandbox.py"},
     "gsply": {"scene/formats/spz.py"},
     "pygltflib": set(),  # of tests alone
     "av": {"media/h264.py", "media/movie.py", "media/sound.py"},

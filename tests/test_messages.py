@@ -33,7 +33,7 @@ CALLS = [
 ]
 COMMANDS = [
     (encode, ["none"], "none: expected"),
-    (encode, ["none.tsog"], "none.tsog"),
+    (encode, ["none.splatv"], "none.splatv"),
     (encode, [FOX, "-o", "x.airgs"], "fox"),
     (encode, [], "SCENE"),
     (encode, ["none", "--quality", "much"], "--quality"),

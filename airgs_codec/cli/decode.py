@@ -12,13 +12,11 @@ from airgs_codec.cli.common import as_json, frames, package, parse_range
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.decoder.sound import sound_file
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import background_of, misread
-from airgs_codec.scene.formats.form import ClipFormat
-from airgs_codec.scene.formats.write import KEYS, Numbered, choose_target, write_frames
+from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write_frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +57,8 @@ def decode(options: Decode) -> int:
         raise ConfigError(f"{target.path}: expected a place outside of packages, got one in the package {folder}")
     with closing(Bar(options.json)) as bar:
         decoded = _decoded(package, (start, stop), (level, quality), bar)
-        whole = isinstance(target.form, ClipFormat) and stop - start == m.frames
-        sound = sound_file(package) if whole else b""
-        lost = write_frames(target, decoded, m.fps, background_of(m.region), sound)
-    notes = (
-        ["without its sound, which goes with all frames"] if target.form.holds.sound and m.sound and not whole else []
-    )
-    notes += misread(m.world, target.form.name, target.form.axes)
+        lost = write_frames(target, decoded, m.fps, background_of(m.region))
+    notes = misread(m.world, target.form.name, target.form.axes)
     report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
     report |= {"format": target.form.key, "lost": lost, "notes": notes}
     words = f"{stop - start} frames of {quality} + {level} in {options.output}"

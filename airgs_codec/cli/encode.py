@@ -65,7 +65,7 @@ class Encode:
 
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
-        ".splat4d, .tsog, Spacetime Gaussians or FTGS .ply), either at s3://, gs://, az:// too, or a folder of "
+        ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of "
         "multi-view pictures"
     )
     output: str | None = setting(

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from airgs_codec.errors import CodecError, FormatError
 from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, WARM_UP, read_samples, read_start
 from airgs_codec.media.sound import decode_sound
-from airgs_codec.package.layout import SOUND_INIT_NAME
 from airgs_codec.package.package import Package
 
 
@@ -53,14 +52,6 @@ def decode_group(package: Package, number: int, before: tuple[bytes, ...] = ()) 
     if len(samples) != (wanted := PACKET_TICKS * (len(before) + len(packets))):
         raise FormatError("bad_sound", m.sound_files(number)[0], f"expected {wanted} samples, got {len(samples)}")
     return samples[PACKET_TICKS * len(before) :]
-
-
-def sound_file(package: Package) -> bytes:
-    """The sound of all groups as a file, Opus in MP4; empty where there is none. Raises what `Package.read` raises."""
-    m = package.manifest
-    if m.sound is None:
-        return b""
-    return b"".join(map(package.read, [SOUND_INIT_NAME, *(p for g in range(len(m.groups)) for p in m.sound_files(g))]))
 
 
 def _read_packets(package: Package, number: int) -> tuple[bytes, ...]:

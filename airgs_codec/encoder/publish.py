@@ -20,7 +20,7 @@ from airgs_codec.encoder.tables import add_sound
 from airgs_codec.encoder.track import tracked
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
-from airgs_codec.media.sound import SoundTrack, encode_sound
+from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import write_file
@@ -127,7 +127,7 @@ def _encode(
     sequence: GaussianSequence, place: Place, settings: EncodeSettings, goal: Goal | None, work: Work
 ) -> EncodeReport:
     """Track a sequence where its settings say so, encode it and write its files to a place."""
-    attribution, sound = sequence.attribution, sequence.sound_track or _own_sound(sequence)
+    attribution, sound = sequence.attribution, sequence.sound_track
     with tracked(hold_frames(sequence), settings, work) as found, closing(hold_frames(found.sequence)) as held:
         watch = Stopwatch()
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
@@ -171,12 +171,6 @@ def _encode(
         repairs,
         measured.uncertainty,
     )
-
-
-def _own_sound(sequence: GaussianSequence) -> SoundTrack | None:
-    """The sound that a clip brings. Raises SceneError."""
-    data = sequence.sound()
-    return None if data is None else encode_sound(sequence.paths[0], len(sequence) / sequence.fps, data)
 
 
 def write_package(

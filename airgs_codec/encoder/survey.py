@@ -78,8 +78,7 @@ class ViewPlan:
         axes, notes = sequence.axes, []
         if world is None and axes:
             world = world_from(axes.up, axes.metres)
-            source = "the file" if sequence.clip else f"the specification of {sequence.format.name}"
-            notes.append(f"{world_words(world)}; {source} says so")
+            notes.append(f"{world_words(world)}; the specification of {sequence.format.name} says so")
         plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
         return replace(plan, world=world, renderer=renderer, notes=(*plan.notes, *notes))
 

@@ -106,13 +106,6 @@ def decode_webp(data: bytes) -> NDArray[np.uint8]:
         raise ValueError(" ".join(str(error).split())[:200]) from error
 
 
-def encode_webp(samples: NDArray[np.uint8]) -> bytes:
-    """(H, W, 4) as lossless WebP that keeps the colour of what is transparent, too."""
-    target = io.BytesIO()
-    Image.fromarray(samples).save(target, "WEBP", lossless=True, exact=True)
-    return target.getvalue()
-
-
 def read_mask(path: Path, size: tuple[int, int]) -> NDArray[np.float32]:
     """Read (H, W) of 0 and 1 from a picture: 1 where it is not black.
 

@@ -5,7 +5,6 @@ Packets last 20 ms. Packet k decodes to the samples from PACKET_TICKS * k - pre_
 
 from __future__ import annotations
 
-import io
 import itertools
 import math
 from collections.abc import Iterable, Iterator
@@ -41,15 +40,14 @@ class SoundTrack:
         return sound_init(self.channels, self.pre_skip)
 
 
-def encode_sound(path: Path, seconds: Fraction, data: bytes | None = None) -> SoundTrack:
+def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
     """The first sound of a file, as long as a sequence of so many seconds: cut at its end, or silent from its own on.
 
-    `data`: the bytes of that file, where it lies within the one at `path`. Raises SceneError for a file without sound
-    or one that cannot be read, CodecError when the encoder fails.
+    Raises SceneError for a file without sound or one that cannot be read, CodecError when the encoder fails.
     """
     count = math.ceil(seconds * SOUND_RATE / PACKET_TICKS)
     try:
-        return _encode(_Source(path, data), count, seconds)
+        return _encode(_Source(path), count, seconds)
     except av.FFmpegError as error:
         raise CodecError(f"{path}: cannot encode the sound: {error}") from error
 
@@ -104,13 +102,13 @@ def _opus(mode: Literal["r", "w"], channels: int) -> av.AudioCodecContext:
 class _Source:
     """The samples of a file, in order, from its beginning on."""
 
-    def __init__(self, path: Path, data: bytes | None) -> None:
+    def __init__(self, path: Path) -> None:
         """Raises SceneError."""
         self._path = path
         self.heard = 0  # samples until the last one of the file that was given
         self.longer = False  # whether it has others
         try:
-            self._container = av.open(str(path) if data is None else io.BytesIO(data), "r")
+            self._container = av.open(str(path), "r")
         except (av.FFmpegError, OSError) as error:
             raise SceneError(f"{path}: expected a file with sound: {error}") from error
         if not self._container.streams.audio:

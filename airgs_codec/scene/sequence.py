@@ -80,7 +80,7 @@ class GaussianSequence:
     copied: Copied | None = field(default=None, compare=False)  # from an address; paths are those of the copy
     held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
     credit: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
-    sound_track: SoundTrack | None = None  # as long as the sequence; None: what the clip brings
+    sound_track: SoundTrack | None = None  # as long as the sequence
 
     @staticmethod
     def from_arrays(
@@ -112,8 +112,8 @@ class GaussianSequence:
 
     @property
     def axes(self) -> Axes | None:
-        """Which way is up, where the file of a clip or the specification of the frames' format says it."""
-        return self.clip.axes if self.clip else self.format.axes
+        """Which way is up, where the specification of the frames' format says it."""
+        return None if self.clip else self.format.axes
 
     @property
     def format(self) -> FrameFormat:
@@ -127,12 +127,6 @@ class GaussianSequence:
             return self.credit
         with _naming(self.copied):
             return read_attribution(self.folder)
-
-    def sound(self) -> bytes | None:
-        """The file of sound that the clip brings; None without one. Raises SceneError."""
-        if self.clip is None or self.clip.sound is None:
-            return None
-        return self.clip.sound(self.paths[0])
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -262,7 +256,7 @@ def _sequence_of_clip(
             clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
     frames = [(path, header) for header in clip.headers]
     sequence = sequence_of(found.folder, frames, views=views, fps=clip.fps if fps is None else fps, alone=True)
-    return replace(sequence, clip=clip, breaks=clip.breaks)
+    return replace(sequence, clip=clip)
 
 
 def sequence_of(

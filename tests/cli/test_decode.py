@@ -9,12 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from airgs_codec.cli import decode
 from airgs_codec.decoder.decode import decode as decode_frame
 from airgs_codec.package.package import open_package
-from airgs_codec.scene.formats import write
+from airgs_codec.scene.formats import table
 from airgs_codec.scene.formats.table import FRAMES, read_frame
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import GOLDEN, VALID
@@ -75,22 +74,6 @@ def test_sog_as_a_folder_of_pictures(tmp_path):
     assert not list((tmp_path / "sog").glob("*.sog"))
 
 
-@pytest.mark.parametrize("key", ["4dgs", "splat4d"])
-def test_a_clip_holds_a_range_in_one_file(tmp_path, key, capsys):
-    assert run("-o", tmp_path / f"fox.{key}", "--frames", "1:4", "--level", "L1", "--json") == 0
-    report = json.loads(capsys.readouterr().out)
-    assert (report["format"], report["frames"]) == (key, [1, 4]) and len(report["lost"]) == 2
-    assert [p.name for p in tmp_path.iterdir()] == [f"fox.{key}"]
-    package, sequence = open_package(FOX), open_sequence(tmp_path / f"fox.{key}")
-    assert (len(sequence), sequence.fps) == (3, package.manifest.fps)
-    for i in range(3):
-        expected = decode_frame(package, i + 1, level="L1")
-        seen = sequence.read(i).opacities() > 0.01
-        back = sequence.read(i).take(seen)
-        assert seen.sum() >= 0.95 * len(expected)
-        assert np.median(cKDTree(expected.means).query(back.means)[0]) < 1e-3
-
-
 def test_what_a_range_loses_is_said(tmp_path, capsys):
     assert run("-o", tmp_path / "a", "--format", "sog", "--frames", "0:2") == 0
     lines = capsys.readouterr().out.splitlines()
@@ -98,11 +81,8 @@ def test_what_a_range_loses_is_said(tmp_path, capsys):
 
 
 def test_a_place_may_have_any_name(tmp_path, capsys):
-    """What ends like no format is a folder of frames, or the file of a clip format."""
     assert run("-o", tmp_path / "x.dec", "--frames", "1:3") == 0
     assert len(list((tmp_path / "x.dec").glob("*.ply"))) == 2
-    assert run("-o", tmp_path / "x.v2", "--format", "splat4d") == 0
-    assert (tmp_path / "x.v2").is_file()
 
 
 @pytest.mark.parametrize(
@@ -115,8 +95,6 @@ def test_a_place_may_have_any_name(tmp_path, capsys):
         (["-o", "file/"], "expected a folder, got a file"),
         (["-o", "folder.spz", "--frames", "0"], "expected a file, got a folder: end it in /"),
         (["-o", "frames", "--frames", "0:9"], "inside 0:4"),
-        (["-o", "frames/", "--format", "4dgs"], "expected a file whose name ends in .4dgs, which holds all frames"),
-        (["-o", "a.4dgs", "--format", "splat4d"], "ends in .splat4d"),
         (["-o", ""], "expected the name of a file or folder"),
         (["-o", str(FOX)], "expected a place outside of packages"),
         (["-o", f"{FOX}/a.spz", "--frames", "0"], "expected a place outside of packages"),
@@ -149,13 +127,13 @@ def test_after_a_failure_everything_is_as_it_was(tmp_path, monkeypatch, place, c
 
     broken = [replace(form, write=full) if form.key == "splat" else form for form in FRAMES]
     with monkeypatch.context() as patched:
-        patched.setattr(write, "WRITERS", broken)
+        patched.setattr(table, "FRAMES", broken)
         assert "No space left" in refusal(capsys, *options)
         assert not any(tmp_path.iterdir())
     assert run(*options) == 0
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     with monkeypatch.context() as patched:
-        patched.setattr(write, "WRITERS", broken)
+        patched.setattr(table, "FRAMES", broken)
         assert "No space left" in refusal(capsys, *options)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
 
@@ -165,8 +143,8 @@ def test_a_stopped_command_leaves_nothing(tmp_path, number, status):
     """It is stopped when its frames are written, but not yet in their place."""
     code = f"""import os, signal, sys
 from airgs_codec.cli import decode
-from airgs_codec.scene.formats import write
-write.write_settings = lambda *_, **__: os.kill(os.getpid(), {int(number)})
+from airgs_codec.scene.formats import table
+table.write_settings = lambda *_, **__: os.kill(os.getpid(), {int(number)})
 signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.exit(decode.main(sys.argv[1:]))"""
     command = [sys.executable, "-c", code, str(FOX), "-o", f"{tmp_path}/new/frames/"]

@@ -149,33 +149,6 @@ def write_llff(folder: Path, rig: Rig) -> Path:
     return folder / "poses_bounds.npy"
 
 
-def fourdgs_string(text: str) -> bytes:
-    """A 32-bit length and UTF-8."""
-    return struct.pack("<I", len(text.encode())) + text.encode()
-
-
-def fourdgs_sensor(c: Camera, matrix: np.ndarray, model: int = 1, lens: Sequence[float] = (), rig: str = "") -> bytes:
-    """The content of a Sensor Calibration record; `matrix`: camera to scene, or to `rig`."""
-    pose = [*Rotation.from_matrix(matrix[:3, :3]).as_quat(), *matrix[:3, 3]]
-    head = fourdgs_string(c.name) + fourdgs_string("camera")
-    body = struct.pack("<BII4dB", model, c.width, c.height, c.fx, c.fy, c.cx, c.cy, len(lens))
-    body += struct.pack(f"<{len(lens) + 7}d", *lens, *pose) + struct.pack("<B", bool(rig)) + fourdgs_string(rig)
-    return head + body
-
-
-def save_fourdgs(path: Path, records: Sequence[tuple[int, bytes]]) -> Path:
-    """A .4dgs of these records, (opcode, content), among others."""
-    whole = [(0x01, b"header"), *records, (0x05, bytes(100)), (0x90, b"private"), (0x02, bytes(20))]
-    magic = b"\x894DGS1\r\n"
-    body = b"".join(struct.pack("<BQ", opcode, len(content)) + content for opcode, content in whole)
-    return saved(path, magic + body + magic)
-
-
-def write_fourdgs(folder: Path, rig: Rig) -> Path:
-    """A .4dgs with a sensor for each camera."""
-    return save_fourdgs(folder / "scene.4dgs", [(0x21, fourdgs_sensor(c, to_world(c))) for c in rig])
-
-
 FORMS: dict[str, Writer] = {
     "transforms": write_transforms,
     "nerfstudio": write_nerfstudio,
@@ -185,6 +158,5 @@ FORMS: dict[str, Writer] = {
     "panoptic": write_panoptic_meta,
     "llff": write_llff,
     "splatv": write_splatv,
-    "4dgs": write_fourdgs,
 }
 MARK_HELD_OUT = ("transforms", "nerfstudio", "colmap text", "colmap binary", "panoptic")

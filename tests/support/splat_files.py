@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pygltflib
 from gaussforge import GaussForge
+from PIL import Image
 
-from airgs_codec.media.image import encode_webp
 from airgs_codec.scene.formats.gltf import EXTENSION
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
@@ -124,6 +124,6 @@ def write_sog_v1(folder: Path, g: Gaussians) -> Path:
         palette = picture("shN_centroids.webp", codes.reshape(-1, 3), 255, 64 * g.sh_rest.shape[1])
         meta["shN"] = {"quantization": 8, "files": [palette, picture("shN_labels.webp", labels, 255, 32)], **bounds}
     for name, pixels in files.items():
-        (folder / name).write_bytes(encode_webp(pixels))
+        Image.fromarray(pixels).save(folder / name, "WEBP", lossless=True, exact=True)
     (folder / "meta.json").write_text(json.dumps(meta))
     return folder

@@ -1,4 +1,4 @@
-"""Cameras from a file or a folder of any form, or from beside a scene. To add a form, write its module and its row."""
+"""Cameras from a file or a folder of any form, or from beside a scene. To add a form, write its reader and its row."""
 
 from __future__ import annotations
 
@@ -8,28 +8,27 @@ from typing import Any
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras import colmap, fourdgs, inria, llff, panoptic, transforms
+from airgs_codec.scene.cameras import colmap, forms
 from airgs_codec.scene.cameras.posed import Posed, distinct
 from airgs_codec.scene.files import expecting, read_json
 
 Reader = Callable[[Path], list[Posed]]
 
 BY_MAGIC: tuple[tuple[bytes, Reader], ...] = (
-    (inria.SPLATV_MAGIC, inria.read_splatv),
-    (fourdgs.MAGIC, fourdgs.read),
-    (llff.MAGIC, llff.read),
+    (forms.SPLATV_MAGIC, forms.read_splatv),
+    (forms.NUMPY_MAGIC, forms.read_llff),
 )
 BY_JSON: tuple[tuple[Callable[[Any], bool], Reader], ...] = (
-    (transforms.fits, transforms.read),
-    (panoptic.fits, panoptic.read),
-    (inria.fits, inria.read),
+    (forms.is_transforms, forms.read_transforms),
+    (forms.is_panoptic, forms.read_panoptic),
+    (forms.is_inria, forms.read_inria),
 )
-NAMES = (transforms.NAME, inria.NAME, "sparse", panoptic.NAME)  # what is looked for beside a scene, in this order
-SUFFIXES = (".json", ".splatv", ".4dgs", ".npy")  # of files that may have cameras under another name
+NAMES = (forms.TRANSFORMS, forms.INRIA, "sparse", forms.PANOPTIC)  # what is looked for beside a scene, in this order
+SUFFIXES = (".json", ".splatv", ".npy")  # of files that may have cameras under another name
 BOM = b"\xef\xbb\xbf"  # that Windows puts before UTF-8
 WORDS = (
-    "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy, "
-    ".splatv or .4dgs)"
+    "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy "
+    "or .splatv)"
 )
 
 
@@ -63,7 +62,7 @@ def locate_cameras(path: Path) -> Path:
     """
     if not path.is_dir():
         return path.parent if colmap.is_part(path) else path
-    named = [found for name in (*NAMES, llff.NAME) if (found := _named(path, name))]
+    named = [found for name in (*NAMES, forms.LLFF) if (found := _named(path, name))]
     return named[0] if named else colmap.find_model(path) or _only_file(path)
 
 

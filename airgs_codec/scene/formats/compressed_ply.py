@@ -11,14 +11,13 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds
 from airgs_codec.scene.formats.library import read_with_library
 from airgs_codec.scene.formats.ply_elements import Header, read_header
-from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians, morton_encode
+from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians, morton_order
 
 _CHUNK = 256  # rows
 _WORDS = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _BOUNDS = tuple(f"{end}_{what}{axis}" for what in ("", "scale_") for end in ("min", "max") for axis in "xyz")
 
 _COLOURS = tuple(f"{end}_{c}" for end in ("min", "max") for c in "rgb")
-_GRID = (1 << 16) - 1  # cells an axis, by which rows are sorted
 _SH_RANGE = 4.0
 
 
@@ -59,7 +58,7 @@ def write_compressed(path: Path, gaussians: Gaussians) -> None:
 
     Neighbours share a chunk, whose bounds are as tight as that makes them. Layout: PlayCanvas' splat-transform.
     """
-    g = gaussians.take(_order(gaussians.means))
+    g = gaussians.take(morton_order(gaussians.means))
     starts = np.arange(0, len(g), _CHUNK)
     values = (g.means, g.log_scales, g.sh_dc * np.float32(SH_C0) + np.float32(0.5))
     bounds = [end.reduceat(v, starts) for v in values for end in (np.minimum, np.maximum)]
@@ -83,13 +82,6 @@ def _lines(count: int, coefficients: int) -> str:
     if coefficients:
         lines += [f"element sh {count}", *(f"property uchar f_rest_{i}" for i in range(coefficients))]
     return "\n".join([*lines, "end_header", ""])
-
-
-def _order(means: NDArray[np.float32]) -> NDArray[np.intp]:
-    """(N,) the rows along a Morton curve through the box of (N, 3) positions."""
-    low = means.min(axis=0).astype(np.float64)
-    cell = max(float((means.max(axis=0) - low).max()), 1e-30) / _GRID
-    return np.argsort(morton_encode(((means - low) / cell).astype(np.int64)), kind="stable")
 
 
 def _spans(bounds: list[NDArray[np.float32]]) -> list[NDArray[np.float32]]:

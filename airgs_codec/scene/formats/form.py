@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -49,8 +49,6 @@ class Holds:
     sh_degree: int = 3
     rounding: str = ""  # what is rounded to how many bits
     keeps_rows: bool = True  # whether row n is the same Gaussian in all frames
-    keeps_count: bool = False  # whether all frames have the same number of rows
-    sound: bool = False  # whether a clip has any
     ranges: tuple[tuple[str, float, float], ...] = ()  # an attribute of Gaussians, its least and largest value
 
 
@@ -70,9 +68,6 @@ class Clip:
     fps: Fraction  # frames a second
     read: Callable[[Path, int], Gaussians]  # a frame of its file, wherever that is, unrepaired; raises SceneError
     note: str  # what was read, and how it became frames, for people
-    breaks: tuple[int, ...] = ()  # frames whose rows are known to be others than those of the frame before
-    axes: Axes | None = None  # as the file says; None: it does not
-    sound: Callable[[Path], bytes] | None = None  # the file of sound within its file; raises SceneError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,11 +75,7 @@ class Format:
     """A format of files; its functions raise SceneError."""
 
     name: str
-    key: str  # in options; written files end in it, after a dot
     suffixes: tuple[str, ...]  # of files that are read
-    holds: Holds = Holds()
-    writer: str = ""  # the library or command that `write` needs
-    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
     fits: Callable[[Header], bool] | None = None  # whether a .ply is of this format; None: any other is
 
 
@@ -92,14 +83,13 @@ class Format:
 class FrameFormat(Format):
     """A format of files that hold one frame."""
 
+    key: str  # in options; written files end in it, after a dot
+    holds: Holds = Holds()
+    writer: str = ""  # the library that `write` needs
+    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
     read_header: Callable[[Path], FrameHeader]
     read: Callable[[Path], Gaussians]
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
-
-
-def refuse_writing(path: Path, _frames: Iterable[Gaussians], _fps: float, _sound: bytes = b"") -> None:
-    """What a clip that is only read has for its writer. Raises SceneError."""
-    raise SceneError(f"{path}: expected a format that is written, got one that is read alone")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,8 +97,6 @@ class ClipFormat(Format):
     """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
 
     open: Callable[[Path, Bake], Clip]
-    write: Callable[[Path, Iterable[Gaussians], float, bytes], None] = refuse_writing  # of frames, so many a second,
-    # with a sound in MP4, which only those that hold any keep
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:
@@ -124,19 +112,6 @@ def count_frames(path: Path, fps: Fraction, seconds: Fraction) -> int:
     if not 0 < fps * seconds <= MOST_FRAMES:
         raise SceneError(f"{path}: expected a clip of 1 to {MOST_FRAMES} frames, got {float(seconds):g} s at {fps} fps")
     return max(1, round(fps * seconds))
-
-
-def refuse_baking(path: Path, bake: Bake, name: str, *, fps: bool = True) -> None:
-    """Raise SceneError where somebody asks for what a format leaves no choice in: the duration and, maybe, `fps`."""
-    if bake.seconds is not None:
-        raise SceneError(f"{path}: expected no duration, {name} states its own, got {float(bake.seconds):g} s")
-    if fps and bake.fps is not None:
-        raise SceneError(f"{path}: expected no frame rate to bake at, {name} has whole frames, got {bake.fps} fps")
-
-
-def rate_words(fps: Fraction) -> str:
-    """A frame rate for people."""
-    return f"{float(fps):g} a second"
 
 
 class Losses:
@@ -177,8 +152,6 @@ class Losses:
             lines.append(f"{self._form} rounds {self._holds.rounding}")
         if not self._holds.keeps_rows and len(self._rows) > 1:
             lines.append(f"{self._form} has rows in another order in every frame: which Gaussian is which is lost")
-        if self._holds.keeps_count and len(set(self._rows)) > 1:
-            lines.append(f"{self._form} has {max(self._rows)} rows in every frame: the shorter end in some of alpha 0")
         for name, low, high in self._holds.ranges:
             if count := self._beyond[name]:
                 share = f"{count} of {sum(self._rows)} Gaussians"

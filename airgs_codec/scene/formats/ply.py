@@ -58,6 +58,8 @@ def _open(path: Path, expected: str) -> tuple[Header, Element]:
 
 def _sh_degree(path: Path, vertex: Element) -> int:
     names = {p.name for p in vertex.properties}
+    if "log_duration" in names:
+        raise SceneError(f"{path}: expected Gaussians at rest, got those of FTGS, which move: bake them to frames")
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest % 3 or rest // 3 not in SH_REST:
         raise SceneError(f"{path}: expected 0, 9, 24 or 45 f_rest properties, got {rest}")

@@ -68,7 +68,6 @@ class Header:
     ascii: bool
     elements: tuple[Element, ...]
     size: int  # bytes of the header
-    comments: tuple[str, ...] = ()
 
     @property
     def least_size(self) -> int:
@@ -131,8 +130,7 @@ def _parse(lines: Sequence[str], size: int) -> Header:
     for names in ([e[0] for e in elements], *([p.name for p in e[2]] for e in elements)):
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise ValueError(f"{twice[0]} stands there twice")
-    comments = tuple(line.removeprefix("comment ") for line in lines if line.startswith("comment "))
-    return Header(form == "ascii", tuple(Element(n, count, tuple(ps)) for n, count, ps in elements), size, comments)
+    return Header(form == "ascii", tuple(Element(n, count, tuple(ps)) for n, count, ps in elements), size)
 
 
 def _type(name: str, form: str) -> np.dtype:
@@ -226,16 +224,9 @@ def _text_blocks(path: Path, header: Header, element: Element) -> Iterator[NDArr
             yield np.loadtxt(taken, row, comments=None, ndmin=1)
 
 
-def write_floats(
-    file: BinaryIO,
-    names: Sequence[str],
-    blocks: Iterator[NDArray[np.float32]],
-    count: int,
-    comments: Sequence[str] = (),
-) -> None:
+def write_floats(file: BinaryIO, names: Sequence[str], blocks: Iterator[NDArray[np.float32]], count: int) -> None:
     """Write one element `vertex` of `count` rows, float properties, binary little-endian; blocks are (n, P)."""
-    lines = ["ply", "format binary_little_endian 1.0", *(f"comment {text}" for text in comments)]
-    lines += [f"element vertex {count}"]
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
     lines += [*(f"property float {name}" for name in names), "end_header", ""]
     file.write("\n".join(lines).encode())
     for block in blocks:

@@ -1,39 +1,37 @@
 """Programs that read files for us with libraries that others maintain, each in a process of its own with limits.
 
 A crash, a bomb and printed lines stay away from ours. The process runs this very file, which therefore imports nothing
-of this package: `python -P sandbox.py BYTES PROGRAM ARGUMENT...` becomes a Python file, a native command or CONVERT in
-at most BYTES of address space, with files of at most BYTES, without core dumps and with standard output thrown away.
+of this package: `python -P sandbox.py BYTES PROGRAM ARGUMENT...` becomes one of PROGRAMS or a native command in at most
+BYTES of address space, with files of at most BYTES, without core dumps and with standard output thrown away.
 """
 
 from __future__ import annotations
 
+import json
 import os
-import runpy
 import signal
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from fractions import Fraction
 from pathlib import Path
 
 BASE_BYTES = 4 << 30  # address space of an interpreter, its threads and a library
 SECONDS = 120  # for a file of a stranger
-CONVERT = "gaussforge"  # the program that turns a splat file of one format into another's: FROM TO TARGET
+DEFAULT_FPS = 30
+FEWEST_FPS = 10  # pieces of a clip are its frames where there are so many a second
+MOST_FRAMES = 1 << 18
 _MOST_WORDS = 200  # letters of what went wrong
 
 
 def run_limited(
-    program: str | Path,
-    arguments: Sequence[str],
-    more_bytes: int,
-    data: bytes = b"",
-    *,
-    seconds: float | None = SECONDS,
+    program: str, arguments: Sequence[str], more_bytes: int, data: bytes = b"", *, seconds: float | None = SECONDS
 ) -> str:
     """Run a program on standard input; what it says at its end, empty where all went well.
 
     It has `more_bytes` of memory beyond what any interpreter takes, and so many seconds.
     """
-    command = [sys.executable, "-P", __file__, str(BASE_BYTES + more_bytes), str(program), *arguments]
+    command = [sys.executable, "-P", __file__, str(BASE_BYTES + more_bytes), program, *arguments]
     environment = os.environ | {"RUST_BACKTRACE": "0"}
     try:
         run = subprocess.run(command, input=data, capture_output=True, timeout=seconds, check=False, env=environment)
@@ -49,24 +47,21 @@ def run_limited(
 
 
 def main(limit: str, program: str, *arguments: str) -> None:
-    """Limit this process, then be the program."""
+    """Limit this process, then be the program; what went wrong is the last line on standard error."""
     import resource
 
     for kind in (resource.RLIMIT_AS, resource.RLIMIT_FSIZE):
         resource.setrlimit(kind, (int(limit), int(limit)))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-    if program == CONVERT:
-        _convert(*arguments)
-    elif program.endswith(".py"):
-        sys.argv = [program, *arguments]
-        runpy.run_path(program, run_name="__main__")
+    if program in PROGRAMS:
+        PROGRAMS[program](*arguments)
     else:
         os.execv(program, [program, *arguments])
 
 
 def _convert(source_form: str, target_form: str, target: str) -> None:
-    """Convert standard input; what went wrong is the last line on standard error."""
+    """Convert a splat file on standard input to another format with gaussforge."""
     from gaussforge import GaussForge
 
     answer = GaussForge().convert(sys.stdin.buffer.read(), source_form, target_form)
@@ -74,6 +69,60 @@ def _convert(source_form: str, target_form: str, target: str) -> None:
         sys.exit(str(answer.get("error", "no data")))
     Path(target).write_bytes(answer["data"])
 
+
+def _bake_4dgs(fps: str, target: str) -> None:
+    """Bake a .4dgs on standard input with fourdgs; FPS 0 stands for as many frames as the file has states.
+
+    TARGET gets the rows of all frames as float32: a mean, a quaternion w, x, y, z, sizes, alpha, RGB and SH, red first;
+    TARGET.json how many rows each frame has, how many columns a row, and the frame rate. Frame i is the scene at
+    (i + 1/2) / fps seconds, in the middle of its time: what lasts for one frame is whole there.
+    """
+    import fourdgs
+    import numpy as np
+    from fourdgs import opcode, records, serialization
+    from fourdgs.keyframe_delta_file import decode_streamed, render_at
+    from fourdgs.quantization import SH_QUANT_HI, SH_QUANT_LO
+
+    data = sys.stdin.buffer.read()
+    serialization.check_magic(data)
+    found = serialization.iter_records(data, len(serialization.MAGIC))
+    header = next(records.Header.parse(record.content) for record in found if record.opcode == opcode.HEADER)
+    if header.temporal_model == "keyframe-delta":
+        sequence = decode_streamed(data)
+        pieces, width = len(sequence.chunks), 14
+
+        def columns(t: float) -> tuple[np.ndarray, ...]:
+            g = render_at(sequence, t)
+            return g["centers"], g["rotations"], g["scales"], g["opacity"], g["rgb"], np.zeros((len(g["rgb"]), 0))
+
+    else:
+        scene = fourdgs.read(data)
+        rows = scene.gaussians
+        codes = np.zeros((rows.count, 0)) if rows.sh is None else np.reshape(rows.sh, (rows.count, -1))
+        pieces, width = len(np.unique(rows.win_lo)), 14 + codes.shape[1]
+
+        def columns(t: float) -> tuple[np.ndarray, ...]:
+            shown = scene.state_at(t)
+            i = shown["indices"]
+            sh = SH_QUANT_LO + codes[i] * ((SH_QUANT_HI - SH_QUANT_LO) / 255)
+            return shown["centers"], shown["orientations"], rows.scales[i], shown["opacity"], rows.colors[i, :3], sh
+
+    stated = Fraction(pieces / header.duration_sec).limit_denominator(1001)
+    rate = Fraction(fps) or (stated if stated >= FEWEST_FPS else Fraction(DEFAULT_FPS))
+    if not 0 < header.duration_sec * rate <= MOST_FRAMES:
+        sys.exit(f"expected 1 to {MOST_FRAMES} frames, got {header.duration_sec:g} s at {rate} fps")
+    counts = []
+    with Path(target).open("wb") as file:
+        for frame in range(max(1, round(header.duration_sec * rate))):
+            means, turns, sizes, alpha, rgb, sh = columns((frame + 0.5) / float(rate))
+            parts = (means, np.asarray(turns)[:, [3, 0, 1, 2]], sizes, np.reshape(alpha, (-1, 1)), rgb, sh)
+            file.write(np.concatenate(parts, axis=1).astype("<f4").tobytes())
+            counts.append(len(means))
+    said = {"counts": counts, "width": width, "fps": str(rate), "model": header.temporal_model}
+    Path(f"{target}.json").write_text(json.dumps(said))
+
+
+PROGRAMS: dict[str, Callable[..., None]] = {"gaussforge": _convert, "fourdgs": _bake_4dgs}
 
 if __name__ == "__main__":
     main(*sys.argv[1:])

@@ -87,8 +87,7 @@ def _open(path: Path, *, rows: bool) -> tuple[Meta, FrameHeader, dict[str, bytes
 def _files(path: Path, names: list[str]) -> dict[str, bytes]:
     """Files of a folder or an archive, by name. Raises ValueError, OSError."""
     if not path.is_dir():
-        with zipfile.ZipFile(path) as archive:
-            return read_entries(path, archive, names, flat=True)
+        return _read_entries(path, names)
     if missing := [name for name in names if not (path / name).is_file()]:
         raise ValueError(f"no {missing[0]}")
     return {name: _read_at_most(path / name, _MOST_META if name == META_NAME else _MOST_PICTURE) for name in names}
@@ -127,7 +126,7 @@ def _bands(meta: Meta, files: Mapping[str, bytes]) -> int:
         bands = int(meta["shN"]["bands"])
     else:
         name = meta["shN"]["files"][0]
-        width, _ = picture_size(name, files[name])
+        width, _ = _picture_size(name, files[name])
         bands = [LABELS_A_LINE * k for k in SH_REST].index(width)
     if not 0 <= bands < len(SH_REST):
         raise ValueError(f"{bands} bands of SH")
@@ -141,26 +140,28 @@ def _names(meta: Meta, part: str, number: int) -> list[str]:
     return list(names)
 
 
-def read_entries(path: Path, archive: zipfile.ZipFile, names: Iterable[str], *, flat: bool = False) -> dict[str, bytes]:
-    """Files of an archive with a meta.json, by name, `flat` by that without folders.
+def _read_entries(path: Path, names: Iterable[str]) -> dict[str, bytes]:
+    """Files of an archive with a meta.json, by name without folders.
 
     No more than the archive can hold is unpacked. Raises ValueError for an archive that would unpack to far more than
-    it is, has a name twice or lacks one, or packs them in other ways than most do.
+    it is, lacks a name, or packs files in other ways than most do.
     """
-    listed = archive.infolist()
-    entries = {Path(entry.filename).name if flat else entry.filename: entry for entry in listed}
-    if META_NAME not in entries or len(listed) > _MOST_FILES or (len(entries) < len(listed) and not flat):
-        there = "" if META_NAME in entries else "not "
-        raise ValueError(f"{len(listed)} files with {len(entries)} names, {META_NAME} {there}among them")
-    if missing := [name for name in names if name not in entries]:
-        raise ValueError(f"no {missing[0][:80]!r}")
-    wanted = {name: entries[name] for name in names}
-    if other := [name for name, entry in wanted.items() if entry.compress_type not in _PACKED or entry.flag_bits & 1]:
-        raise ValueError(f"{other[0][:80]!r} is neither stored nor deflated")
-    size = sum(entry.file_size for entry in wanted.values())
-    if size > 4 * path.stat().st_size + _MOST_META or entries[META_NAME].file_size > _MOST_META:
-        raise ValueError(f"an archive that unpacks to {size} bytes")
-    return {name: archive.read(entry) for name, entry in wanted.items()}
+    with zipfile.ZipFile(path) as archive:
+        listed = archive.infolist()
+        entries = {Path(entry.filename).name: entry for entry in listed}
+        if META_NAME not in entries or len(listed) > _MOST_FILES:
+            there = "" if META_NAME in entries else "not "
+            raise ValueError(f"{len(listed)} files, {META_NAME} {there}among them")
+        if missing := [name for name in names if name not in entries]:
+            raise ValueError(f"no {missing[0][:80]!r}")
+        wanted = {name: entries[name] for name in names}
+        other = [n for n, entry in wanted.items() if entry.compress_type not in _PACKED or entry.flag_bits & 1]
+        if other:
+            raise ValueError(f"{other[0][:80]!r} is neither stored nor deflated")
+        size = sum(entry.file_size for entry in wanted.values())
+        if size > 4 * path.stat().st_size + _MOST_META or entries[META_NAME].file_size > _MOST_META:
+            raise ValueError(f"an archive that unpacks to {size} bytes")
+        return {name: archive.read(entry) for name, entry in wanted.items()}
 
 
 def _read_at_most(path: Path, most: int) -> bytes:
@@ -171,7 +172,7 @@ def _read_at_most(path: Path, most: int) -> bytes:
     return data
 
 
-def picture_size(name: str, data: bytes) -> tuple[int, int]:
+def _picture_size(name: str, data: bytes) -> tuple[int, int]:
     """Width and height of still lossless WebP, which its header tells. Raises ValueError for anything else."""
     if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
         raise ValueError(f"{name} is no WebP but {data[:12]!r}")
@@ -190,7 +191,7 @@ def picture_size(name: str, data: bytes) -> tuple[int, int]:
 
 def unpack(name: str, data: bytes, count: int) -> Pixels:
     """The pixels of a picture, if it has no more than `count` Gaussians can need. Raises ValueError."""
-    width, height = picture_size(name, data)
+    width, height = _picture_size(name, data)
     if width * height > 2 * count + _MOST_SPARE:
         raise ValueError(f"{name} for {count} Gaussians, got {width} x {height} pixels")
     samples = decode_webp(data)
@@ -210,9 +211,11 @@ def decode_rows(meta: Meta, pixels: Mapping[str, Pixels], header: FrameHeader) -
         log_scales, dc = _book(meta["scales"])[sizes[:, :3]], _book(meta["sh0"])[colours[:, :3]]
         logits: NDArray[Any] = logits_of(alpha / 255)
     else:
-        log_scales, coloured = between(meta["scales"], sizes[:, :3], 255), between(meta["sh0"], colours, 255)
+        log_scales = _between(meta["scales"], sizes[:, :3], 255)
+        coloured = _between(meta["sh0"], colours, 255)
         dc, logits = coloured[:, :3], coloured[:, 3]
-    logs = between(meta["means"], wide(*rows["means"])[:, :3], 65535)
+    low, high = (part[:, :3].astype(np.int64) for part in rows["means"])
+    logs = _between(meta["means"], low + 256 * high, 65535)
     columns = (np.sign(logs) * np.expm1(np.abs(logs)), _rotations(quats), log_scales, logits, dc)
     rest = _harmonics(meta["shN"], _coded(meta), pixels, header) if header.sh_degree else np.zeros((count, 0, 3))
     return Gaussians(*(np.ascontiguousarray(column, np.float32) for column in (*columns, rest)))
@@ -224,12 +227,7 @@ def _rows(pixels: Pixels, count: int) -> Pixels:
     return pixels[:count]
 
 
-def wide(low: Pixels, high: Pixels) -> NDArray[np.int64]:
-    """Two pictures of bytes as one of 16 bits."""
-    return low + 256 * high.astype(np.int64)
-
-
-def between(bounds: Meta, codes: NDArray[Any], most: int) -> NDArray[np.float64]:
+def _between(bounds: Meta, codes: NDArray[Any], most: int) -> NDArray[np.float64]:
     """(N, C) codes of 0 to `most` as values between `mins` and `maxs` of C channels."""
     low, high = (np.asarray(bounds[name], np.float64) for name in ("mins", "maxs"))
     return low + (high - low) * (codes / most)
@@ -258,7 +256,7 @@ def _harmonics(part: Meta, coded: bool, pixels: Mapping[str, Pixels], header: Fr
     palette, labels = (pixels[name] for name in part["files"])
     entries = palette[:, :3].reshape(-1, SH_REST[header.sh_degree], 3)
     entries = entries[: part["count"]] if coded and "count" in part else entries
-    values = _book(part)[entries] if coded else between(part, entries, 255)
+    values = _book(part)[entries] if coded else _between(part, entries, 255)
     rows = _rows(labels, header.count)
     return values[rows[:, 0] + 256 * rows[:, 1].astype(np.int64)]
 

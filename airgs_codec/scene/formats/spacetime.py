@@ -1,4 +1,8 @@
-"""Two files of Gaussians that move by themselves (`moving`), turn, appear and fade. N Gaussians.
+"""Two files of Gaussians that move by themselves, turn, appear and fade. N Gaussians.
+
+At the normalised time t of [0, 1], with d = t - centre, the mean is mean + motion_1 d + ... + motion_P d^P, the
+quaternion is quaternion + turn d, and alpha is alpha exp(-(d / width)^2). Sizes and colours stay. Frame i of F that are
+baked is at t = i / F.
 
 Spacetime Gaussians, the lite model (Li et al., CVPR 2024, equations 5 to 8) have P = 3 and plain RGB without SH. Their
 .ply has INRIA's properties with motion, turns and temporal widths, and is told from INRIA's by trbf_center. f_dc_0 to 2
@@ -16,20 +20,21 @@ from __future__ import annotations
 import functools
 import json
 import struct
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS
-from airgs_codec.scene.files import expecting
-from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, count_frames
-from airgs_codec.scene.formats.moving import Load, Moving, baked_note, moving_clip
+from airgs_codec.scene.files import expecting, reading
+from airgs_codec.scene.formats.form import Bake, Clip, ClipFormat, FrameHeader, count_frames
 from airgs_codec.scene.formats.ply_elements import Header, read_columns, read_header
-from airgs_codec.scene.gaussians import SH_C0, Floats, Gaussians, logs_of, sigmoid
+from airgs_codec.scene.gaussians import SH_C0, Floats, Gaussians, logits_of, logs_of, sigmoid
 
 DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper are trained on 50 frames of 30 fps
 
@@ -66,12 +71,57 @@ ROW = np.dtype(
 )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Moving:
+    """A model of N Gaussians, all float32."""
+
+    rest: Gaussians  # as at d = 0, whatever its opacities
+    motion: NDArray[np.float32]  # (N, P, 3) of powers 1 to P of d, then axes
+    alpha: NDArray[np.float32]  # (N,) of [0, 1]
+    centres: NDArray[np.float32]  # (N,) normalised time
+    widths: NDArray[np.float32]  # (N,) normalised time
+    turns: NDArray[np.float32] | None = None  # (N, 4) of the quaternion
+
+    def at(self, t: float) -> Gaussians:
+        """The frame at normalised time t. Rows keep their order; what is not finite stays so."""
+        d = (np.float32(t) - self.centres)[:, None]
+        shift = np.zeros_like(self.rest.means)
+        with np.errstate(all="ignore"):
+            for power in range(self.motion.shape[1])[::-1]:
+                shift = d * (self.motion[:, power] + shift)
+            alpha = self.alpha * np.exp(-np.square(d[:, 0] / self.widths))
+            quaternions = self.rest.quaternions if self.turns is None else self.rest.quaternions + d * self.turns
+            means = self.rest.means + shift
+        return replace(self.rest, means=means, quaternions=quaternions, opacity_logits=logits_of(alpha))
+
+
+Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
+
+
 def _open(load: Load, name: str, path: Path, bake: Bake) -> Clip:
     """A model baked to frames, frame i of F at t = i / F. Raises SceneError."""
     fps, seconds = bake.fps or DEFAULT_FPS, bake.seconds if bake.seconds is not None else DEFAULT_SECONDS
     frames = count_frames(path, fps, seconds)
-    clip = moving_clip(load, path, frames, fps, frames)
-    return replace(clip, note=baked_note(name, clip, seconds, bake.seconds is not None))
+    rest = _model(load, path).rest
+    note = f"{name}, {len(rest)} Gaussians baked to {frames} frames at {float(fps):g} a second: {float(seconds):.4g} s"
+    note += " by default, no length is stated" if bake.seconds is None else ""
+    header = FrameHeader(len(rest), rest.sh_degree)
+    return Clip((header,) * frames, fps, functools.partial(_frame, load, frames), note)
+
+
+def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
+    return _model(load, path).at(frame / frames)
+
+
+def _model(load: Load, path: Path) -> Moving:
+    """The model of a file as it is now."""
+    with reading(path):
+        return _cached(load, path, path.stat().st_mtime_ns)
+
+
+@functools.lru_cache(maxsize=2)
+def _cached(load: Load, path: Path, _written: int) -> Moving:
+    return load(path)
 
 
 def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Floats) -> Gaussians:
@@ -149,11 +199,8 @@ def _positive(value: Any) -> int:
 
 SPACETIME_PLY = ClipFormat(
     name="Spacetime Gaussians .ply",
-    key="spacetime.ply",
     suffixes=(".ply",),
     fits=is_spacetime_ply,
     open=functools.partial(_open, read_spacetime_ply, "Spacetime Gaussians .ply"),
 )
-SPLATV = ClipFormat(
-    name=".splatv", key="splatv", suffixes=(".splatv",), open=functools.partial(_open, read_splatv, ".splatv")
-)
+SPLATV = ClipFormat(name=".splatv", suffixes=(".splatv",), open=functools.partial(_open, read_splatv, ".splatv"))

@@ -18,7 +18,7 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
-from airgs_codec.scene.cameras import llff, panoptic, transforms
+from airgs_codec.scene.cameras import forms
 from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.files import expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
@@ -50,8 +50,8 @@ def read_transforms(folder: Path) -> MultiviewScene:
 
     Raises SceneError.
     """
-    path = folder / transforms.NAME
-    posed = transforms.read(path)
+    path = folder / forms.TRANSFORMS
+    posed = forms.read_transforms(path)
     fps, points = _frame_rate(path), _named_points(folder, read_object(path).get("ply_file_path"))
     films = {p.camera.name: CameraFilm(_picture_shot(folder, p), folder / p.picture) for p in posed}
     if all(film.path.suffix.lower() in VIDEO_SUFFIXES for film in films.values()):
@@ -63,7 +63,7 @@ def _named_points(folder: Path, name: object) -> Points | None:
     """The cloud that the file names, in the axes of its cameras; None where it names none. Raises SceneError."""
     if name is None:
         return None
-    with expecting(folder / transforms.NAME, "the points of ply_file_path"):
+    with expecting(folder / forms.TRANSFORMS, "the points of ply_file_path"):
         if not isinstance(name, str) or not (folder / name).is_file():
             raise ValueError(f"got no file {name}")
     return Points(*read_points(folder / name))
@@ -77,8 +77,8 @@ def _picture_shot(folder: Path, posed: Posed) -> Shot:
 
 def read_panoptic(folder: Path) -> MultiviewScene:
     """The scene of a train_meta.json, and of the test_meta.json beside it. Raises SceneError."""
-    path = folder / panoptic.NAME
-    posed = panoptic.read(path)
+    path = folder / forms.PANOPTIC
+    posed = forms.read_panoptic(path)
     return MultiviewScene(folder, _frame_rate(path), in_frames(posed, partial(_masked_shot, folder)))
 
 
@@ -98,11 +98,11 @@ def _has(name: str) -> Callable[[Path], bool]:
 
 
 FORMATS = (  # the first that recognises a folder reads it
-    Format(panoptic.NAME, _has(panoptic.NAME), read_panoptic),
-    Format(transforms.NAME, _has(transforms.NAME), read_transforms),
+    Format(forms.PANOPTIC, _has(forms.PANOPTIC), read_panoptic),
+    Format(forms.TRANSFORMS, _has(forms.TRANSFORMS), read_transforms),
     Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
     Format("COLMAP's sparse/", has_colmap, read_colmap),
-    Format(llff.NAME, _has(llff.NAME), read_poses_bounds),
+    Format(forms.LLFF, _has(forms.LLFF), read_poses_bounds),
     Format("videos of several cameras", has_rig, read_rig),
 )
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS
 from airgs_codec.scene.camera import Camera, with_pixels
-from airgs_codec.scene.cameras import llff
+from airgs_codec.scene.cameras import forms
 from airgs_codec.scene.formats.table import natural_key
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source, open_video
 
@@ -52,9 +52,9 @@ def find_pictures(folder: Path) -> list[Path]:
 
 def read_poses_bounds(folder: Path) -> MultiviewScene:
     """The scene of a poses_bounds.npy; videos lie beside it or in videos/. Raises SceneError."""
-    path = folder / llff.NAME
+    path = folder / forms.LLFF
     videos = sorted(find_videos(folder) + find_videos(folder / "videos"), key=natural_key)
-    cameras = [p.camera for p in llff.read(path)]
+    cameras = [p.camera for p in forms.read_llff(path)]
     if len(cameras) != len(videos):
         raise SceneError(f"{path}: expected a row for each of {len(videos)} videos, got {len(cameras)}")
     if twice := sorted({v.stem for v in videos if [w.stem for w in videos].count(v.stem) > 1}):

@@ -8,18 +8,13 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import NEAR, look_at
-from airgs_codec.scene.cameras import inria, panoptic
-from airgs_codec.scene.cameras.inria import PLACEHOLDER
+from airgs_codec.scene.cameras.forms import INRIA_NEAR, PANOPTIC_NEAR, PLACEHOLDER
 from airgs_codec.scene.cameras.read import read_cameras
 from tests.support.camera_files import (
     FORMS,
     as_inria,
-    fourdgs_sensor,
-    fourdgs_string,
     intrinsics_of,
-    save_fourdgs,
     saved,
-    to_world,
     write_panoptic_meta,
     write_splatv,
 )
@@ -29,7 +24,7 @@ from tests.support.views import ring
 
 @pytest.mark.parametrize("form", FORMS)
 def test_near_planes_are_those_that_a_form_implies(tmp_path, form):
-    near = {"inria": inria.NEAR, "splatv": inria.NEAR, "panoptic": panoptic.NEAR}.get(form, NEAR)
+    near = {"inria": INRIA_NEAR, "splatv": INRIA_NEAR, "panoptic": PANOPTIC_NEAR}.get(form, NEAR)
     assert {c.near for c in read_cameras(FORMS[form](tmp_path, ring(2)))} == {near}
 
 
@@ -134,46 +129,3 @@ def test_single_focal_lengths_and_names_with_spaces(tmp_path):
 def test_reconstructions_that_make_no_camera_are_refused(tmp_path, line, says):
     with pytest.raises(SceneError, match=rf"txt: expected a COLMAP reconstruction: .*{says}"):
         read_cameras(colmap_model(tmp_path, line))
-
-
-def rig_record(name, matrices):
-    """A Rig Trajectory, a second for each place, without turning."""
-    samples = [np.array([t, 0, 0, 0, 1, *m[:3, 3]], "<f8").tobytes() for t, m in enumerate(matrices)]
-    return fourdgs_string(name) + b"\0" + len(samples).to_bytes(4, "little") + b"".join(samples)
-
-
-def test_sensors_of_4dgs_ride_on_rigs_and_have_lenses(tmp_path):
-    camera = ring(1)[0]
-    moves = [np.eye(4) for _ in range(3)]
-    for t, m in enumerate(moves):
-        m[:3, 3] = [t, 0, 0]
-    sensor = fourdgs_sensor(camera, to_world(camera), 2, [0.1, 0, 0, 0, 0], "car")
-    lidar = fourdgs_sensor(replace(camera, width=0, height=0, fx=0, fy=0, cx=0, cy=0, name="lidar"), np.eye(4), 0)
-    path = save_fourdgs(tmp_path / "a.4dgs", [(0x21, sensor), (0x21, lidar), (0x22, rig_record("car", moves))])
-    back = read_cameras(path)
-    np.testing.assert_allclose([c.position - camera.position for c in back], [m[:3, 3] for m in moves], atol=1e-12)
-    assert all(abs(c.fx - camera.fx) > 0.5 for c in back)  # undistorted
-    with pytest.raises(SceneError, match="no 'car'"):
-        read_cameras(save_fourdgs(path, [(0x21, sensor)]))
-    with pytest.raises(SceneError, match="camera model 2 with 1 coefficients"):
-        read_cameras(save_fourdgs(path, [(0x21, fourdgs_sensor(camera, to_world(camera), 2, [0.1]))]))
-
-
-def test_viewpoints_of_4dgs_serve_where_it_has_no_sensors(tmp_path):
-    default, second = [1.0, 2, 3, 0, 0, 0], [2.0, 2, 3, 0, 0, 0]
-    view = np.array([45.0, *default], "<f8").tobytes() + b"\1\0\0\0" + np.array([0.5, *second], "<f8").tobytes()
-    record = (0x0A, view + fourdgs_string("linear") + b"\1")
-    up_is_z = (0x20, fourdgs_string("") + bytes([1, 2, 1, 0]) + bytes(8))
-    back = read_cameras(save_fourdgs(tmp_path / "a.4dgs", [record, up_is_z]))
-    np.testing.assert_allclose([c.position for c in back], [default[:3], second[:3]])
-    assert back[0].fy == pytest.approx(back[0].height / 2 / np.tan(np.radians(45) / 2))
-    assert (back[0].world_to_camera[:3, :3] @ [0, 0, 1])[1] < 0  # z is up, y of a picture points down
-    with pytest.raises(SceneError, match="expected sensors or a viewpoint"):
-        read_cameras(save_fourdgs(tmp_path / "a.4dgs", []))
-
-
-def test_another_version_of_4dgs_is_refused(tmp_path):
-    path = save_fourdgs(tmp_path / "a.4dgs", [])
-    path.write_bytes(path.read_bytes().replace(b"4DGS1", b"4DGS2"))
-    with pytest.raises(SceneError, match="expected version 1"):
-        read_cameras(path)

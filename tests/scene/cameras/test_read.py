@@ -135,8 +135,8 @@ WRONG = [
     ({"fx": float("nan"), "fy": float("nan")}, "not finite", ()),
     ({"fx": -5.0, "fy": -5.0}, "above 0", ()),
     ({"width": 10**6}, "pixels", ("inria", "splatv")),  # which show wide pictures at another width
-    ({"world_to_camera": STRETCHED}, "rotation", ("colmap text", "colmap binary", "4dgs")),  # quaternions of any norm
-    ({"world_to_camera": MIRRORED}, "rotation", ("colmap text", "colmap binary", "4dgs")),
+    ({"world_to_camera": STRETCHED}, "rotation", ("colmap text", "colmap binary")),  # quaternions of any norm
+    ({"world_to_camera": MIRRORED}, "rotation", ("colmap text", "colmap binary")),
 ]
 
 

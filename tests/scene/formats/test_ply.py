@@ -98,6 +98,7 @@ def test_what_is_no_point_cloud_is_refused(tmp_path, elements):
         (ascii_ply(["x", "y", "z"], [[0, 0, 0]]).encode(), "missing f_dc_0"),
         (ascii_ply([*PROPERTIES, "f_rest_0"], [[0] * 15]).encode(), "expected 0, 9, 24 or 45 f_rest"),
         (ascii_ply([*PROPERTIES, *(f"f_rest_{i}" for i in range(1, 10))], [[0] * 23]).encode(), "missing f_rest_0"),
+        (ascii_ply([*PROPERTIES, "log_duration"], [[0] * 15]).encode(), "got those of FTGS, which move"),
         (ascii_ply(PROPERTIES, [[0] * 14]).replace("vertex 1", "vertex 9").encode(), "truncated"),
     ],
 )

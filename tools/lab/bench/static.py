@@ -23,7 +23,7 @@ from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.region import CHECKING
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
-from airgs_codec.scene.formats.write import choose_target, write_frames
+from airgs_codec.scene.formats.table import choose_target, write_frames
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 

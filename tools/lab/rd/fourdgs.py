@@ -49,7 +49,7 @@ def fourdgs_trials(python: str) -> Iterator[Trial]:
 
 
 def _coded(program: Sequence[str], profile: str, names_groups: bool, subject: Subject) -> Coded:
-    """Read back by this package, which asks the library; seconds of decoding are of the measured frames."""
+    """Read back by this package, which asks the library; seconds of decoding are of all frames."""
     fps = float(subject.sequence.fps)
     with tempfile.TemporaryDirectory() as folder:
         source, packed = Path(folder) / "frames", Path(folder) / "scene.4dgs"
@@ -59,7 +59,7 @@ def _coded(program: Sequence[str], profile: str, names_groups: bool, subject: Su
         words = [*program, str(source), "-o", str(packed), "--fps", f"{fps:g}", "--profile", profile]
         starts = [str(start) for start, _ in subject.groups] if names_groups else []
         encode_s = run_program([*words, *starts])[0]
-        back = open_sequence(packed, bake_fps=fps)
-        took, shown = seconds_of(lambda: {number: back.read(number) for number in subject.measured})
+        took, back = seconds_of(lambda: open_sequence(packed, bake_fps=fps))
+        shown = {number: back.read(number) for number in subject.measured}
         size = packed.stat().st_size
     return Coded(size / len(subject.sequence), shown, encode_s, took.wall)

@@ -19,7 +19,7 @@ from pathlib import Path
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.formats.splat import read_splat
-from airgs_codec.scene.formats.write import choose_target, write_frames
+from airgs_codec.scene.formats.table import choose_target, write_frames
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.rd.subject import Coded, Subject, Trial
 from tools.lab.timing import seconds_of

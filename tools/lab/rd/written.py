@@ -1,4 +1,4 @@
-"""Formats of others as the package writes them: TSOG, FTGS and .spz, and what they read back as.
+"""Formats of others that are written here: TSOG, FTGS and .spz, and what they read back as.
 
 All frames go into files of one format, which hold one or many of them; their bytes are what a viewer fetches.
 """
@@ -11,19 +11,19 @@ from functools import partial
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ftgs import write_ftgs
 from airgs_codec.scene.formats.spz import read_spz
-from airgs_codec.scene.formats.tsog import write_tsog
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tools.lab.rd.ftgs import read_ftgs, write_ftgs
 from tools.lab.rd.programs import SPZ
 from tools.lab.rd.subject import Coded, Subject, Trial
+from tools.lab.rd.tsog import read_tsog, write_tsog
 from tools.lab.timing import seconds_of
 
 TSOG_SETTINGS = ((256, 1 << 16), (64, 1 << 12), (32, 1 << 10), (16, 1 << 8), (8, 1 << 6))  # levels, entries of palettes
 SPZ_BITS = (12, 10, 8)  # of the fraction of a position; SH in all 8 bits, which splat-transform does not keep
 Piece = tuple[int, Sequence[Gaussians]]  # the first frame, frames
 Write = Callable[[Path, Sequence[Gaussians], float], None]
+Read = Callable[[Path, int], Gaussians]
 
 
 def written_trials() -> Iterator[Trial]:
@@ -55,7 +55,7 @@ CUTS = {"one file": _whole, "a file a group": _groups, "a file a frame": _frames
 
 def _tsog(cut: Callable[[Subject], list[Piece]], setting: tuple[int, int], subject: Subject) -> Coded:
     write = partial(write_tsog, levels=setting[0], palette=setting[1])
-    return _clips("tsog", write, cut(subject), subject)
+    return _clips(write, read_tsog, cut(subject), subject)
 
 
 def _ftgs(subject: Subject) -> Coded:
@@ -65,7 +65,7 @@ def _ftgs(subject: Subject) -> Coded:
         while left:
             start, frames = left.pop()
             try:
-                write_ftgs(Path(folder) / "tried.ftgs.ply", frames, float(subject.sequence.fps))
+                write_ftgs(Path(folder) / "tried", frames, float(subject.sequence.fps))
             except SceneError:
                 half = len(frames) // 2
                 if not half:
@@ -73,27 +73,22 @@ def _ftgs(subject: Subject) -> Coded:
                 left += [(start, frames[:half]), (start + half, frames[half:])]
             else:
                 pieces.append((start, frames))
-    return _clips("ftgs.ply", write_ftgs, pieces, subject)
+    return _clips(write_ftgs, read_ftgs, pieces, subject)
 
 
-def _clips(ending: str, write: Write, pieces: Sequence[Piece], subject: Subject) -> Coded:
+def _clips(write: Write, read: Read, pieces: Sequence[Piece], subject: Subject) -> Coded:
     """A file for each piece, read back whole where a measured frame is in it; seconds are of the measured ones."""
     size, encode_s, decode_s = 0, 0.0, 0.0
     shown: dict[int, Gaussians] = {}
     with tempfile.TemporaryDirectory() as folder:
         for start, frames in pieces:
-            path = Path(folder) / f"{start}.{ending}"
+            path = Path(folder) / "clip"
             encode_s += seconds_of(partial(write, path, frames, float(subject.sequence.fps)))[0].wall
             size += path.stat().st_size
             for number in set(subject.measured) & set(range(start, start + len(frames))):
-                took, shown[number] = seconds_of(partial(_frame, path, number - start))
+                took, shown[number] = seconds_of(partial(read, path, number - start))
                 decode_s += took.wall
-            path.unlink()
     return Coded(size / len(subject.sequence), shown, encode_s, decode_s)
-
-
-def _frame(path: Path, number: int) -> Gaussians:
-    return open_sequence(path).read(number)
 
 
 def _spz(bits: int, subject: Subject) -> Coded:

@@ -1,95 +1,70 @@
-"""TSOG as it is written: discrete frames, or Gaussians that move evenly on a continuous timeline. N rows in all."""
+"""TSOG, SOG with time, as files of whole frames: version 4 in the playback profile 1.0.1, written and read back.
+
+A ZIP of meta.json and pictures as SOG has them, with codebooks of any length; a discrete timeline gives each of the N
+Gaussians one of F frames (TSOG-SPEC.md of OpsiClear-4DGS/ftgs-player).
+"""
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import zipfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
-from airgs_codec.errors import SceneError
-from airgs_codec.media.image import encode_webp
-from airgs_codec.scene.formats.moving import MOST_OFF, Moving, even_motion
-from airgs_codec.scene.formats.sog import LABELS_A_LINE, META_NAME, Meta, Pixels
-from airgs_codec.scene.formats.tsog_meta import LAST_CODE, MOST_DISCRETE, PROFILE, VERSION
+from airgs_codec.scene.formats.form import FrameHeader
+from airgs_codec.scene.formats.sog import LABELS_A_LINE, META_NAME, Meta, Pixels, decode_rows, unpack
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
 
-LEVELS = 256  # of a codebook, at most
+PROFILE = {"id": "org.opsiclear.tsog-playback", "version": 1}
+LAST_CODE = 65535  # of 16 bits
 _ROUNDS = 12  # of fitting a codebook
-PALETTE = 1 << 16  # entries of the palette of SH, at most
 _PALETTE_NAME, _LABELS = "shN_centroids.webp", "shN_labels.webp"
-_SOUND = "sound.m4a"
 
 
-def write_tsog(
-    path: Path,
-    frames: Iterable[Gaussians],
-    fps: float,
-    sound: bytes = b"",
-    levels: int = LEVELS,
-    palette: int = PALETTE,
-) -> None:
-    """Write frames of unit quaternions and one SH degree, with a sound in MP4; all rows are in memory at once.
+def write_tsog(path: Path, frames: Sequence[Gaussians], fps: float, *, levels: int, palette: int) -> None:
+    """Write frames of unit quaternions and one SH degree; all rows are in memory at once.
 
     Fewer `levels` of sizes and colours (at least 2) and fewer entries of the palette make a smaller and coarser file.
-
-    Where their Gaussians move evenly (`even_motion`), the file is continuous, else discrete. Raises SceneError for more
-    frames than a timeline can number.
     """
-    parts = list(frames)
-    if len(parts) > MOST_DISCRETE:
-        raise SceneError(f"{path}: expected at most {MOST_DISCRETE} frames, got {len(parts)}")
-    meta: Meta = {"version": VERSION, "profile": PROFILE, "playback": {"fps": fps}}
-    even = even_motion(parts) if len(parts) > 1 else None
-    if even is not None and even.off <= MOST_OFF:
-        meta["playback"]["duration"] = (len(parts) - 1) / fps
-        g, alpha = even.moving.rest, even.moving.alpha
-        pixels = _continuous(meta, even.moving)
-    else:
-        g = join_rows(parts)
-        alpha, pixels = g.opacities(), _discrete(meta, [len(part) for part in parts])
-    meta["count"] = len(g)
-    pixels |= _rows(meta, g, alpha, (levels, palette))
-    if sound:
-        meta["audio"] = {"file": _SOUND, "mimeType": "audio/mp4"}
-    _write_archive(path, meta, pixels, sound)
+    step = (1 << 16) // len(frames)
+    codes = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[:, None] * step + step // 2
+    meta: Meta = {"version": 4, "profile": PROFILE, "playback": {"fps": fps}, "count": len(codes)}
+    meta["timeline"] = {"type": 0, "N": len(frames), "delta": step}
+    pixels = _two(meta["timeline"], "timeline", codes) | _rows(meta, join_rows(frames), levels, palette)
+    _write_archive(path, meta, pixels)
 
 
-def _discrete(meta: Meta, counts: Sequence[int]) -> dict[str, Pixels]:
-    """The timeline of frames of so many rows each."""
-    step = (1 << 16) // len(counts)
-    codes = np.repeat(np.arange(len(counts)), counts)[:, None] * step + step // 2
-    meta["timeline"] = {"type": 0, "N": len(counts), "delta": step}
-    return _two(meta["timeline"], "timeline", codes)
+def read_tsog(path: Path, frame: int) -> Gaussians:
+    """One frame of a file that `write_tsog` wrote."""
+    with zipfile.ZipFile(path) as archive:
+        meta = json.loads(archive.read(META_NAME))
+        names = [name for name in archive.namelist() if name != META_NAME]
+        pixels = {name: unpack(name, archive.read(name), meta["count"]) for name in names}
+    rows = decode_rows(meta, pixels, FrameHeader(meta["count"], meta["shN"]["bands"] if "shN" in meta else 0))
+    low, high = (pixels[name][: meta["count"], 0].astype(int) for name in meta["timeline"]["files"])
+    return rows.take((low + 256 * high) // meta["timeline"]["delta"] == frame)
 
 
-def _continuous(meta: Meta, m: Moving) -> dict[str, Pixels]:
-    """The timeline and the velocities of Gaussians that move evenly."""
-    meta["timeline"], codes = _ranged(np.stack([m.centres, m.widths / math.sqrt(2)], axis=1))
-    meta["timeline"]["type"] = 1
-    motion, speeds = _ranged(m.motion[:, 0])
-    meta["temporal"] = {"means": {"mins": [motion["mins"]], "maxs": [motion["maxs"]]}}
-    return _two(meta["timeline"], "timeline", codes) | _two(meta["temporal"]["means"], "velocity", speeds)
-
-
-def _rows(meta: Meta, g: Gaussians, alpha: NDArray[np.float32], most: tuple[int, int]) -> dict[str, Pixels]:
-    """What a SOG has as well; `most` levels of a codebook and entries of the palette."""
+def _rows(meta: Meta, g: Gaussians, levels: int, entries: int) -> dict[str, Pixels]:
+    """What a SOG has as well, with at most so many levels of a codebook and entries of the palette."""
     pixels: dict[str, Pixels] = {}
     meta["means"], codes = _ranged(np.sign(g.means) * np.log1p(np.abs(g.means.astype(np.float64))))
     pixels |= _two(meta["means"], "means", codes)
-    for part, values, opacity in (("scales", g.log_scales, None), ("sh0", g.sh_dc, np.rint(alpha * 255))):
-        book, codes = _codebook(values, most[0])
+    for part, values, opacity in (("scales", g.log_scales, None), ("sh0", g.sh_dc, np.rint(g.opacities() * 255))):
+        book, codes = _codebook(values, levels)
         meta[part] = {"codebook": book, "files": [f"{part}.webp"]}
         pixels[f"{part}.webp"] = _opaque(codes, opacity)
     meta["quats"], pixels["quats.webp"] = {"files": ["quats.webp"]}, _rotation_pixels(g.quaternions)
     if g.sh_degree:
-        palette, labels = _palette(g.sh_rest.reshape(len(g), -1), most[1])
-        book, codes = _codebook(palette, most[0])
+        palette, labels = _palette(g.sh_rest.reshape(len(g), -1), entries)
+        book, codes = _codebook(palette, levels)
         meta["shN"] = {"bands": g.sh_degree, "count": len(palette), "codebook": book, "files": [_PALETTE_NAME, _LABELS]}
         pixels[_PALETTE_NAME] = _opaque(codes.reshape(-1, 3))
         pixels[_LABELS] = _opaque(np.stack([labels % 256, labels // 256], axis=1))
@@ -110,7 +85,7 @@ def _two(part: Meta, name: str, codes: NDArray[np.int64]) -> dict[str, Pixels]:
     return dict(zip(part["files"], (_opaque(codes % 256), _opaque(codes // 256)), strict=True))
 
 
-def _write_archive(path: Path, meta: Meta, pixels: Mapping[str, Pixels], sound: bytes) -> None:
+def _write_archive(path: Path, meta: Meta, pixels: Mapping[str, Pixels]) -> None:
     width = math.ceil(math.sqrt(meta["count"]))
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr(zipfile.ZipInfo(META_NAME), json.dumps(meta))
@@ -120,9 +95,14 @@ def _write_archive(path: Path, meta: Meta, pixels: Mapping[str, Pixels], sound: 
             padded = np.zeros((lines * across, 4), np.uint8)
             padded[:, 3] = 255
             padded[: len(samples)] = samples
-            archive.writestr(zipfile.ZipInfo(name), encode_webp(padded.reshape(lines, across, 4)))
-        if sound:
-            archive.writestr(zipfile.ZipInfo(_SOUND), sound)
+            archive.writestr(zipfile.ZipInfo(name), _webp(padded.reshape(lines, across, 4)))
+
+
+def _webp(samples: Pixels) -> bytes:
+    """(H, W, 4) as lossless WebP."""
+    target = io.BytesIO()
+    Image.fromarray(samples).save(target, "WEBP", lossless=True, exact=True)
+    return target.getvalue()
 
 
 def _opaque(codes: NDArray[Any], alpha: NDArray[Any] | None = None) -> Pixels:

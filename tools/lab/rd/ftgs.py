@@ -1,104 +1,84 @@
-"""Gaussians that move by themselves: every one moves, may turn, and appears and fades.
+"""FTGS .ply, version 1: Gaussians that move evenly and fade, found in frames, written and read back. N Gaussians.
 
-At the normalised time t of [0, 1], with d = t - centre, the mean is mean + motion_1 d + ... + motion_P d^P, the
-quaternion is quaternion + turn d, and alpha is alpha exp(-(d / width)^2). Sizes and colours stay. N Gaussians; frame i
-of F that are written is at t = i / (F - 1).
+At the normalised time t of [0, 1] a mean is mean + velocity (t - centre) and alpha is alpha exp(-((t - centre) /
+deviation)^2 / 2); frame i of F is at i / (F - 1) (FORMAT.md of OpsiClear-4DGS/ftgs-player).
 """
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from fractions import Fraction
+import io
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.scene.files import reading
-from airgs_codec.scene.formats.form import Clip, FrameHeader, rate_words
-from airgs_codec.scene.gaussians import LEAST_SHARE, SH_C0, Gaussians, logits_of, mean_frame
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.ply_elements import read_columns, read_header, write_floats
+from airgs_codec.scene.formats.spacetime import Moving
+from airgs_codec.scene.gaussians import LEAST_SHARE, SH_C0, SH_REST, Gaussians, logits_of, mean_frame, sigmoid
 
+MOST_OFF = 0.02  # share of rows, of frames that are said to move evenly
 LONGEST = 16.0  # of deviations in time: alpha then stays within 1/512 over all of it
 _DEVIATIONS = np.geomspace(0.02, LONGEST, 32)  # that are tried, then others around the best
 _FINER = tuple(np.geomspace(1 / reach, reach, 9) for reach in (1.24, 1.06, 1.015))
-MOST_OFF = 0.02  # share of rows, of a file that is said to move evenly
 _FURTHEST = 2.0  # that the middle of a row's time may be from when it is seen: places are as exact as it is near
 _FAINTEST = 1 / 255  # alpha from which it counts where a row is
-_CACHED = 2  # models of a process
+_COLUMNS = (
+    ("x", "y", "z"),
+    tuple(f"rot_{i}" for i in range(4)),
+    tuple(f"scale_{i}" for i in range(3)),
+    ("opacity",),
+    tuple(f"f_dc_{i}" for i in range(3)),
+    ("time",),
+    ("log_duration",),
+    tuple(f"velocity_{i}" for i in range(3)),
+)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Moving:
-    """A model of N Gaussians, all float32."""
-
-    rest: Gaussians  # as at d = 0, whatever its opacities
-    motion: NDArray[np.float32]  # (N, P, 3) of powers 1 to P of d, then axes
-    alpha: NDArray[np.float32]  # (N,) of [0, 1]
-    centres: NDArray[np.float32]  # (N,) normalised time
-    widths: NDArray[np.float32]  # (N,) normalised time
-    turns: NDArray[np.float32] | None = None  # (N, 4) of the quaternion
-    least_alpha: float = 0.0
-
-    def at(self, t: float) -> Gaussians:
-        """The frame at normalised time t. Rows keep their order; what is not finite stays so."""
-        d = (np.float32(t) - self.centres)[:, None]
-        shift = np.zeros_like(self.rest.means)
-        with np.errstate(all="ignore"):
-            for power in range(self.motion.shape[1])[::-1]:
-                shift = d * (self.motion[:, power] + shift)
-            alpha = np.maximum(self.alpha * np.exp(-np.square(d[:, 0] / self.widths)), np.float32(self.least_alpha))
-            quaternions = self.rest.quaternions if self.turns is None else self.rest.quaternions + d * self.turns
-            means = self.rest.means + shift
-        return replace(self.rest, means=means, quaternions=quaternions, opacity_logits=logits_of(alpha))
+def write_ftgs(path: Path, frames: Sequence[Gaussians], _fps: float) -> None:
+    """Write frames whose Gaussians move evenly and fade. Raises SceneError for frames that do otherwise."""
+    found = even_motion(frames)
+    if found is None or found[1] > MOST_OFF:
+        raise SceneError(f"{path}: expected Gaussians that move evenly, as FTGS has them")
+    m, degree = found[0], found[0].rest.sh_degree
+    said = {"ftgs_version": 1, "time_units": "normalized", "sh_degree": degree, "use_velocity": 1}
+    said |= {"min_duration": 1e-6, "opacity_floor": 0.0, "n_frames": len(frames)}
+    names = [name for group in (*_COLUMNS, _rest_names(degree)) for name in group]
+    logits, deviations = logits_of(m.alpha)[:, None], np.log(m.widths / np.sqrt(2))[:, None]
+    rest = m.rest.sh_rest.transpose(0, 2, 1).reshape(len(m.rest), -1)
+    still = (m.rest.means, m.rest.quaternions, m.rest.log_scales, logits, m.rest.sh_dc)
+    table = np.concatenate([*still, m.centres[:, None], deviations, m.motion[:, 0], rest], axis=1)
+    target = io.BytesIO()
+    write_floats(target, names, iter([table]), len(m.rest))
+    comments = "".join(f"comment {name} {value}\n" for name, value in said.items()).encode()
+    path.write_bytes(target.getvalue().replace(b"element", comments + b"element", 1))
 
 
-Load = Callable[[Path], Moving]  # reads a file; raises SceneError, OSError
+def read_ftgs(path: Path, frame: int) -> Gaussians:
+    """One frame of a file that `write_ftgs` wrote."""
+    header = read_header(path)
+    lines = path.read_bytes()[: header.size].decode().splitlines()
+    said = dict(line.split()[1:] for line in lines if line.startswith("comment"))
+    rest = _rest_names(int(said["sh_degree"]))
+    columns = read_columns(path, header, header.elements[0], (*_COLUMNS, rest))
+    means, quaternions, log_scales, logits, dc, centres, deviations, velocity, sh = columns
+    harmonics = np.ascontiguousarray(sh.reshape(len(means), 3, len(rest) // 3).transpose(0, 2, 1))
+    still = Gaussians(means, quaternions, log_scales, logits[:, 0], dc, harmonics)
+    widths = np.exp(deviations[:, 0]) * np.float32(np.sqrt(2))
+    moving = Moving(still, velocity[:, None], sigmoid(logits[:, 0]), centres[:, 0], widths)
+    return moving.at(frame / max(1, int(said["n_frames"]) - 1))
 
 
-def moving_clip(load: Load, path: Path, frames: int, fps: Fraction, intervals: int) -> Clip:
-    """A model as frames, number i of them at t = i / intervals; the note is to be written. Raises SceneError."""
-    rest = _model(load, path).rest
-    header = FrameHeader(len(rest), rest.sh_degree)
-    return Clip((header,) * frames, fps, functools.partial(_frame, load, intervals), "")
+def _rest_names(degree: int) -> tuple[str, ...]:
+    return tuple(f"f_rest_{i}" for i in range(3 * SH_REST[degree]))
 
 
-def baked_note(name: str, clip: Clip, seconds: Fraction, stated: bool) -> str:
-    """What was read, and how it became frames."""
-    count, frames = clip.headers[0].count, len(clip.headers)
-    default = "" if stated else " by default, no length is stated"
-    return (
-        f"{name}, {count} Gaussians baked to {frames} frames at {rate_words(clip.fps)}: {float(seconds):.4g} s{default}"
-    )
+def even_motion(frames: Sequence[Gaussians]) -> tuple[Moving, float] | None:
+    """The even motion that is nearest to frames, and the share of their rows that are off it; None: of other rows.
 
-
-def _frame(load: Load, intervals: int, path: Path, frame: int) -> Gaussians:
-    return _model(load, path).at(frame / intervals)
-
-
-def _model(load: Load, path: Path) -> Moving:
-    """The model of a file as it is now."""
-    with reading(path):
-        return _cached(load, path, path.stat().st_mtime_ns)
-
-
-@functools.lru_cache(maxsize=_CACHED)
-def _cached(load: Load, path: Path, _written: int) -> Moving:
-    return load(path)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Even:
-    """The even motion that is nearest to frames, P = 1 and no turns, and the share of their rows that are off it."""
-
-    moving: Moving
-    off: float
-
-
-def even_motion(frames: Sequence[Gaussians]) -> Even | None:
-    """What moves and fades as frames do, by least squares in which a row counts as it is seen; None: of other rows.
-
+    It is found by least squares in which a row counts as it is seen.
     A row of a frame is off if it is half its size beside its place, its alpha, its colour or the logarithm of a size is
     0.05, 0.05 or 0.2 another, or it is turned by 0.2 radians.
     """
@@ -120,7 +100,7 @@ def even_motion(frames: Sequence[Gaussians]) -> Even | None:
     motion, widths = speed.astype(np.float32)[:, None], (deviations * np.sqrt(2)).astype(np.float32)
     moving = Moving(rest, motion, alpha.astype(np.float32), (centres + middle).astype(np.float32), widths)
     off = [_is_off(moving.at(t), g).mean() for t, g in zip(times, frames, strict=True)]
-    return Even(moving, float(np.mean(off)))
+    return moving, float(np.mean(off))
 
 
 def _fading(

@@ -1,0 +1,201 @@
+"""Cameras as JSON files, .splatv and poses_bounds.npy have them: for each form what tells it and what reads it.
+
+- nerfstudio's transforms.json: OpenGL camera-to-world matrices, one entry for each picture; sizes in pixels. What all
+  entries share may stand beside `frames`, but for the matrix. Pictures, masks and points may lie anywhere: an absolute
+  path is taken as it is, and another may leave the folder. Beside nerfstudio's fields an entry may have `camera`, a
+  name that is the same at all times, `time_index` or `time`, `near` in world units, and `split`, "test" for a held-out
+  camera; nerfstudio's own lists `test_filenames` and `val_filenames` mark held-out pictures, too.
+- INRIA's cameras.json, as gaussian-splatting (Kerbl et al. 2023) writes it beside its models: a list of {id, img_name,
+  width, height, position, rotation, fx, fy}. The rotation is camera-to-world in OpenCV's axes, the principal point is
+  the middle of the picture, held-out cameras are not marked.
+- splaTV's .splatv: the magic 0x674b and the length of a JSON header, both 32 bits, the header, then the Gaussians. The
+  header is a list of chunks; one of type "splat" has `cameras` as cameras.json has them. The usual converter writes one
+  and the same camera into every file, and the viewer passes it on: that one says nothing of the scene.
+- CMU Panoptic as Dynamic 3D Gaussians has it (Luiten et al. 2024): train_meta.json, and test_meta.json for held-out.
+  `fn`, `k`, `w2c` and `cam_id` are lists over frames of lists over cameras: a file under ims/, a (3, 3) matrix, an
+  OpenCV world-to-camera matrix and the number of the camera; `w` and `h` are the size of every picture.
+- LLFF's poses_bounds.npy: a row for each picture, or as N3DV has it for each camera's video, in the order of names. A
+  row has 17 numbers: a 3 x 5 matrix (axes down, right, backwards; position; height, width, focal length in pixels), and
+  the nearest and farthest depth.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import ChainMap
+from collections.abc import Sequence
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
+from airgs_codec.media.image import Lens
+from airgs_codec.scene.camera import NEAR, OPENGL_TO_OPENCV, Camera
+from airgs_codec.scene.cameras.posed import Posed, expect_any, inverse, undistorted
+from airgs_codec.scene.files import Cursor, expecting, read_json, read_object
+
+TRANSFORMS, INRIA, LLFF = "transforms.json", "cameras.json", "poses_bounds.npy"
+PANOPTIC, PANOPTIC_TEST = "train_meta.json", "test_meta.json"
+SPLATV_MAGIC = b"\x4b\x67\0\0"
+NUMPY_MAGIC = b"\x93NUMPY"
+FISHEYE = "OPENCV_FISHEYE"
+# Beginnings of models in transforms.json that no pinhole stands for.
+NO_LENS = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO", "FISHEYE624")
+PLACEHOLDER = [
+    -3.0089893469241797,
+    -0.11086489695181866,
+    -3.7527640949141428,
+]  # its position, to the last bit
+INRIA_NEAR = 0.2  # world units: its rasteriser draws nothing nearer (in_frustum in auxiliary.h), so none was fitted
+MOST_WIDE = 1600  # pixels: wider pictures are trained on at this width by default, though the file has their full size
+# Metres. The cameras hang in the wall of a dome: what lies nearer is the wall that others see, and their own housing.
+PANOPTIC_NEAR = 0.8
+_Entry = ChainMap[str, Any]  # of a picture in transforms.json, over what all share
+
+
+def is_transforms(data: Any) -> bool:
+    """Return whether JSON data is a transforms.json."""
+    return isinstance(data, dict) and "frames" in data
+
+
+def read_transforms(path: Path) -> list[Posed]:
+    """One for each entry, in the order of the file. Raises SceneError."""
+    data = read_object(path)
+    with expecting(path, f"a nerfstudio {TRANSFORMS}"):
+        entries = [ChainMap(entry, data) for entry in data["frames"]]
+        held_out = {*data.get("test_filenames", ()), *data.get("val_filenames", ())}
+        posed = [_of_entry(name, e, held_out) for name, e in zip(_names(entries), entries, strict=True)]
+    return expect_any(posed, path, "at least one picture under 'frames'")
+
+
+def _names(entries: Sequence[_Entry]) -> list[str]:
+    """A name for each entry: its `camera`, else its picture's, or its picture's folder where there are pictures over
+    time in several folders."""
+    paths = [PurePosixPath(str(entry.get("file_path", ""))) for entry in entries]
+    moving = len({_time(entry) for entry in entries}) > 1 and len({path.parent for path in paths}) > 1
+    given = [path.parent.name if moving else path.stem for path in paths]
+    return [str(entry.get("camera", given[i] or f"view{i:03d}")) for i, entry in enumerate(entries)]
+
+
+def _of_entry(name: str, entry: _Entry, held_out: set[str]) -> Posed:
+    picture = str(entry.get("file_path", ""))
+    to_world = np.asarray(entry.maps[0]["transform_matrix"], np.float64).reshape(4, 4)
+    width, height, fx, fy, cx, cy = (float(entry[key]) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"))
+    to_camera = inverse(to_world @ OPENGL_TO_OPENCV)
+    split, near = str(entry.get("split", "test" if picture in held_out else "train")), float(entry.get("near", NEAR))
+    taken = Camera(name, int(width), int(height), fx, fy, cx, cy, to_camera, split, near)
+    camera, lens = _without_lens(taken, entry)
+    mask = str(entry["mask_path"]) if "mask_path" in entry else None
+    return Posed(camera, picture, lens, _time(entry), mask, "camera" in entry)
+
+
+def _without_lens(camera: Camera, entry: _Entry) -> tuple[Camera, Lens | None]:
+    """The camera of the undistorted picture, and the lens; None for a pinhole camera."""
+    model = str(entry.get("camera_model", "OPENCV")).upper()
+    if model.startswith(NO_LENS):
+        raise ValueError(f"camera {camera.name} has camera_model {model}, which is no perspective")
+    if model != FISHEYE and float(entry.get("k4", 0)):
+        raise ValueError(f"camera {camera.name} has k4 of {entry['k4']}, which no lens model of OpenCV's has")
+    names = ("k1", "k2", "k3", "k4") if model == FISHEYE else ("k1", "k2", "p1", "p2", "k3")
+    coefficients = np.array([float(entry.get(name, 0)) for name in names])
+    return undistorted(camera, coefficients, fisheye=model == FISHEYE)
+
+
+def _time(entry: _Entry) -> float:
+    return float(entry["time_index"] if "time_index" in entry else entry.get("time", 0))
+
+
+def is_inria(data: Any) -> bool:
+    """Return whether JSON data is a list of cameras as cameras.json has them."""
+    first = data[0] if isinstance(data, list) and data else None
+    return isinstance(first, dict) and {"position", "rotation"} <= {*first}
+
+
+def read_inria(path: Path) -> list[Posed]:
+    """One for each entry, in the order of the file. Raises SceneError."""
+    return _inria_cameras(path, read_json(path))
+
+
+def read_splatv(path: Path) -> list[Posed]:
+    """One for each camera of the header. Raises SceneError."""
+    with expecting(path, "a .splatv header with cameras"):
+        cursor = Cursor.open(path)
+        _, length = cursor.take("II")
+        chunks = json.loads(cursor.piece(length))
+        cameras = [camera for chunk in chunks for camera in chunk.get("cameras", ())]
+        if cameras and all(camera["position"] == PLACEHOLDER for camera in cameras):
+            raise SceneError(f"{path}: expected cameras of this scene, got the one that splaTV writes into every file")
+    return _inria_cameras(path, cameras)
+
+
+def _inria_cameras(path: Path, data: Any) -> list[Posed]:
+    """The cameras of such a list, which the file at `path` holds. Raises SceneError."""
+    posed: list[Posed] = []
+    with expecting(path, "INRIA's cameras.json"):
+        for number, entry in enumerate(data):
+            picture = str(entry.get("img_name", f"view{number:03d}"))
+            width, height = int(entry["width"]), int(entry["height"])
+            shown = min(width, MOST_WIDE)
+            tall = int(height * shown / width)  # cut off, not rounded
+            to_world = np.eye(4)
+            to_world[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
+            to_world[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
+            fx, fy = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height
+            lens = fx, fy, shown / 2, tall / 2
+            posed.append(Posed(Camera(picture, shown, tall, *lens, inverse(to_world), near=INRIA_NEAR), picture))
+    return expect_any(posed, path, "at least one camera")
+
+
+def is_panoptic(data: Any) -> bool:
+    """Return whether JSON data is such a file."""
+    return isinstance(data, dict) and {"k", "w2c", "cam_id"} <= {*data}
+
+
+def read_panoptic(path: Path) -> list[Posed]:
+    """One for each frame and camera, frame by frame.
+
+    Cameras of a test_meta.json are held out; that beside a train_meta.json is read with it. Raises SceneError.
+    """
+    test = path.with_name(PANOPTIC_TEST)
+    if path.name == PANOPTIC_TEST:
+        return _panoptic_cameras(path, "test")
+    return _panoptic_cameras(path, "train") + (_panoptic_cameras(test, "test") if test.is_file() else [])
+
+
+def _panoptic_cameras(path: Path, split: str) -> list[Posed]:
+    data = read_object(path)
+    posed: list[Posed] = []
+    with expecting(path, "fn, k, w2c and cam_id of frames and cameras"):
+        size = (int(data["w"]), int(data["h"]))
+        moments = zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)
+        if not all(map(len, data["fn"])):
+            raise ValueError("a frame has no pictures")
+        for time, moment in enumerate(moments):
+            for file, k, w2c, number in zip(*moment, strict=True):
+                if not file:
+                    raise ValueError("a picture without a name")
+                m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
+                lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
+                camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
+                posed.append(Posed(camera, str(file), time=time, fixed=True))
+    return expect_any(posed, path, "at least one frame")
+
+
+def read_llff(path: Path) -> list[Posed]:
+    """One for each row. Raises SceneError."""
+    with expecting(path, "rows of 17 numbers"):
+        rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
+        posed = [_of_row(row, number) for number, row in enumerate(rows)]
+    return expect_any(posed, path, "at least one row")
+
+
+def _of_row(row: NDArray[np.float64], number: int) -> Posed:
+    pose = row[:15].reshape(3, 5)
+    height, width, focal = pose[:, 4]
+    down, right, back = pose[:, 0], pose[:, 1], pose[:, 2]
+    view = np.eye(4)
+    view[:3, :3] = np.stack([right, down, -back])
+    view[:3, 3] = -view[:3, :3] @ pose[:, 3]
+    return Posed(Camera(f"view{number:03d}", int(width), int(height), focal, focal, width / 2, height / 2, view))
