@@ -43,5 +43,5 @@ def test_about_one_place_he_goes_in_a_circle_of_half_its_reach(reach):
 
 
 def test_pictures_are_those_of_the_region():
-    camera = path_of_region(region()).at(1.0)
+    (camera,) = path_of_region(region()).cameras(np.ones(1))
     assert (camera.width, camera.height, camera.near) == (32, 24, 0.01)
