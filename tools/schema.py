@@ -33,7 +33,6 @@ def manifest_schema() -> dict[str, Any]:
 
 
 def _schema_of(kind: Any) -> dict[str, Any]:
-    """Of an annotated type."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         return _schema_of(arguments[0]) | {key: value for one in arguments[1:] for key, value in _keywords(one).items()}
@@ -72,7 +71,6 @@ def _schema_of_dataclass(kind: Any) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Write the schema to its file."""
     FILE.write_text(json.dumps(manifest_schema(), indent=1) + "\n")
 
 

@@ -22,14 +22,10 @@ CIRCLE, CORNERS = 0.5, 8  # where there is but one place: the radius of a circle
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A walk that goes on as often as need be. `at` is what a viewer sees (`play.sight.View`)."""
+    """A walk that goes on as often as need be."""
 
     region: Region
     stops: Sequence[Place]  # at least two; the last is the first again
-
-    def at(self, seconds: float) -> Camera:
-        """The view after so many seconds."""
-        return self.cameras(np.array([seconds]))[0]
 
     def cameras(self, times: NDArray[np.float64]) -> list[Camera]:
         """The view at each of (T,) seconds."""

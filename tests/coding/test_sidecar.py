@@ -1,4 +1,4 @@
-"""Positions of key units are exact in every key quality; what is refused is in the vectors (tests/vectors)."""
+"""Positions of key tiers are exact in every key quality; what is refused is in the vectors (tests/vectors)."""
 
 import numpy as np
 import pytest

@@ -85,8 +85,8 @@ def test_other_groups_and_qualities_are_not_mistaken_for_the_last_one():
 
 def test_escapes_are_read_once_while_frames_are_of_one_segment_and_level(monkeypatch):
     asked = ((0, 0), (1, 0), (0, 1), (2, 0), (3, 0), (1, 0))  # frame and level; a segment has two frames
-    fresh = [airgs_codec.decode(open_package(GOLDEN / "tiles"), frame, level=level) for frame, level in asked]
-    package, read, unpack = open_package(GOLDEN / "tiles"), [], escapes.unpack_segment
+    fresh = [airgs_codec.decode(open_package(GOLDEN / "room"), frame, level=level) for frame, level in asked]
+    package, read, unpack = open_package(GOLDEN / "room"), [], escapes.unpack_segment
     monkeypatch.setattr(escapes, "unpack_segment", lambda *arguments: read.append(arguments[-1]) or unpack(*arguments))
     for (frame, level), expected in zip(asked, fresh, strict=True):
         got = airgs_codec.decode(package, frame, level=level)

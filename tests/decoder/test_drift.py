@@ -109,7 +109,7 @@ def expected(package, index, quality, level, have):
     m = package.manifest
     group = m.groups[m.group_of(index)]
     needed = m.levels[level].tiers
-    moving = sum(tier.count for tier in group.units[: min(have, needed)])
+    moving = sum(tier.count for tier in group.tiers[: min(have, needed)])
     still = decode_canonical(package, m.group_of(index), quality, have).to_gaussians()
     for frame in fresh(package, index, quality, level):
         rows = [np.concatenate([getattr(frame, n)[:moving], getattr(still, n)[moving:]]) for n in frame.__slots__]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.channels import LEAST_DRAWN
-from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames
+from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames
 from airgs_codec.encoder.pipeline import DIFFERENCE, KEY, STEPS
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
@@ -20,7 +20,6 @@ from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import MEASURING, draw_views
 from airgs_codec.render import render
 from airgs_codec.scene.sequence import open_sequence
-from tests.support.manifests import with_tiers
 from tests.support.regions import region
 from tests.support.rooms import MOVER, room_behind_a_door, room_frames
 from tests.support.scenes import random_gaussians, write_sequence
@@ -58,7 +57,7 @@ def test_the_second_key_of_a_room_costs_only_its_mover(room):
     m = room[0].manifest
     first, second = m.groups
     assert (first.keeps, second.keeps) == (None, 1)
-    assert [t.count for t in first.units] == [t.count for t in second.units]
+    assert [t.count for t in first.tiers] == [t.count for t in second.tiers]
     assert second.count == ROWS + round(MOVER * ROWS)
     assert key_bytes(m, 1) <= 0.15 * key_bytes(m, 0)
 
@@ -85,9 +84,9 @@ def unchanged(package, base, group, quality=0):
 
 def test_a_viewer_with_fewer_tiers_has_the_first_rows(room):
     package, _ = room
-    few = next(decode_frames(package, GROUP, GROUP + 1, part=Part(1))).gaussians
+    few = next(decode_frames(package, GROUP, GROUP + 1, tiers=1)).gaussians
     all_ = decode(package, GROUP)
-    np.testing.assert_array_equal(few.means, all_.means[: package.manifest.groups[1].units[0].count])
+    np.testing.assert_array_equal(few.means, all_.means[: package.manifest.groups[1].tiers[0].count])
 
 
 def test_a_base_that_cannot_be_one_is_refused(room):
@@ -97,8 +96,8 @@ def test_a_base_that_cannot_be_one_is_refused(room):
     def opened(*groups):
         return Package(package.files, replace(package.manifest, groups=Groups.of(groups)), 0)
 
-    wrong = [replace(first, keeps=1), with_tiers(first, [replace(t, count=1) for t in first.units])]
-    wrong += [with_tiers(first, [replace(t, factor=2 * t.factor) for t in first.units])]
+    wrong = [replace(first, keeps=1), replace(first, tiers=[replace(t, count=1) for t in first.tiers])]
+    wrong += [replace(first, tiers=[replace(t, factor=2 * t.factor) for t in first.tiers])]
     wrong += [replace(first, grid=replace(first.grid, bits=1)), replace(first, colour_transform="")]
     for base in [*wrong, replace(first, key_steps=replace(first.key_steps, opacity=1.0))]:
         with pytest.raises(FormatError, match="group/2") as caught:

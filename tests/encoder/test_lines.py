@@ -94,7 +94,7 @@ def test_the_picture_of_slopes_stands_in_front_and_shares_the_time(package):
     segment = package.manifest.segments[0].levels[0]
     found = read_segment(package.read(path))
     assert len(found.samples) == len(found.checksums) == SEGMENT + 1
-    assert len(segment.frame_bytes[0]) == SEGMENT and segment.frame_bytes[0][0] > len(found.samples[0]) // 2
+    assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
 
 
 def test_a_line_is_taken_where_it_saves_bytes_alone():
@@ -114,7 +114,7 @@ def test_segments_of_one_frame_have_files_and_no_line(tmp_path):
     encode(sequence, tmp_path / "out", replace(SETTINGS, segment_s=1 / 30))
     package = open_package(tmp_path / "out")
     assert [segment.levels[0].lines for segment in package.manifest.segments] == [None] * 4
-    assert sum(segment.levels[0].bytes > 0 for segment in package.manifest.segments) > 2
+    assert sum(segment.levels[0].file.bytes > 0 for segment in package.manifest.segments) > 2
     assert decode_slopes(package, 3, 0) is None
     assert all(m.error <= m.bound for m in measure_errors(package, sequence))
 
@@ -125,4 +125,4 @@ def test_a_scene_of_uneven_motion_has_no_lines(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path / "scene", shaken, fps=30))
     table = encode(sequence, tmp_path / "out", replace(SETTINGS, group_frames=8)).manifest
     assert all(level.lines is None for segment in table.segments for level in segment.levels)
-    assert open_package(tmp_path / "out").manifest.segments[0].levels[0].files[0].bytes
+    assert open_package(tmp_path / "out").manifest.segments[0].levels[0].file.bytes

@@ -36,8 +36,8 @@ def scene(tmp_path_factory):
 def test_the_papers_ladder_withholds_from_none_to_all(scene, tmp_path):
     m = encode(scene, tmp_path / "out", PAPER).manifest
     assert [v.pruned for v in m.levels] == [i / 10 for i in range(11)]  # none is dropped, whatever was measured
-    assert {v.factor for v in m.levels} == {1.0} and len(m.qualities) == 1 == len(m.groups[0].units)
-    rows = [atlas.rows for atlas in m.groups[0].tiles[0].levels]
+    assert {v.factor for v in m.levels} == {1.0} and len(m.qualities) == 1 == len(m.groups[0].tiers)
+    rows = [atlas.rows for atlas in m.groups[0].levels]
     assert rows[0] == 100 and rows == sorted(rows, reverse=True) and rows[-1] == 0
     package = open_package(tmp_path / "out")
     canonical = decode_canonical(package, 0, 0).to_gaussians()

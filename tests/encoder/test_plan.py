@@ -88,7 +88,7 @@ def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     assert [level.tiers for level in m.levels] == [2, 2, 1, 1]
     assert not any(path.startswith("key/T1") for path in m.rung_files(0, 3))
     assert any(path.startswith("key/T1") for path in m.rung_files(0, 1))
-    core = m.groups[0].units[0].count
+    core = m.groups[0].tiers[0].count
     assert len(next(decode_frames(package, 0, 1, level=3)).gaussians) == core
     both = decode_canonical(package, 0, 0)
     assert (both.depths[core:][both.depths[core:] != STATIC] < 2).all()

@@ -64,6 +64,6 @@ def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path
     package = open_package(tmp_path / "out")
     assert all(found.error <= found.bound for found in measure_errors(package, sequence))
     m = package.manifest
-    atlases = [*m.groups[0].units[0].qualities, m.groups[0].tiles[0].levels[0]]
+    atlases = [*m.groups[0].tiers[0].qualities, m.groups[0].levels[0]]
     assert all(atlas.pages > 1 and atlas.height == 64 for atlas in atlases)
     assert len(m.segments) > 1

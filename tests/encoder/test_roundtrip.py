@@ -9,7 +9,7 @@ import pytest
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
 from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.decoder.decode import Part, decode, decode_canonical, decode_frames, decode_key
+from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key
 from airgs_codec.decoder.states import decode_pictures, state_units
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
@@ -103,8 +103,8 @@ def test_any_frame_alone_equals_the_frame_in_sequence(fox):
 
 def test_the_first_tier_alone_gives_the_first_rows(fox):
     whole = [f.gaussians for f in decode_frames(fox, 5, 8)]
-    core = [f.gaussians for f in decode_frames(fox, 5, 8, part=Part(1))]
-    count = fox.manifest.groups[1].units[0].count
+    core = [f.gaussians for f in decode_frames(fox, 5, 8, tiers=1)]
+    count = fox.manifest.groups[1].tiers[0].count
     for a, b in zip(whole, core, strict=True):
         assert len(b) == count < len(a)
         same(a.take(np.arange(count)), b)
@@ -139,9 +139,9 @@ def test_key_codes_are_within_the_codecs_error_of_the_source(fox):
     group = m.groups[0]
     layout = laid_out(sequence, 0, group)
     values = layout.key_values()
-    factors = [unit.factor for unit in group.units]
+    factors = [tier.factor for tier in group.tiers]
     assert factors[0] < 1 < factors[1]
-    steps = np.outer(KEY.steps(group.key_steps, m.colour_channels), np.repeat(factors, [t.count for t in group.units]))
+    steps = np.outer(KEY.steps(group.key_steps, m.colour_channels), np.repeat(factors, [t.count for t in group.tiers]))
     for q, quality in enumerate(m.qualities):
         codes = np.concatenate([decode_key(fox, 0, t, q)[0] for t in range(2)], axis=1)
         error = codes / m.key_gain - values / (steps * quality.factor)
@@ -176,7 +176,7 @@ def test_a_coarser_key_quality_has_fewer_bytes_of_positions(fox):
     m = fox.manifest
     assert [quality.coarser for quality in m.qualities] == [0, 1]
     for g, group in enumerate(m.groups):
-        for t, tier in enumerate(group.units):
+        for t, tier in enumerate(group.tiers):
             files = [open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"" for q in (0, 1)]
             fine, coarse = map(len, files)
             assert fine - coarse > 3 * tier.count / 8  # a bit for each axis, and escapes
@@ -230,7 +230,7 @@ def test_constant_channels_have_no_plane(tmp_path):
         )
     )
     package = encoded(tmp_path, [flat])
-    planes = package.manifest.groups[0].units[0].qualities[0].planes
+    planes = package.manifest.groups[0].tiers[0].qualities[0].planes
     assert not {6, 7, 8, 9} & set(planes)
     shown = decode(package, 0)
     step = package.manifest.groups[0].key_steps

@@ -42,15 +42,15 @@ def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(demo_package):
 
 def test_coarser_levels_promise_less(demo_package):
     for group in open_package(demo_package).manifest.groups:
-        bounds = np.array([atlas.max_error for atlas in group.tiles[0].levels])
+        bounds = np.array([atlas.max_error for atlas in group.levels])
         assert (bounds[-1] >= bounds[0]).all() and (bounds[-1] > bounds[0]).any()
 
 
 def test_a_lie_is_found(demo_copy, capsys):
     assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 0
     assert "measured / max_error" in capsys.readouterr().out
-    place = ("tiles", 0, "levels", 0, "max_error", 0)
-    promised = open_package(demo_copy).manifest.groups[0].tiles[0].levels[0].max_error[0]
+    place = ("levels", 0, "max_error", 0)
+    promised = open_package(demo_copy).manifest.groups[0].levels[0].max_error[0]
     on_disk(demo_copy, set_value(place, 0.5 * promised, TABLE), reindexed)
     assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 1
     assert "means: max_error" in capsys.readouterr().out
@@ -106,6 +106,6 @@ def test_promises_are_in_the_units_of_what_is_compared(demo_package):
     promised = errors._promised(group, base, package.manifest.tiers)
     moving = base.depths != STATIC
     ratio = base.motion_units / np.median(base.motion_units)
-    bound = group.tiles[0].levels[0].max_error[0] / group.state_steps.means
+    bound = group.levels[0].max_error[0] / group.state_steps.means
     np.testing.assert_allclose(promised[moving, 0], bound * ratio[moving], rtol=1e-6)
     assert moving.any() and len(np.unique(ratio[moving])) > 1

@@ -15,7 +15,7 @@ from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import open_files, open_package
 from airgs_codec.package.tables import LeftOut
 from airgs_codec.places.place import Memory
-from tests.support.manifests import in_groups, tiny_manifest, with_segments, with_tiers
+from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.refusals import cases
 from tests.support.regions import arc
@@ -116,8 +116,8 @@ def test_kinds_add_up():
 
 def test_what_was_left_out_is_named():
     m = tiny_manifest(state_bytes=(0,), psnr=None)
-    tiers = [m.groups[0].units[0], dataclasses.replace(m.groups[0].units[1], count=0)]
-    first = dataclasses.replace(with_tiers(m.groups[0], tiers), left_out=[LeftOut("updates", 3, 0.0, 5.0)])
+    tiers = [m.groups[0].tiers[0], dataclasses.replace(m.groups[0].tiers[1], count=0)]
+    first = dataclasses.replace(m.groups[0], tiers=tiers, left_out=[LeftOut("updates", 3, 0.0, 5.0)])
     second = dataclasses.replace(m.groups[1], left_out=[LeftOut("gaussians", 7, 1e-5, 120.0)])
     text = "\n".join(describe_left_out(dataclasses.replace(m, groups=in_groups([first, second]))))
     assert "group 1: 7 Gaussians: 50.0 dB by itself, 0.12 kB/frame saved" in text

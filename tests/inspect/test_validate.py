@@ -102,7 +102,7 @@ def media_of(gop: ClosedGop, size: tuple[int, int], columns: bytes) -> bytes:
 
 
 def test_luma_outside_the_limited_range_is_refused():
-    picture = OPENED.manifest.groups[0].units[0].qualities[0]
+    picture = OPENED.manifest.groups[0].tiers[0].qualities[0]
     bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
     columns = read_segment(MOVING["key/T0/Q0/1.m4s"]).columns or b""
     media = media_of(bright, (picture.width, picture.height), columns)
@@ -117,7 +117,7 @@ def test_more_pictures_than_promised_are_refused():
 
 
 def test_fewer_pictures_than_frames_are_refused():
-    atlas, path = OPENED.manifest.groups[0].tiles[0].levels[0], "state/L0/1.m4s"
+    atlas, path = OPENED.manifest.groups[0].levels[0], "state/L0/1.m4s"
     grey = ClosedGop([np.full((atlas.height, atlas.width), 128, np.uint8)], 0, 1000)
     data = media_of(grey, (atlas.width, atlas.height), read_segment(MOVING[path]).columns or b"")
     package = open_files(Memory("fewer", with_file(MOVING, path, data)))
@@ -126,7 +126,7 @@ def test_fewer_pictures_than_frames_are_refused():
 
 
 def test_frames_of_more_bytes_than_their_file_are_refused():
-    place, file = ("segments", 0, "levels", 0, "frame_bytes"), OPENED.manifest.segments[0].levels[0].files[0]
+    place, file = ("segments", 0, "levels", 0, "frame_bytes"), OPENED.manifest.segments[0].levels[0].file
     for more in (1, 10**9):
         sizes = [[1, 1, 1, file.bytes - 3 + more]]
         assert reasons(apply(MOVING, set_value(place, sizes, TABLE), reindexed)) == {"size_mismatch"}
@@ -141,7 +141,7 @@ def test_steps_that_decode_to_no_finite_number_are_refused():
 
 def test_a_group_without_keys_is_refused():
     def forget(table):
-        for tier in table["tiles"][0]["tiers"]:
+        for tier in table["tiers"]:
             for entry in (tier["sidecar"], *tier["pictures"]):
                 entry.update(bytes=0, sha256="")
 
@@ -157,7 +157,7 @@ def test_one_broken_quality_does_not_hide_another_group():
 
 def test_depths_that_disagree_with_a_level_are_counted():
     group, coarsest = OPENED.manifest.groups[0], OPENED.manifest.qualities[-1].coarser
-    sidecar = unpack_key_sidecar(MOVING["key/T0/1.bin"], group.units[0].count, group.grid, coarsest, "")
+    sidecar = unpack_key_sidecar(MOVING["key/T0/1.bin"], group.tiers[0].count, group.grid, coarsest, "")
     lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
     assert reasons(with_file(MOVING, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))) == {
         "count_mismatch"

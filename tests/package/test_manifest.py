@@ -124,22 +124,22 @@ def test_any_value_of_a_table_is_read_or_refused_never_a_crash(name):
         (TABLE, ("segments", 0, "levels", 0, "delta_e"), [0.5]),
         (TABLE, ("segments", 0, "levels", 0, "delta_e"), [-0.1, 0.1]),
         (TABLE, ("segments", 0, "levels", 0, "delta_e"), [0.5, 1e300]),
-        (TABLE, ("segments", 0, "levels", 0, "files", 0, "sha256"), ""),
-        (TABLE, ("segments", 0, "levels", 0, "files", 0), {"bytes": 0, "sha256": "A" * 32}),
-        (TABLE, ("segments", 0, "levels", 0, "frame_bytes", 0), [-1]),
+        (TABLE, ("segments", 0, "levels", 0, "file", "sha256"), ""),
+        (TABLE, ("segments", 0, "levels", 0, "file"), {"bytes": 0, "sha256": "A" * 32}),
+        (TABLE, ("segments", 0, "levels", 0, "frame_bytes"), [-1]),
         (TABLE, ("keeps",), 1),  # itself
         (TABLE, ("segments", 0, "stop"), 0),
         (TABLE, ("segments",), []),
         (TABLE, ("stop",), 4),
-        (TABLE, ("tiles", 0, "levels", 0, "width"), 8),
-        (TABLE, ("tiles", 0, "levels", 0, "height"), 0),
-        (TABLE, ("tiles", 0, "levels", 0, "height"), 72),
-        (TABLE, ("tiles", 0, "levels", 0, "plane_width"), 4096),
-        (TABLE, ("tiles", 0, "levels", 0, "centres", 0), 2**31),
-        (TABLE, ("tiles", 0, "tiers", 0, "qualities", 0, "width"), 4096 + 16),
-        (TABLE, ("tiles", 0, "tiers", 0, "pictures"), []),
-        (TABLE, ("tiles", 0, "tiers", 0, "qualities", 0, "planes"), []),
-        (TABLE, ("tiles", 0, "tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
+        (TABLE, ("levels", 0, "width"), 8),
+        (TABLE, ("levels", 0, "height"), 0),
+        (TABLE, ("levels", 0, "height"), 72),
+        (TABLE, ("levels", 0, "plane_width"), 4096),
+        (TABLE, ("levels", 0, "centres", 0), 2**31),
+        (TABLE, ("tiers", 0, "qualities", 0, "width"), 4096 + 16),
+        (TABLE, ("tiers", 0, "pictures"), []),
+        (TABLE, ("tiers", 0, "qualities", 0, "planes"), []),
+        (TABLE, ("tiers", 0, "qualities", 0, "centres", 0), 2**31 - 1),
         (JSON_NAME, ("levels", 0, "quality"), 2),  # there are Q0 and Q1
         (JSON_NAME, ("region", "places", 0, "up"), [0, 0.0, -0.0]),
         (JSON_NAME, ("qualities", 0, "coarser"), 1),
@@ -169,7 +169,7 @@ def test_a_segment_without_frames_is_refused():
 
 def test_a_digest_without_a_length_is_refused():
     level = ("segments", 0, "levels", 0)
-    nothing = (("files", 0), {"bytes": 0, "sha256": "A" * 32}), (("frame_bytes", 0), [])
+    nothing = (("file",), {"bytes": 0, "sha256": "A" * 32}), (("frame_bytes",), [])
     with pytest.raises(FormatError, match="expected both a length and a digest or neither, got 0 and 'AAA"):
         parse_group(
             apply(TABLES, *(set_value(level + at, value, TABLE) for at, value in nothing))[TABLE], ROOT, ENTRY, 0
@@ -208,10 +208,9 @@ def test_a_level_of_the_index_that_would_fill_a_page_is_refused():
         ),
         (
             TABLE,
-            ("tiles", 0, "tiers", 0, "sidecar", "sha256"),
+            ("tiers", 0, "sidecar", "sha256"),
             "12",
-            "group/1.json.gz.tiles[0].tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, "
-            "got '12'",
+            "group/1.json.gz.tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, got '12'",
         ),
     ],
 )
@@ -313,5 +312,5 @@ def test_ffmpeg_reads_the_mpd_and_decodes_every_state_frame(name):
         command += ["-map", f"0:v:{level}", "-f", "framemd5", "-"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         pictures = [line for line in done.stdout.splitlines() if not line.startswith("#")]
-        expected = sum(s.stop - s.start for s in m.segments if s.levels[level].bytes)
+        expected = sum(s.stop - s.start for s in m.segments if s.levels[level].file.bytes)
         assert len(pictures) == expected

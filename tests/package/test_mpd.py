@@ -29,7 +29,7 @@ def with_a_still_segment(levels: Sequence[int] = (0, 1, 2), number: int = 1) -> 
     m = tiny_manifest(groups=(10, 5, 10))
     segments = list(m.segments)
     still = [
-        dataclasses.replace(v, files=[NO_FILE], frame_bytes=[[]]) if j in levels else v
+        dataclasses.replace(v, file=NO_FILE, frame_bytes=[]) if j in levels else v
         for j, v in enumerate(segments[number].levels)
     ]
     segments[number] = dataclasses.replace(segments[number], levels=still)

@@ -10,19 +10,15 @@ def test_kinds_of_files_are_those_of_their_paths():
     for path in (layout.JSON_NAME, layout.MPD_NAME, layout.group_path(3), layout.page_path(2, 1)):
         assert file_kind(path) is FileKind.MANIFESTS
     assert file_kind(layout.INIT_NAME) is FileKind.INIT
-    assert file_kind(layout.key_media_path("P2/", 0, 1, 3)) is FileKind.KEY
-    assert file_kind(layout.state_media_path("", 2, 3)) is FileKind.STATE
-    assert file_kind(layout.key_sidecar_path("", 0, 3)) is FileKind.SIDECARS
+    assert file_kind(layout.key_media_path(0, 1, 3)) is FileKind.KEY
+    assert file_kind(layout.state_media_path(2, 3)) is FileKind.STATE
+    assert file_kind(layout.key_sidecar_path(0, 3)) is FileKind.SIDECARS
 
 
 def test_paths_are_found_again():
-    assert locate(layout.key_sidecar_path("", 0, 30)) == ("sidecar", (0, 0, 30))
-    assert locate(layout.key_media_path("", 1, 12, 3)) == ("key", (0, 1, 12, 3))
-    assert locate(layout.state_media_path("", 2, 3)) == ("state", (0, 2, 3))
-    folder = layout.tile_folder(1, 64)
-    assert locate(layout.key_sidecar_path(folder, 0, 30)) == ("sidecar", (2, 0, 30))
-    assert locate(layout.key_media_path(folder, 1, 12, 3)) == ("key", (2, 1, 12, 3))
-    assert locate(layout.state_media_path(folder, 2, 3)) == ("state", (2, 2, 3))
+    assert locate(layout.key_sidecar_path(0, 30)) == ("sidecar", (0, 30))
+    assert locate(layout.key_media_path(1, 12, 3)) == ("key", (1, 12, 3))
+    assert locate(layout.state_media_path(2, 3)) == ("state", (2, 3))
     assert locate(layout.group_path(7200)) == ("group", (7200,)) and locate(layout.page_path(2, 1)) == ("page", (2, 1))
 
 
@@ -36,7 +32,7 @@ def test_paths_are_found_again():
         "../key/T0/1.bin",
         "state/L0/x.m4s",
         "group/1.json",
-        "state/P0/L0/1.m4s",
+        "state/P1/L0/1.m4s",
     ],
 )
 def test_other_paths_are_no_paths_of_a_package(path):

@@ -20,7 +20,8 @@ def test_a_walk_comes_by_all_places_without_a_jump_and_begins_again(some):
     assert steps.max() < 0.03 and walk[-1] == pytest.approx(walk[0])
     for place in some.places:
         assert np.linalg.norm(walk - place.position, axis=1).min() < 0.01
-    np.testing.assert_allclose(path.at(seconds + 0.3).world_to_camera, path.at(0.3).world_to_camera, atol=1e-9)
+    again, once = path.cameras(np.array([seconds + 0.3, 0.3]))
+    np.testing.assert_allclose(again.world_to_camera, once.world_to_camera, atol=1e-9)
 
 
 @pytest.mark.parametrize("degrees", [315, 180])

@@ -14,7 +14,7 @@ from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from tests.support.manifests import tiny_manifest, units
+from tests.support.manifests import keys, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 
@@ -48,7 +48,7 @@ def test_what_is_decoded_is_so_in_the_loop_of_the_first_slot_alone():
     first, again = (replace(OFFERS.offer(0), starts_group=starts) for starts in (False, True))
     for end, whole in ((2100.0 + 6300.0, True), (2100.0 + 6300.0 - 1, False)):
         both = Slot(first, 0.0, 2100.0), Slot(again, 0.0, end)
-        best = solve_horizon(Horizon(both, units(2)), integer=True)
+        best = solve_horizon(Horizon(both, keys(2)), integer=True)
         assert best is not None and (best.quality == pytest.approx(40.0)) is whole
 
 
@@ -78,7 +78,7 @@ def test_keys_are_paid_once_a_group():
     assert together is not None and together.quality == pytest.approx(40.0)
     apart = solve_horizon(horizon(6300, 8400), integer=True)
     assert apart is not None and apart.quality < 40
-    with_keys = solve_horizon(horizon(2100, decoded=units(2), starts=[False]), integer=True)
+    with_keys = solve_horizon(horizon(2100, decoded=keys(2), starts=[False]), integer=True)
     assert with_keys is not None and with_keys.quality == pytest.approx(40.0)
 
 

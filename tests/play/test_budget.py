@@ -15,7 +15,7 @@ from airgs_codec.play.report.session import format_metrics
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from tests.support.manifests import in_groups, tiny_manifest, with_tiers
+from tests.support.manifests import in_groups, tiny_manifest
 
 POLICIES = ("fixed:0", *ADAPTIVE, *ORACLES)
 
@@ -24,7 +24,7 @@ def tiered(counts=((10, 30), (20, 60))) -> Manifest:
     """Two groups with these rows in their two tiers; the last level needs the first tier alone, the others both."""
     m = tiny_manifest()
     groups = [
-        with_tiers(group, [replace(tier, count=n) for tier, n in zip(group.units, rows, strict=True)])
+        replace(group, tiers=[replace(tier, count=n) for tier, n in zip(group.tiers, rows, strict=True)])
         for group, rows in zip(m.groups, counts, strict=True)
     ]
     return replace(m, groups=in_groups(groups), levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])

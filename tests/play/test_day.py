@@ -13,7 +13,6 @@ from airgs_codec.package.package import open_package
 from airgs_codec.package.publish import GrowingPackage, write_tables
 from airgs_codec.places.place import Memory
 from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Request, answer
-from airgs_codec.play.fetch_plan import FetchPlan
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.http import RemoteTables
 from airgs_codec.play.offers import HEADER_BYTES
@@ -79,14 +78,14 @@ class Link:
 
 def memory_of(link, player):
     """How many of each thing publisher, tables and player know."""
-    tables, units = player.fetcher.tables, player.fetcher.units
+    tables, keys = player.fetcher.tables, player.fetcher.keys
     return {
         "tables of the publisher": len(link.publisher.package.manifest.groups._kept),
         "tables of the viewer": len(link.tables._files),
         "names": len(tables._paths),
         "segments": len(tables._complete),
-        "units": len(units.decoded(0)),
-        "options": len(units._options),
+        "keys": len(keys.decoded(0)),
+        "options": len(keys._options),
         "downloads": len(player.fetcher.downloads),
         "timeline": len(player.playout.timeline),
     }
@@ -96,7 +95,7 @@ def stay(link, rung):
     """A player of a rung on a link, whose events are yet to be asked for."""
     link.bring(JSON_NAME)
     offers, rules = link.tables.offers, SessionSettings(decode_frame_s=0.0)
-    return Player(FetchPlan(None), Fetcher(offers, link, make_policy(rung, offers), rules), Playout(rules, False))
+    return Player(Fetcher(offers, link, make_policy(rung, offers), rules), Playout(rules))
 
 
 def test_a_day_of_live_publishing_and_a_viewer_who_stays_end_flat():

@@ -13,7 +13,7 @@ from airgs_codec.package.references import check_base, check_group
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.downloader import Arrival, BatchKind, Request, SimulatedDownloader
-from airgs_codec.play.fetcher import UnitStore
+from airgs_codec.play.fetcher import KeyStore
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
@@ -21,7 +21,7 @@ from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from tests.support.manifests import in_groups, missing, tiny_manifest, units, with_tiers
+from tests.support.manifests import in_groups, keys, missing, tiny_manifest
 from tests.support.session_packages import offers_of
 
 RULES = SessionSettings(
@@ -39,9 +39,9 @@ def keeping(m, number=2, of=1, pictures=(True, False)):
             qualities=[_difference(atlas, there) for atlas in tier.qualities],
             pictures=tier.pictures if there else [NO_FILE] * len(tier.pictures),
         )
-        for tier, there in zip(group.units, pictures, strict=True)
+        for tier, there in zip(group.tiers, pictures, strict=True)
     ]
-    groups[number - 1] = replace(with_tiers(group, tiers), keeps=of)
+    groups[number - 1] = replace(group, tiers=tiers, keeps=of)
     return replace(m, groups=in_groups(groups))
 
 
@@ -98,10 +98,10 @@ def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
     m = keeping(tiny_manifest())
     c = Offers(m, 0, 1000)
     q0, q1 = (c.rungs.index((q, 0)) for q in (0, 1))
-    sizes = c.offer(1).sizes(units(2))
+    sizes = c.offer(1).sizes(keys(2))
     assert sizes[q0] == 3000 + 200 + 2100
     assert sizes[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
-    batch = c.offer(1).missing(q1, units(2))
+    batch = c.offer(1).missing(q1, keys(2))
     assert batch.keys == (
         *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
         *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
@@ -135,7 +135,7 @@ def test_the_programme_pays_for_a_base_once():
     assert best is not None and best.quality == pytest.approx(40.0)
     alone = solve_horizon(Horizon((replace(both[1], capacity=9500.0),)), integer=True)
     assert alone is not None and alone.first_bytes == pytest.approx(9500)
-    held = solve_horizon(Horizon((replace(both[1], capacity=5300.0),), units(2)), integer=True)
+    held = solve_horizon(Horizon((replace(both[1], capacity=5300.0),), keys(2)), integer=True)
     assert held is not None and held.quality == pytest.approx(40.0)
 
 
@@ -168,13 +168,13 @@ def test_no_session_beats_the_bound(rates, pictures):
 def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
     """Sessions over groups that differ in some tiers or none, with any policy."""
     arrived = []
-    add = UnitStore.add
+    add = KeyStore.add
 
-    def adding(units, loop, offer, arrival):
+    def adding(store, loop, offer, arrival):
         arrived.extend(arrival.usable)
-        add(units, loop, offer, arrival)
+        add(store, loop, offer, arrival)
 
-    monkeypatch.setattr(UnitStore, "add", adding)
+    monkeypatch.setattr(KeyStore, "add", adding)
     chance = np.random.default_rng(0)
     for policy in ("throughput", "robust-mpc", "oracle-lp", "bola", "fixed:Q1+L1") * 12:
         m, base = tiny_manifest(groups=(10,) * 5), 1
@@ -194,7 +194,7 @@ def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
 
 def test_a_second_tier_that_came_before_the_first_is_not_fetched_again():
     c = Offers(tiny_manifest(), 0, 1000)
-    keys, offer = UnitStore(), c.offer(0)
+    keys, offer = KeyStore(), c.offer(0)
     batch = keys.missing(0, offer, 0)
     request = Request(BatchKind.GROUP, 0, 0, batch, 0.0, 0.0)
     second = tuple(c.manifest.key_files(0, 1, 0))

@@ -61,8 +61,8 @@ def test_who_joins_late_fetches_the_base_of_the_newest_group_once(tmp_path):
     m = open_package(VALID / "kept").manifest
     assert [s.segment for s in log.shown] == [1, 2] and all(s.rung == 0 for s in log.shown)
     assert [g.keeps for g in m.groups] == [None, 1, 1]
-    units = {path for g in range(3) for t in range(m.tiers) for path in m.key_files(g, t, 0)}
-    assert log.bytes_by_kind["key"] + log.bytes_by_kind["sidecars"] == m.bytes_of(sorted(units))
+    keys = {path for g in range(3) for t in range(m.tiers) for path in m.key_files(g, t, 0)}
+    assert log.bytes_by_kind["key"] + log.bytes_by_kind["sidecars"] == m.bytes_of(sorted(keys))
 
 
 def test_groups_are_looked_for_a_groups_length_after_the_last_time(tmp_path):

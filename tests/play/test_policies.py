@@ -39,7 +39,7 @@ from airgs_codec.play.policies.state import (
     full_ladder,
 )
 from airgs_codec.play.trace import Link, Trace
-from tests.support.manifests import tiny_manifest, units
+from tests.support.manifests import keys, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 OFFER = OFFERS.offer(0)
@@ -53,7 +53,7 @@ def constant(rate, rtt=0.0):
 def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NONE, shown=None, rtt=0.0, limit=10.0):
     """A player that measured `rate` and has `buffer_s` of media at hand."""
     offer = offers.offer(position % 2)
-    held = frozenset((offer.group, *unit[1:]) for unit in held)
+    held = frozenset((offer.group, *key[1:]) for key in held)
 
     def upcoming():
         for p in range(position, end):
@@ -90,11 +90,11 @@ def test_options_are_what_is_missing():
     sizes = dict(zip(OFFERS.names, OFFER.sizes(NONE), strict=True))
     assert sizes["Q0+L0"] == 3000 + 100 + 1000 + 100 + 2000 + 100
     assert sizes["Q1+L2"] == 1000 + 100 + 500 + 100 + 500 + 100
-    held = dict(zip(OFFERS.names, OFFER.sizes(units(2)), strict=True))
+    held = dict(zip(OFFERS.names, OFFER.sizes(keys(2)), strict=True))
     assert held["Q0+L0"] == 2100 and held["Q1+L2"] == sizes["Q1+L2"]
-    assert dict(zip(OFFERS.names, OFFER.sizes(units(1)), strict=True))["Q0+L1"] == 1100 + 1100
+    assert dict(zip(OFFERS.names, OFFER.sizes(keys(1)), strict=True))["Q0+L1"] == 1100 + 1100
     within = replace(OFFER, starts_group=False)
-    assert within.bytes_after(OFFER, NONE)[0].tolist() == OFFER.sizes(units(2))
+    assert within.bytes_after(OFFER, NONE)[0].tolist() == OFFER.sizes(keys(2))
     assert OFFER.bytes_after(OFFER, NONE).tolist() == [OFFER.sizes(NONE)]
 
 
@@ -118,7 +118,7 @@ def test_the_cliff_bounds_what_paper_takes():
 
 
 def test_the_cliff_is_the_segments_own_whatever_is_decoded():
-    for held in (NONE, units(2), units(0, 2)):
+    for held in (NONE, keys(2), keys(0, 2)):
         assert {p.index % 3 for p in before_cliff(state(held=held)).options} == {0, 1}
 
 
@@ -335,7 +335,7 @@ def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
 @given(
     rates=st.lists(st.floats(1e2, 1e9), max_size=8),
     buffer_s=st.floats(-5, 12),
-    held=st.sampled_from([NONE, units(1), units(2), units(0, 2), units(1, 2)]),
+    held=st.sampled_from([NONE, keys(1), keys(2), keys(0, 2), keys(1, 2)]),
     name=st.sampled_from([n for n in NAMES if n != "oracle-lp"]),
     position=st.integers(0, 19),
 )

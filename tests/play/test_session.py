@@ -259,7 +259,7 @@ def buffered(slots, unusable=frozenset(), **more):
     ]
     fetcher = SimpleNamespace(
         now_s=10.0, connection=SimpleNamespace(rtt_s=0.5), settings=SimpleNamespace(decode_frame_s=0.25, replace=True),
-        loop=lambda _: 0, units=SimpleNamespace(options=lambda *_: offer.options(NONE)), offer=lambda _: offer,
+        loop=lambda _: 0, keys=SimpleNamespace(options=lambda *_: offer.options(NONE)), offer=lambda _: offer,
         missing=lambda _, rung: offer.missing(rung, NONE), unusable=unusable,
         usable=lambda batch: unusable.isdisjoint(batch.files), policy=SimpleNamespace(may_replace=True), **more,
     )  # fmt: skip

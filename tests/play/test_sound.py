@@ -34,8 +34,8 @@ def test_every_rung_has_it_first_and_until_it_is_there():
     offer = Offers(m, 0).offer(1)
     for rung in range(len(offer.rungs)):
         assert offer.missing(rung, NONE).keys[0] == sound_path(2)
-        units = frozenset(unit.unit for unit in offer.rungs[rung].units)
-        assert offer.sizes(NONE)[rung] - offer.sizes(units)[rung] == offer.bytes_after(offer, NONE)[0, rung] - (
+        keys = frozenset(of.key for of in offer.rungs[rung].keys)
+        assert offer.sizes(NONE)[rung] - offer.sizes(keys)[rung] == offer.bytes_after(offer, NONE)[0, rung] - (
             offer.rungs[rung].state_bytes
         )
     assert m.rung_files(1, 2)[:2] == [sound_path(1), sound_path(2)]

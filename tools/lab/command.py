@@ -39,20 +39,16 @@ PROGRAM = "python -m tools.lab"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lab:
-    """Where an experiment works."""
-
     folder: Path  # of what it gives; it is there
     results: Results
     progress: Bar
     keep: Callable[[Page], object] = lambda page: None  # writes a page that is not finished, in case it never will be
 
     def tell(self, line: str) -> None:
-        """Say on stderr how far it is."""
         print(line, file=sys.stderr, flush=True)
 
     @staticmethod
     def at(folder: Path, quiet: bool = False) -> Lab:
-        """One that works in a folder, which is made."""
         folder.mkdir(parents=True, exist_ok=True)
         bar = Bar(quiet)
         return Lab(folder, Results.at(folder / "work", bar), bar)
@@ -60,8 +56,6 @@ class Lab:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Options of every experiment."""
-
     output: Path | None = setting(
         None, f"folder of the page, its pictures and figures (default: {OUTPUT}/NAME)", short="-o", metavar="FOLDER"
     )

@@ -38,21 +38,17 @@ class Table:
 
     @property
     def keys(self) -> list[str]:
-        """Return what is shown of each row."""
         return list(self.columns or dict.fromkeys(key for row in self.rows for key in row))
 
     @property
     def head(self) -> list[str]:
-        """Headings."""
         return [self.columns[key][0] if self.columns else key.replace("_", " ") for key in self.keys]
 
     def cells(self) -> list[list[str]]:
-        """The table as text."""
         forms = {key: form for key, (_, form) in self.columns.items()}
         return [[shown(row.get(key), forms.get(key, "")) for key in self.keys] for row in self.rows]
 
     def numeric(self) -> list[bool]:
-        """Of each column, whether it holds figures."""
         return [any(_is_number(row.get(key)) for row in self.rows) for key in self.keys]
 
 
@@ -95,8 +91,6 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """How a page came about."""
-
     name: str  # of the experiment, or of what is published of it
     question: str
     command: str
@@ -107,12 +101,10 @@ class Made:
     format: int  # of packages
 
     def said(self) -> str:
-        """How it came about, in a line."""
         return f"Measured {self.date} in {self.seconds:,.0f} s, commit {self.commit}, format {self.format}."
 
 
 def rows_of(values: Iterable[Any]) -> list[Row]:
-    """Dataclasses as rows."""
     return [dataclasses.asdict(value) for value in values]
 
 
@@ -132,7 +124,6 @@ def _is_number(value: Any) -> bool:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words with commas, the last one with "and"."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
@@ -155,12 +146,10 @@ def text_of(page: Page) -> str:
 
 
 def markdown(page: Page, made: Made) -> str:
-    """The page as a document."""
     return f"# {made.question}\n\n{body_of(page, made)}\n"
 
 
 def body_of(page: Page, made: Made) -> str:
-    """The page without its title."""
     return "\n\n".join(_parts(page, made))
 
 

@@ -22,8 +22,6 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """Results in a store."""
-
     store: Store
     engine: Engine = field(default_factory=InProcess)  # does what is missing
     progress: Progress = silent

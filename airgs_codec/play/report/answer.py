@@ -114,8 +114,6 @@ def _wrong(log: SessionLog, stalls: Sequence[Stall]) -> list[str]:
         told.append(f"{r.lost_frames} frames were lost.")
     if r.wasted > MUCH_WASTE:
         told.append(f"{100 * r.wasted:.0f} % of the bytes served nothing.")
-    if r.tiles is not None and r.tiles.missing_s > 0:
-        told.append(f"A tile in sight was lacking for {r.tiles.missing_s:.1f} s.")
     return told
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.camera import resized
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
 MOST_PIXELS = 640  # of the longer side of a picture
@@ -32,7 +32,7 @@ MOST_PIXELS = 640  # of the longer side of a picture
 def walk(log: SessionLog) -> list[Camera]:
     """The camera of every display tick of a session, on a walk by the places of the package's region."""
     m = log.offers.manifest
-    times = np.arange(len(log.screen_ticks)) / log.offers.fps if log.tiles is None else log.tiles.view_times
+    times = np.arange(len(log.screen_ticks)) / log.offers.fps
     views = path_of_region(levelled(m.region, m.world)).cameras(times)
     return [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in views]
 
@@ -40,55 +40,25 @@ def walk(log: SessionLog) -> list[Camera]:
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
     """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
-    In a lost segment the last Gaussians stay; None before the first that could be shown. Where tiles were fetched by
-    view, there are those that had come by then; a scene whose tiles have no rows has no Gaussians.
+    In a lost segment the last Gaussians stay; None before the first that could be shown.
     """
-    shown_at = -1
-    parts: dict[tuple[int, ...], list[Gaussians]] = {}  # of the segment shown: rung and tiles -> frames
+    decoded_at = -1
+    frames: list[Gaussians] = []
     last: Gaussians | None = None
-    for tick, (entry, frame) in enumerate(log.screen_ticks):
+    for entry, frame in log.screen_ticks:
         s = log.shown[entry]
-        if entry != shown_at:
-            parts = {}
-        shown_at = entry
         if s.rung is not None:
-            found = [_frames(package, log, entry, part, parts)[frame] for part in _parts(log, tick, entry)]
-            last = _joined(found, package.manifest.sh_degree)
+            if entry != decoded_at:
+                decoded_at, frames = entry, _segment(package, s.segment, log.offers.rungs[s.rung])
+            last = frames[frame]
         yield last, entry
 
 
-def _parts(log: SessionLog, tick: int, entry: int) -> list[tuple[int, ...]]:
-    """Return what is on the screen at a display tick: rungs, each with the tiles in it; without tiles: all."""
-    if log.tiles is None:
-        return [(log.shown[entry].rung or 0,)]
-    there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
-    return [(rung, *sorted(t for t in there if there[t] == rung)) for rung in sorted(set(there.values()))]
-
-
-def _joined(parts: Sequence[Gaussians], degree: int) -> Gaussians:
-    """All rows of a picture; no parts are no rows."""
-    if parts:
-        return parts[0] if len(parts) == 1 else join_rows(parts)
-    shapes = ((0, 3), (0, 4), (0, 3), (0,), (0, 3), (0, SH_REST[degree], 3))
-    return Gaussians(*(np.zeros(shape, np.float32) for shape in shapes))
-
-
-def _frames(
-    package: Package, log: SessionLog, entry: int, part: tuple[int, ...], known: dict[tuple[int, ...], list[Gaussians]]
-) -> list[Gaussians]:
-    if part not in known:
-        rung, *tiles = part
-        known[part] = _segment(package, log.shown[entry].segment, log.offers.rungs[rung], tiles or None)
-    return known[part]
-
-
-def _segment(
-    package: Package, index: int, rung: tuple[int, int], tiles: Sequence[int] | None = None
-) -> list[Gaussians]:
+def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussians]:
     m, (quality, level) = package.manifest, rung
     segment = m.segments[index]
-    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers, tiles)
-    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start), tiles))
+    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
+    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
 def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:

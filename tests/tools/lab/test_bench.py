@@ -1,52 +1,19 @@
 """Benchmarks on the least that shows that they work: rows with figures in them, and no errors."""
 
-import asyncio
-
 import numpy as np
 import pytest
 
 from airgs_codec.media.metrics import psnr
 from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import moving_frames, write_sequence
-from tools.lab.bench import engines, link, omissions, play, serve, start, viewpoints
+from tools.lab.bench import engines, link, omissions, viewpoints
 from tools.lab.command import Lab
-from tools.lab.serving import airgs_serve
 
 PACKAGE = GOLDEN / "fox"
 
 
 def rows_of(page):
     return [list(table.rows) for section in page.sections for table in section.tables]
-
-
-def test_selectors_and_sessions_are_timed(tmp_path, monkeypatch):
-    monkeypatch.setattr(play, "REPEATS", 1)
-    monkeypatch.setattr(play, "LEVELS", (4, 11))
-    monkeypatch.setattr(play, "NAMES", ())
-    ladders, policies = rows_of(play.run(play.Options(PACKAGE, "const:5"), Lab.at(tmp_path)))
-    assert [row["levels"] for row in ladders] == [4, 11] and all(row["select, us"] > 0 for row in ladders)
-    assert [row["policy"] for row in policies] == ["fixed:0"]
-    assert all(row["x real time"] > 1 and row["LP - MILP, dB"] > -1e-6 for row in policies)
-
-
-def test_answers_of_a_server_are_compared_with_the_files():
-    data = (PACKAGE / "init.mp4").read_bytes()
-    tally = serve.Tally(memory_mb=[(0.0, 50.0), (9.0, 60.0)], cpu_s=0.2)
-
-    async def ask(port):
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        await serve.fetch(reader, writer, "/fox/init.mp4", data, tally)
-        with pytest.raises(ValueError, match="other bytes"):
-            await serve.fetch(reader, writer, "/fox/init.mp4", data[::-1], tally)
-        with pytest.raises(ValueError, match="404"):
-            await serve.fetch(reader, writer, "/fox/none.mp4", data, tally)
-        writer.close()
-
-    with airgs_serve(PACKAGE) as (_, url):
-        asyncio.run(ask(int(url.rpartition(":")[2])))
-    row = serve.row_of(tally, 3.0)
-    assert (row["answers a second"], row["MB when warm"], row["errors"]) == (1.0, 60.0, 0)
-    assert row["worst"] >= row["first byte, ms"] > 0
 
 
 def test_a_real_session_is_compared_with_a_simulated_one(tmp_path):
@@ -87,14 +54,6 @@ def test_scenes_for_engines_are_balls_or_packages():
     )
     picture = np.full((2, 2, 3), 255, np.uint8)
     assert engines._psnr(picture, picture - 51) == pytest.approx(psnr(0.04))
-
-
-def test_beginnings_are_timed(tmp_path, monkeypatch):
-    monkeypatch.setattr(start, "RUNS", 1)
-    monkeypatch.setattr(start, "IMPORT_LIMIT_S", 0.0)
-    page = start.run(start.Options(PACKAGE), Lab.at(tmp_path))
-    ((imported, inspected),) = rows_of(page)
-    assert imported["seconds"] > 0 and inspected["seconds"] > 0 and page.failed
 
 
 def test_what_is_left_out_is_taken_back_one_by_one(tmp_path, monkeypatch):

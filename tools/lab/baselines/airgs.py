@@ -35,7 +35,6 @@ class AirGS:
 
     @property
     def settings(self) -> dict[str, object]:
-        """Those of the trainer and of the encoder."""
         return {"training": self.training.table(), "encoding": asdict(self.encoding)}
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
@@ -73,10 +72,10 @@ def state_bytes(m: Manifest, segment: int, level: int) -> np.ndarray:
     """(T,) bytes of the frames of a segment at a level; what they share is spread evenly."""
     entry = m.segments[segment]
     frames = entry.stop - entry.start
-    own = np.array(entry.levels[level].picture_bytes or [0] * frames, float)
+    own = np.array(entry.levels[level].frame_bytes or [0] * frames, float)
     return own + (m.bytes_of(m.state_files(segment, level)) - own.sum()) / frames
 
 
 def key_bytes(m: Manifest, group: int, level: int) -> int:
     """Bytes of the keys of a group in the finest quality, of the tiers that viewers of a level fetch."""
-    return m.bytes_of([path for unit in m.units_of(level) for path in m.key_files(group, unit, 0)])
+    return m.bytes_of([path for tier in range(m.levels[level].tiers) for path in m.key_files(group, tier, 0)])

@@ -5,18 +5,15 @@ All frames are trained together: first static Gaussians that suit all of them, t
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.places.whole import atomic_path
+from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
@@ -31,8 +28,7 @@ from tools.lab.baselines.threedgs import SH_EVERY, START_OPACITY, Splats, Timeta
 COARSE, FINE = 3_000, 14_000  # iterations of the two stages in the paper, for videos of several cameras
 TIMETABLES = (Timetable(reset=None), Timetable(stop=10_000, reset=None))  # of the two stages
 MLP_RATE, PLANE_RATE, RATE_LAST = 1.6e-4, 1.6e-3, 0.1  # times the scene's extent; the share that is left at the end
-CHECKPOINT, MODEL = "checkpoint.pt", "model"
-KEEP_EVERY = 200  # iterations between checkpoints
+MODEL = "model"  # its folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +45,16 @@ class Fourdgs:
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "4dgs"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All of them."""
         return asdict(self)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
         """The frames from number `done` on, after the training of all of them.
 
-        A run that was stopped goes on from its last checkpoint. Raises SceneError where there is nothing to train on
-        or to start from, and ConfigError for a checkpoint of other settings.
+        Raises SceneError where there is nothing to train on or to start from.
         """
         torch.set_num_threads(1)  # the renderer has threads of its own
         footage.folder.mkdir(parents=True, exist_ok=True)
@@ -69,23 +62,18 @@ class Fourdgs:
         while fit.iteration < fit.total:
             fit.step()
             progress("all frames", fit.iteration, fit.total)
-            if fit.iteration % KEEP_EVERY == 0 or fit.iteration == fit.total:
-                fit.keep()
         sizes = spread(write_model(footage.folder / MODEL, fit.splats.gaussians(), fit.field), footage.frames)
         g, field = read_model(footage.folder / MODEL)
         for t in range(done, footage.frames):
-            shown = deformed(g, field, moment(t, footage.frames))
+            shown = deformed(g, field, t / max(1, footage.frames - 1))
             yield Shown("frame" if t else "key", shown, sizes[t], fit.seconds / footage.frames)
 
 
 class Fit:
-    """The training of all frames, which goes on from the checkpoint in the folder if there is one."""
-
     splats: Splats
     field: Field
 
     def __init__(self, method: Fourdgs, footage: Footage) -> None:
-        """Raises what `Fourdgs.frames` does."""
         self._method, self._footage = method, footage
         self._factor = method.iterations / (COARSE + FINE)
         self._coarse = round(COARSE * self._factor)
@@ -96,9 +84,6 @@ class Fit:
         self.iteration = 0
         self.seconds = 0.0
         self._begin()
-        path = footage.folder / CHECKPOINT
-        if path.exists():
-            self._restore(path)
 
     def step(self) -> None:
         """One iteration. Raises TrainingError where the loss is not finite or no Gaussian is left."""
@@ -110,7 +95,7 @@ class Fit:
         frame, view = self._seen[self._order[self.iteration - 1]]
         p = self.splats.current()
         if fine:
-            p = self.field(p, moment(frame, self._footage.frames))
+            p = self.field(p, frame / max(1, self._footage.frames - 1))
         degree = min(self._method.sh_degree, int(self.iteration / self._factor / SH_EVERY))
         rgb, _ = render(p, view.camera, degree, self.splats.watch())
         loss = (rgb - torch.from_numpy(view.target.rgb)).abs().mean()
@@ -125,19 +110,6 @@ class Fit:
             done, iterations = self.iteration, self._coarse
         self.splats.step(done, iterations)
         self.seconds += time.perf_counter() - begun
-
-    def keep(self) -> None:
-        """Write the checkpoint."""
-        state = {
-            "settings": self._identity(),
-            "iteration": self.iteration,
-            "seconds": self.seconds,
-            "splats": self.splats.state(),
-            "field": self.field.state_dict(),
-            "adam": self._adam.state_dict(),
-        }
-        with atomic_path(self._footage.folder / CHECKPOINT) as path:
-            torch.save(state, path)
 
     def _begin(self) -> None:
         m, footage = self._method, self._footage
@@ -162,25 +134,6 @@ class Fit:
             group["lr"] = rate * self._method.rate * self._extent * RATE_LAST**done
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
-
-    def _identity(self) -> str:
-        return json.dumps(self._method.settings | {"frames": self._footage.frames})
-
-    def _restore(self, path: Path) -> None:
-        state: dict[str, Any] = torch.load(path, weights_only=True)
-        if state["settings"] != self._identity():
-            raise ConfigError(f"{path}: expected a run of {self._identity()}, got {state['settings']}")
-        self.iteration, self.seconds = state["iteration"], state["seconds"]
-        if self.iteration > self._coarse:
-            self.splats = self._make_splats(self.splats.gaussians(), 1)
-        self.splats.restore(state["splats"])
-        self.field.load_state_dict(state["field"])
-        self._adam.load_state_dict(state["adam"])
-
-
-def moment(frame: int, frames: int) -> float:
-    """The time of a frame, 0 at the first and 1 at the last."""
-    return frame / max(1, frames - 1)
 
 
 @torch.no_grad()

@@ -24,8 +24,6 @@ HEADS = {"means": 3, "log_scales": 3, "quaternions": 4}  # what deforms; opacity
 
 @dataclass(frozen=True, slots=True)
 class FieldSize:
-    """How large a field is."""
-
     cells: int = 64  # R of the coarsest resolution
     moments: int = 12  # T, of all resolutions
     features: int = 16  # F of a plane
@@ -70,7 +68,6 @@ class Field(torch.nn.Module):
         return torch.cat(found, dim=0).t()
 
     def arrays(self) -> dict[str, NDArray[np.float32]]:
-        """All numbers by name, for a file."""
         return {name: value.numpy() for name, value in self.state_dict().items()}
 
 

@@ -32,12 +32,10 @@ class Naive3dgs:
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "naive3dgs"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All of them."""
         return asdict(self)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:

@@ -42,8 +42,6 @@ WIRE = np.dtype("<f4")  # a number of an added Gaussian
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """What decides a run besides the footage. Raises ConfigError for values that cannot work."""
-
     first: TrainSettings = field(default_factory=TrainSettings)  # of the first frame
     cache: FieldSettings = field(
         default_factory=lambda: FieldSettings(levels=6, features=2, log2_table=11, coarsest=8, growth=1.6)
@@ -56,25 +54,17 @@ class StreamSettings:
     threshold: float = 1.5e-4  # gradient of the loss by the place in the picture, in halves of its longest side
     most_added: int = 1000  # Gaussians that a frame may add
 
-    def __post_init__(self) -> None:
-        if min(self.iterations, self.added_iterations) < 1 or self.most_added < 0 or not 0 < self.share <= 1:
-            raise ConfigError(f"expected iterations, a share of 0 to 1 and a count of at least 0, got {self}")
-
 
 @dataclass(frozen=True, slots=True)
 class Stream3dgs:
-    """The method."""
-
     options: StreamSettings = field(default_factory=StreamSettings)
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "3dgstream"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All options."""
         return asdict(self.options)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
@@ -130,14 +120,11 @@ def _added(data: bytes, sh_degree: int) -> Gaussians:
 
 
 def _wire(g: Gaussians) -> bytes:
-    """All attributes of each row as they are stored, in float32."""
     return np.concatenate([getattr(g, name).reshape(len(g), -1) for name in ATTRIBUTES], axis=1).astype(WIRE).tobytes()
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """The two stages of a frame."""
-
     options: StreamSettings
     trainer: Trainer
     region: Region
@@ -166,7 +153,6 @@ class _Fit:
     def _add(
         self, moved: Gaussians, new: Gaussians, target: FrameViews, rng: np.random.Generator, progress: Progress
     ) -> Gaussians:
-        """The new Gaussians, fitted among the moved ones, which rest."""
         o = self.options
         resting = Resting(from_gaussians(moved), torch.empty(0, dtype=torch.int64))
         growth = Growth(min(2 * len(new), o.most_added), every=ADD_EVERY)

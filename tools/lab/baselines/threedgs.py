@@ -47,15 +47,12 @@ class Timetable:
         return replace(self, start=round(self.start * factor), stop=stop, reset=reset)
 
     def densifies(self, iteration: int) -> bool:
-        """Return whether rows are added and removed after this iteration."""
         return self.start < iteration < self.stop and iteration % self.every == 0
 
     def resets(self, iteration: int) -> bool:
-        """Return whether opacity is reset after this iteration."""
         return self.reset is not None and iteration < self.stop and iteration % self.reset == 0
 
     def removes_large(self, iteration: int) -> bool:
-        """Return whether Gaussians may be too large after this iteration."""
         return self.reset is not None and iteration > self.reset
 
 
@@ -72,15 +69,12 @@ class Splats:
         self._restart()
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians as they are now, leaves."""
         return self._adam.parameters
 
     def gaussians(self) -> Gaussians:
-        """A copy of them."""
         return to_gaussians(self._adam.parameters)
 
     def watch(self) -> AbsGrad:
-        """Return where the gradients of the next picture are wanted."""
         self._absgrad = AbsGrad()
         return self._absgrad
 
@@ -104,15 +98,6 @@ class Splats:
                 self._densify(iteration)
             if self.timetable.resets(iteration):
                 self._adam.replace_values("opacity_logits", reset_opacity(self._adam.parameters["opacity_logits"]))
-
-    def state(self) -> dict[str, object]:
-        """Everything that `restore` needs, as tensors and numbers."""
-        return {"adam": self._adam.state(), "sum": self._sum, "count": self._count}
-
-    def restore(self, state: Mapping[str, object]) -> None:
-        """Go on from what `state` gave."""
-        self._adam.restore(state["adam"])  # type: ignore[arg-type]
-        self._sum, self._count = (torch.as_tensor(state[name]) for name in ("sum", "count"))
 
     def _restart(self) -> None:
         self._sum, self._count = torch.zeros(2, len(self._adam.parameters["means"]))

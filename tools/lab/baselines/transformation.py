@@ -52,7 +52,6 @@ def region_of(g: Gaussians, share: float) -> Region:
 
 
 def apply_cache(g: Gaussians, cache: HashField, region: Region) -> Gaussians:
-    """The Gaussians, moved and turned as the cache says."""
     rows = region.rows(g)
     with torch.no_grad():
         changes = cache(cache.places(g.means[rows]))
@@ -123,11 +122,9 @@ class CacheDriven:
         self.collected = Densifier(Growth(len(self.base)), len(self.base), np.random.default_rng(0))
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The moved Gaussians, differentiable by the numbers of the cache."""
         return transformed(self._base, self._rows, self.cache(self._places), self.region.diagonal)
 
     def watch(self) -> AbsGrad | None:
-        """Absolute gradients, in the last iterations."""
         self._absgrad = AbsGrad() if self._watching else None
         return self._absgrad
 
@@ -136,7 +133,6 @@ class CacheDriven:
         return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:
-        """Move the numbers of the cache along the gradients, by Adam."""
         if self._absgrad:
             self.collected.collect(self._absgrad)
         self._watching = iteration >= iterations - self.watched

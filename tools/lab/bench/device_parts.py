@@ -37,8 +37,6 @@ MIB = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How far two renderers are apart in one camera."""
-
     worst: float  # sample of the picture; pixels flip where alpha is next to 1/255
     mean: float
     gradients: float
@@ -47,7 +45,6 @@ class Difference:
     hits: float
 
     def good(self) -> bool:
-        """Return whether nothing is over its limit."""
         return all(value <= limit for value, limit in zip(astuple(self), astuple(LIMITS), strict=True))
 
 
@@ -101,15 +98,12 @@ def pictures(device: str, name: str, folder: Path, cameras: int) -> list[Row]:
 
 
 def _with_all_bands(g: Gaussians) -> Gaussians:
-    """The Gaussians with noise in three bands of SH."""
     noise = 0.1 * np.random.default_rng(0).normal(size=(len(g), SH_REST[-1], 3))
     return replace(g, sh_rest=noise.astype(np.float32))
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A scene, and how its first frames are fitted."""
-
     scene: Path
     settings_of: str  # the device whose default settings they are
     effort: float  # times the iterations of those
@@ -167,7 +161,6 @@ def _seconds(frames: tuple[FrameRecord, ...], kind: str) -> float | None:
 
 
 def encoded(device: str, name: str, model: Path, settings: EncodeSettings) -> list[Row]:
-    """Encode what was trained, with nothing kept from before."""
     sequence = open_sequence(model)
     with tempfile.TemporaryDirectory(dir=model.parent) as folder:
         os.environ["XDG_CACHE_HOME"] = folder  # calibrations; gsplat's kernels are loaded already

@@ -37,8 +37,6 @@ LEFT_OUT, NOT_KNOWN = "left out: no time left", "left out: nothing tells how lon
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is fitted, and how long all may take."""
-
     scenes: tuple[Path, ...] = required("folders of pictures, as airgs-train reads them")
     sequence: Path = setting(Path("tests/data/fox"), "Gaussians that are drawn before anything is trained")
     device: str = setting("cuda", "what stands beside the CPU", choices=("cuda", "cpu"))
@@ -67,14 +65,11 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What parts have given so far."""
-
     parts: list[Row] = field(default_factory=list)  # a row for each part
     rows: dict[str, list[Row]] = field(default_factory=lambda: {"fits": [], "encodes": [], "pictures": []})
     took: dict[Part, float] = field(default_factory=dict)  # seconds of those that are done
 
     def do(self, part: Part, left_s: float) -> None:
-        """Do a part, or say why not."""
         needed = 0.0 if part.tenth is None else self.took.get(part.tenth, math.inf) / TENTH
         row: Row = {"part": part.what, "scene": part.scene, "device": part.device}
         if left_s <= needed:
@@ -96,7 +91,6 @@ class Found:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Do the parts until the time is over."""
     open_renderer(options.device)  # compiles gsplat's kernels where they are not there, which is not of the time
     begun, found, machine = time.perf_counter(), Found(), facts(options.device)
     with tempfile.TemporaryDirectory() as folder:
@@ -138,14 +132,12 @@ def _encode(device: str, name: str, model: Path) -> Part:
 
 
 def _fit(options: Options, scene: Path, device: str, folder: Path, share: float = 1.0) -> Part:
-    """The fit of a scene with a share of the iterations."""
     asked = Fit(scene, options.device, share * options.effort)
     what = "fit" if share == 1 else "a tenth of a fit"
     return Part(what, "fits", scene.name, device, fit, (asked, folder), partial(fitted, device, asked, folder))
 
 
 def facts(device: str) -> list[Row]:
-    """What tells on what it was measured."""
     import torch
 
     cuda = device == "cuda"
@@ -170,7 +162,6 @@ def _said(*command: str) -> str | None:
 
 
 def page_of(found: Found, machine: Sequence[Row], options: Options) -> Page:
-    """The page of what was found so far."""
     seen = found.rows["pictures"]
     apart = [Difference(**{name: row[name] for name in asdict(LIMITS)}) for row in seen]
     over, failed = sum(not one.good() for one in apart), sum("failed" in row["state"] for row in found.parts)

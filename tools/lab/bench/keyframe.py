@@ -39,8 +39,6 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is fitted."""
-
     scene: Path = required("what was trained on, as airgs-train reads it")
     model: Path = required("the model")
     frame: int | None = setting(None, "from 1 on (default: the first keyframe after frame 0)")
@@ -49,8 +47,6 @@ class Options:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A frame that both fits are made of."""
-
     trainer: Trainer
     target: FrameViews
     before: InMotion
@@ -58,18 +54,15 @@ class Case:
     held_out: Sequence[View]
 
     def warm(self, iterations: int) -> Gaussians:
-        """A keyframe from the frame before."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, key_iterations=iterations))
         return short.fit_keyframe(self.target, self.before, self.steps).gaussians
 
     def scratch(self, iterations: int) -> Gaussians:
-        """A keyframe from points found in its pictures."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, first_iterations=iterations))
         return fit_first(short, self.target, None).gaussians
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Both curves, and how much sooner the warm start reaches what the other does."""
     torch.set_num_threads(1)
     case = open_case(options.scene, options.model, options.frame, options.max_size)
     case.warm(1)  # compiles
@@ -130,7 +123,6 @@ def chosen_frame(model: Model, frame: int | None) -> int:
 
 
 def follow(name: str, fit: Callable[[int], Gaussians], counts: Sequence[int], held_out: Sequence[View]) -> list[Row]:
-    """A row for each of whole fits of several lengths."""
     curve = []
     for count in counts:
         took, g = seconds_of(lambda n=count: fit(n))  # type: ignore[misc]

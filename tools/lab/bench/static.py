@@ -36,8 +36,6 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is encoded and looked at."""
-
     files: tuple[Path, ...] = required("static splats, or sequences, of which the first frame")
     above: float = setting(0.5, "dB that packages have to be better than SPZ")
     draws: int = setting(96, "cameras")
@@ -45,15 +43,12 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One file in one form."""
-
     kb: float
     psnr: float  # dB
     worst: float  # dB, of the worst picture
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each file."""
     rows = [measure(path, lab, options) for path in options.files]
     how = (
         f"SPZ is version 3 with all bits of SH; packages aim {options.above:g} dB above its PSNR, in {options.draws} "
@@ -73,7 +68,6 @@ def verdict(rows: Sequence[Row]) -> str:
 
 
 def measure(path: Path, lab: Lab, options: Options) -> Row:
-    """Write a file's first frame both ways into a folder of its name, and look at them."""
     folder = lab.folder / path.stem
     folder.mkdir(exist_ok=True)
     sequence = open_sequence(path)

@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
+from airgs_codec.decoder.decode import decode_canonical, decode_frames
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
@@ -25,7 +25,6 @@ UNIT = "dB PSNR"
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """Whole frames of every rung."""
     for scene in bench.scenes:
         package = bench.ladder(scene)
         for place, work in ways(scene, package):
@@ -34,7 +33,6 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def ways(scene: Scene, package: Package) -> Iterator[tuple[Place, Callable[[], list[Gaussians]]]]:
-    """Ways to decode the package, each giving all frames."""
     m = package.manifest
     for j, level in enumerate(m.levels):
         place = Place("decode", scene.name, RUNGS, level.id)
@@ -46,12 +44,11 @@ def ways(scene: Scene, package: Package) -> Iterator[tuple[Place, Callable[[], l
 
 
 def _frames(package: Package, level: int, quality: int, tiers: int | None) -> list[Gaussians]:
-    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, part=Part(tiers))
+    frames = decode_frames(package, 0, package.manifest.frames, level=level, key_quality=quality, tiers=tiers)
     return [frame.gaussians for frame in frames]
 
 
 def _keys(package: Package) -> list[Gaussians]:
-    """Every frame as the canonical space of its group."""
     m, frames = package.manifest, []
     for number, group in enumerate(m.groups):
         g = decode_canonical(package, number, 0).to_gaussians()

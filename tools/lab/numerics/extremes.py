@@ -28,15 +28,12 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What a user may meet, in the cases of these names, and what to do."""
-
     meet: str
     names: tuple[str, ...]
     do: str
 
 
 def _named(*words: str) -> tuple[str, ...]:
-    """Names of the cases that begin with one of these words."""
     return tuple(case.name for case in CASES if case.name.startswith(words))
 
 
@@ -67,7 +64,6 @@ LINES = (
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Encode and decode all that is missing."""
     code, rows = content(Path(__file__).parent), []
     for case in CASES:
         rows.append(lab.results.once("extremes", [case.name, code], partial(_measured, case)))
@@ -92,7 +88,6 @@ def row(case: Case, outcome: Outcome) -> Row:
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """Return what the rows say."""
     counts = Counter(one["verdict"] for one in rows)
     out = f"{counts[OUT]} of them leave a bound" if counts[OUT] else "none leaves a bound"
     answer = (
@@ -104,7 +99,6 @@ def page(rows: Sequence[Row]) -> Page:
 
 
 def line_of(line: Line, rows: Sequence[Row]) -> dict[str, str]:
-    """A line of the page, from the rows that are its cases."""
     own = [one for one in rows if one["sequence"] in line.names]
     kept = [one for one in own if one["verdict"] != REFUSED]
     parts = [f"bounded by `max_error` ({len(kept)})"] + [f"refused ({len(own) - len(kept)})"] * (len(kept) < len(own))

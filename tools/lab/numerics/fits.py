@@ -89,12 +89,10 @@ def gradient_units() -> dict[str, float]:
 
 
 def views_of(problem: Problem) -> list[View]:
-    """Return what the cameras see of the target."""
     return [View(c, Target(np.clip(cpu.render(problem.target, c).rgb, 0, 1))) for c in problem.cameras]
 
 
 def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:
-    """Mean of the photometric losses of the views."""
     pictures = render_views(parameters, [view.camera for view in views], 0)
     parts = [photometric(rgb, v.target) for (rgb, _), v in zip(pictures, views, strict=True)]
     return torch.stack(parts).mean()
@@ -141,12 +139,10 @@ def _price_of_changes(problem: Problem) -> Parameters:
 
 
 def judge(axis: Axis, name: str, factor: str, value: float) -> Judged:
-    """Return how a fit with a method ends, at a factor on the trainer's rates."""
     return fit(axis.make(value), methods()[name], float(factor), keep_better=name == TRAINER)
 
 
 def cases() -> list[Case]:
-    """The map of each axis, method by method."""
     rows = [f"{factor:g}" for factor in FACTORS]
     return [
         Case(

@@ -69,14 +69,12 @@ def median_errors(axis: Axis, value: float) -> dict[str, float]:
 
 
 def judge(axis: Axis, panel: str, name: str, value: float) -> Judged:
-    """Return how far the gradients by one attribute are off."""
     error = median_errors(axis, value)[name]
     end = error_end(error, CLOSE)
     return end, error, f"relative error up to {error:.2g}" if end == BOUNDED else ""
 
 
 def cases() -> list[Case]:
-    """The errors along each axis that does not only change the target, a row for each attribute."""
     return [
         Case(
             part="gradients",

@@ -45,7 +45,7 @@ class Offer:
             RungOffer(0, level, float(quality), math.nan, 0, True, 0.0, (), (), int(size))
             for level, (size, quality) in enumerate(zip(self.sizes[k], self.quality[k], strict=True))
         )
-        return SegmentOffer(k, k, k + 1, 1.0, k, None, True, (), rungs)
+        return SegmentOffer(k, k, k + 1, 1.0, k, None, True, rungs)
 
 
 def offer(kind: str, rate_bps: float) -> tuple[Offer, NDArray[np.float64]]:
@@ -67,13 +67,7 @@ def offer(kind: str, rate_bps: float) -> tuple[Offer, NDArray[np.float64]]:
     return Offer(sizes, quality), np.cumsum(rates)
 
 
-KINDS = (
-    "even segments",
-    "tiny and huge segments",
-    "equal qualities",
-    "outages",
-    "sizes grow with the rate",
-)
+KINDS = ("even segments", "tiny and huge segments", "equal qualities", "outages", "sizes grow with the rate")
 
 
 def solved(kind: str, rate_bps: float) -> Judged:
@@ -138,7 +132,6 @@ SCALES = ("1e2", "1e5", "1e8", "1e11")
 
 
 def cases() -> list[Case]:
-    """Programmes over rates, the margin against sums of floats, sessions of every policy over constant rates."""
     return [
         Case(
             part="selector",

@@ -13,8 +13,6 @@ from tools.lab.numerics.rows import Bench, Point
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What some rows answer."""
-
     name: str  # in rows, and of its picture
     text: str
     measure: Callable[[Bench], Iterator[Point]]

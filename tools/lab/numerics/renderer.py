@@ -32,7 +32,6 @@ Picture = NDArray[np.float64]
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """Float32 against float64, for pictures of some sizes."""
     for scene in bench.scenes:
         for size in SIZES[-1:] if bench.quick else SIZES:
             reads = {"size": size, "repeats": bench.repeats}
@@ -40,13 +39,11 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def view_of(scene: Scene) -> Camera:
-    """A camera that nothing was trained on, else the first."""
     cameras = scene.sequence.cameras
     return next((c for c in cameras if c.held_out), cameras[0])
 
 
 def columns_of(scene: Scene) -> Columns:
-    """The frame in the middle, activated."""
     return cpu.activate(scene.sequence.load([len(scene.sequence) // 2]).frames[0])
 
 
@@ -58,18 +55,15 @@ def crops(camera: Camera, rows: int) -> list[Camera]:
 
 
 def define(columns: Columns, camera: Camera, precision: torch.dtype) -> Picture:
-    """A picture by the definition in a precision."""
     inputs = RasterInputs(*(torch.from_numpy(column).to(precision) for column in columns))
     return render_reference(inputs, camera)[0].double().numpy()
 
 
 def draw(columns: Columns, camera: Camera) -> Picture:
-    """A picture by the kernels."""
     return cpu.blend(columns, camera, camera.background).picture.rgb.astype(np.float64)
 
 
 def grey_levels(pictures: list[Picture], truth: list[Picture]) -> float:
-    """Mean absolute difference, of 255."""
     return 255 * float(np.mean([np.abs(a - b).mean() for a, b in zip(pictures, truth, strict=True)]))
 
 

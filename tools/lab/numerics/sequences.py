@@ -31,18 +31,15 @@ TINY = float(np.finfo(np.float32).smallest_subnormal)
 
 
 def f32(values: Sequence[float]) -> NDArray[np.float32]:
-    """As .ply files hold them."""
     return np.array(values, np.float32)
 
 
 def swing(g: Gaussians, frames: int = 4, size: float = 0.1) -> Frames:
-    """Every second row moves along x."""
     moves = (np.arange(len(g)) % 2)[:, None] * np.array([size, 0, 0], np.float32)
     return [replace(g, means=g.means + np.float32(np.sin(t)) * moves) for t in range(frames)]
 
 
 def ball(count: int = 200, degree: int = 0, seed: int = 0) -> Gaussians:
-    """Gaussians of plausible sizes about the origin."""
     random = np.random.default_rng(seed)
     size = np.log(0.6 / max(count, 2) ** (1 / 3))
     columns = [random.normal(size=(count, 3)) * 0.5, random.normal(size=(count, 4))]
@@ -52,7 +49,6 @@ def ball(count: int = 200, degree: int = 0, seed: int = 0) -> Gaussians:
 
 
 def changed(name: str, value: np.ndarray | float, rows: slice = slice(None), **options: int) -> Callable[[], Frames]:
-    """A swinging ball with a column set."""
 
     def build() -> Frames:
         g = ball(**options)
@@ -210,8 +206,6 @@ CASES = [
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case."""
-
     name: str
     refusal: str = ""
     worst: float = 0.0  # largest error over its bound, over attributes and atlases

@@ -59,7 +59,6 @@ def spread_slopes(kind: str, decades: float) -> dict[str, Slope]:
 
 
 def unlimited(slopes: Mapping[str, Slope]) -> dict[str, float]:
-    """The factors of Lagrange's condition itself, without what limits them."""
     rate, error = sum(m for m, _ in slopes.values()), sum(b for _, b in slopes.values())
     return {name: float(((m / rate) / (b / error)) ** 0.5) for name, (m, b) in slopes.items()}
 
@@ -125,7 +124,6 @@ SCENES: dict[str, Callable[[Gaussians], Gaussians]] = {
 
 
 def sample_of(g: Gaussians) -> CalibrationSample:
-    """All rows as a sample of a group in which every second one moves."""
     moves = (np.arange(len(g)) % 2)[:, None] * np.array([0.1, 0, 0], np.float32)
     frames = [replace(g, means=g.means + np.float32(np.sin(t)) * moves) for t in range(FRAMES)]
     sensitivity = measure_sensitivity(frames[:1], cameras(count=3))
@@ -234,7 +232,6 @@ CODERS: dict[str, Callable[[CalibrationSample, float], Judged]] = {"keys": code_
 
 
 def cases() -> list[Case]:
-    """The closed form, steps, the KLT, motion classes, and calibration of made scenes."""
     return [
         Case(
             part="codec",

@@ -29,15 +29,11 @@ from tools.lab.results import content
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.text import Annotation
-    from matplotlib.transforms import BboxBase
 
     from tools.lab.command import Lab
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
-BESIDE = tuple((x, y) for y in (3, -9, 11, -17, 19, -25, 27, -33) for x in (4, -4))  # points
-MARK = 3  # pixels about a point
 LESS = 0.75  # of the time of a setting is less time, and its inverse is more
 HOW = (
     f"The setting to take is the cheapest that is nearly as good as the best. Seconds are the CPU's, medians of "
@@ -48,8 +44,6 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is measured on what."""
-
     scene: str = setting(f"fox={FOX}", "NAME=FOLDER or NAME=FOLDER=VIEWS, the fox by default")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
     traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
@@ -58,7 +52,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Measure what is missing. Raises AirgsError."""
     expect_names("--only", options.only, NAMES)
     scenes = [open_scene(options.scene)]
     if options.spinach is not None:
@@ -76,7 +69,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """The report of some rows."""
     if not rows:
         raise ConfigError("expected rows, got none")
     sections = []
@@ -92,14 +84,11 @@ def page(rows: Sequence[Row]) -> Page:
 
 
 def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each scene, in their order."""
     return {scene: [row for row in rows if row.scene == scene] for scene in dict.fromkeys(row.scene for row in rows)}
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What the answers to a question come to on one scene."""
-
     question: Question
     cheap: Row  # the cheapest that is as good as the best but for `enough`
     default: Row | None
@@ -110,7 +99,6 @@ class Judged:
         return (row.error - other.error) * (1 if self.question.more else -1)
 
     def best(self, rows: Sequence[Row]) -> Row | None:
-        """The best of some rows, the quickest of equals."""
         return min(rows, key=lambda row: (-self.gain(row, self.cheap), row.seconds), default=None)
 
     def name(self, row: Row) -> str:
@@ -121,7 +109,6 @@ class Judged:
         return f"`{row.setting}`" if len(curves) == 1 or row.curve == row.setting else f"`{row.setting}` ({row.curve})"
 
     def figures(self, row: Row) -> str:
-        """The error and the time of a row."""
         beside = f", {row.note}" if row.note else ""
         return f"{figure(row.error)} {self.question.unit} in {seconds(row.seconds)}{beside}"
 
@@ -149,7 +136,6 @@ def judge(question: Question, rows: Sequence[Row]) -> list[Judged]:
 
 
 def answer(question: Question, judged: Sequence[Judged]) -> str:
-    """What to take, what less and more time give, and what the default is worth where it is another."""
     groups: dict[str, list[Judged]] = {}
     for one in judged:
         groups.setdefault(f"{one.name(one.cheap)}{', the default' if one.cheap == one.default else ''}", []).append(one)
@@ -192,31 +178,26 @@ def seconds(value: float) -> str:
 
 
 def figure(value: float) -> str:
-    """Three significant figures, without an exponent from 0.001 on."""
     if value == 0 or abs(value) >= 1e-3:
         return f"{float(f'{value:.3g}'):,g}"
     return f"{value:.1e}".replace("e-0", "e-")
 
 
 def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
-    """The rows of each scene, side by side."""
     scenes = by_scene(rows)
     axes = figure.subplots(1, len(scenes), squeeze=False).ravel()
-    labels = []
     for axis, (scene, some) in zip(axes, scenes.items(), strict=True):
-        labels += draw_curves(axis, question, some)
+        draw_curves(axis, question, some)
         axis.set_title(scene, fontsize=11, loc="left")
         axis.set_xlabel(question.time)
         axis.grid(alpha=0.25)
         if len({row.curve for row in some}) > 1:
             axis.legend(fontsize=8)
-    figure.draw_without_rendering()  # places axes
-    place(labels)
 
 
-def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> list[Annotation]:
-    """A curve with its bars; gives the settings that are to stand beside its points."""
-    drawn, labels = [row for row in rows if row.error > 0 or not question.log], []
+def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> None:
+    """Curves with their bars, and settings beside their points."""
+    drawn = [row for row in rows if row.error > 0 or not question.log]
     for curve in dict.fromkeys(row.curve for row in drawn):
         some = [row for row in drawn if row.curve == curve]
         x, y = [row.seconds for row in some], [row.error for row in some]
@@ -227,32 +208,11 @@ def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> list[Annotat
             words = ", ".join(filter(None, [row.setting if row.setting != curve else "", row.note]))
             if question.labels and words:
                 at = row.seconds, row.error
-                labels.append(axis.annotate(words, at, BESIDE[0], textcoords="offset points", fontsize=7.5))
+                axis.annotate(words, at, (4, 3), textcoords="offset points", fontsize=7.5)
     axis.set_xscale("log")
-    axis.margins(0.22 if labels else 0.12, 0.12)
+    axis.margins(0.22 if question.labels else 0.12, 0.12)
     plain_log_ticks(axis.xaxis, FEW_TICKS)
     if question.log:
         axis.set_yscale("log")
         plain_log_ticks(axis.yaxis, FEW_TICKS)
     axis.set_ylabel(question.unit)
-    return labels
-
-
-def place(labels: Sequence[Annotation]) -> None:
-    """Move each to the first place of BESIDE where it is in its axes and on no other and no point, if there is one."""
-    from matplotlib.transforms import Bbox
-
-    taken: list[BboxBase] = []
-    for label in labels:
-        assert label.axes is not None
-        x, y = label.axes.transData.transform(label.xy)
-        taken.append(Bbox.from_extents(x - MARK, y - MARK, x + MARK, y + MARK))
-    for label in labels:
-        assert label.axes is not None
-        for right, up in BESIDE:
-            label.set_position((right, up))
-            label.set_horizontalalignment("left" if right > 0 else "right")
-            box, inside = label.get_window_extent(), label.axes.bbox
-            if inside.x0 <= box.x0 and box.x1 <= inside.x1 and not any(box.overlaps(other) for other in taken):
-                break
-        taken.append(label.get_window_extent())

@@ -19,8 +19,6 @@ AS_IT_IS = "as it is"
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A setting that is not as usual."""
-
     question: str
     name: str
     settings: TrainSettings
@@ -28,8 +26,6 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Ablation:
-    """A change that is run on a scene, below a folder."""
-
     subject: Subject
     change: Change
     folder: Path

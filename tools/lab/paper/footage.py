@@ -37,8 +37,6 @@ NOISE = 2e-3
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is drawn."""
-
     sequence: Path = required("a Gaussian sequence")
     views: Path | None = setting(None, "its cameras, where they do not lie beside it")
     frames: str | None = setting(None, "A:B, frames A to B - 1; all of them where not told")
@@ -47,7 +45,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Draw all pictures into footage/. Raises SceneError."""
     sequence = open_sequence(options.sequence, views=options.views)
     cameras = [resized(c, options.max_size / max(c.width, c.height)) for c in sequence.cameras]
     numbers = range(len(sequence))[slice(*parse_frames(options.frames))]
@@ -80,7 +77,6 @@ def write_scene(
 
 
 def entry(camera: Camera, picture: str, time: int) -> dict[str, object]:
-    """A picture as transforms.json has it."""
     pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
     return {
         "file_path": picture, "camera": camera.name, "split": camera.split, "time_index": time,

@@ -55,15 +55,12 @@ LADDERS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is measured."""
-
     package: Path = required("folder of a package")
     against: Path | None = setting(None, "the original sequence; without it, errors are added to those of the top rung")
     views: Path | None = setting(None, "cameras, in place of those of the original or of views drawn")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Measure all levels. Raises ConfigError, FormatError, SceneError."""
     package = open_package(options.package)
     frames = package.manifest.frames
     original = open_sequence(options.against) if options.against else None
@@ -79,7 +76,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(levels: Sequence[DenseLevel], frames: int) -> Page:
-    """Return what the levels of a package of so many frames say."""
     pruned = Table("pruned", list(_pruned_rows(levels, frames)), PRUNED)
     ladders = {title: list(_ladder_rows(title, some, frames)) for title, some in _ladders(levels).items()}
     rows = [row for some in ladders.values() for row in some]

@@ -19,7 +19,6 @@ QUICK_FIRST = 300  # iterations of a fit from scratch in a quick run
 
 
 def make_method(name: str, subject: Subject, quick: bool) -> Method:
-    """A method that is ready to be trained on a scene."""
     return METHODS[name](subject, quick)
 
 

@@ -102,8 +102,6 @@ PROTOCOL = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is run."""
-
     scenes: tuple[str, ...] = setting((FOX,), "NAME=FOLDER[,frames=A:B][,size=PX][,near=Z][,held=CAMERA+CAMERA]")
     methods: tuple[str, ...] = setting(tuple(METHODS), f"some of {', '.join(METHODS)}")
     traces: tuple[Path, ...] = setting((DATA / "fox" / "trace.csv",), "traces, or folders of them")
@@ -116,7 +114,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """All parts that are asked for. Raises AirgsError."""
     expect_names("--methods", options.methods, tuple(METHODS))
     expect_names("--only", options.only, PARTS)
     subjects = [parse_subject(text) for text in options.scenes]
@@ -163,7 +160,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def folder(lab: Lab, subject: Subject, method: str) -> Path:
-    """Of a method's run on a scene."""
     return lab.folder / "scenes" / subject.name / method
 
 
@@ -238,7 +234,6 @@ def streamed_in_words(rows: Rows, traces: int) -> str:
 
 
 def streams(lab: Lab, subject: Subject, trained: Sequence[Trained], traces: Sequence[Trace], offsets: int) -> Rows:
-    """Every method's stream of a scene over all traces."""
     mine = [t for t in trained if t.scene == subject.name]
 
     def make() -> Rows:

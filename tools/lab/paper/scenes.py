@@ -18,8 +18,6 @@ QUICK_FRAMES, QUICK_SIZE = 4, 128  # most of a scene in a quick run
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """A scene and how much of it is used."""
-
     name: str
     folder: Path
     frames: tuple[int, int | None] = (0, None)  # [start, stop)
@@ -28,13 +26,11 @@ class Subject:
     held: tuple[str, ...] = ()  # cameras that are held out; none: those that the scene says
 
     def quick(self) -> Subject:
-        """As much of it as a quick run takes."""
         start, stop = self.frames
         last = start + QUICK_FRAMES if stop is None else min(stop, start + QUICK_FRAMES)
         return replace(self, frames=(start, last), size=min(self.size or QUICK_SIZE, QUICK_SIZE))
 
     def words(self) -> dict[str, object]:
-        """Return what decides its pictures, as JSON."""
         words = {"scene": self.folder.resolve().name, "frames": self.frames, "size": self.size, "near": self.near}
         return words | ({"held": self.held} if self.held else {})
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,32 +60,11 @@ def load_states(package: Package, group: int) -> GroupStates:
     values = np.zeros((g.stop - g.start, len(steps), len(rows)), np.float32)
     for index, segment in zip(m.segments_of(group), g.segments, strict=True):
         if m.state_files(index, 0):
-            first = segment.start - g.start
-            for t, shown in enumerate(decode_level(package, index, 0)):
-                values[first + t] = shown
+            units, frames = state_units(package, index, 0), range(segment.stop - segment.start)
+            for t, shown in enumerate(decode_pictures(package, index, 0, frames), segment.start - g.start):
+                values[t] = shown.values(slice(None), units)
     level = StateApplier.of(base, rows, g.state_steps, True, True)
     return GroupStates(base, rows, steps, values, level, g.start)
-
-
-def decode_level(package: Package, index: int, level: int) -> Iterator[NDArray[np.float32]]:
-    """(STATE.width(C), n) values of each frame of a segment: of all rows of a level, in the order of tiles and tiers.
-
-    Those of a tile without a file are 0. Raises FormatError.
-    """
-    m = package.manifest
-    tiles = m.groups[m.group_of(index)].tiles
-    count = m.segments[index].stop - m.segments[index].start
-    files = [bool(m.state_files(index, level, [tile])) for tile in range(m.tiles)]
-    zeros = [np.zeros((STATE.width(m.colour_channels), tile.levels[level].rows), np.float32) for tile in tiles]
-    units = state_units(package, index, level)
-    parts = [
-        (shown.values(slice(None), units) for shown in decode_pictures(package, index, level, range(count), tile))
-        if there
-        else itertools.repeat(zeros[tile], count)
-        for tile, there in enumerate(files)
-    ]
-    for values in zip(*parts, strict=True):
-        yield values[0] if len(values) == 1 else np.concatenate(values, axis=1)
 
 
 def score_rows(states: GroupStates, cameras: list[Camera], renderer: Renderer = CPU) -> dict[str, NDArray[np.float64]]:

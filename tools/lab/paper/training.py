@@ -39,8 +39,6 @@ class Trained:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A method that is trained on a scene, into a folder."""
-
     subject: Subject
     method: str
     quick: bool
@@ -65,7 +63,6 @@ def _numbered(work: Callable[[int, Any], T], at: int, call: Any) -> tuple[int, T
 
 
 def train(_: int, job: Job) -> Trained:
-    """Train and measure, going on where a run before was interrupted."""
     footage = job.subject.footage(job.folder)
     try:
         frames = run_method(make_method(job.method, job.subject, job.quick), footage)

@@ -11,8 +11,6 @@ from scipy.interpolate import PchipInterpolator
 
 @dataclass(frozen=True, slots=True)
 class RdPoint:
-    """One coder at one setting. Seconds are for the whole sequence."""
-
     coder: str
     setting: str
     kb_per_frame: float

@@ -25,8 +25,6 @@ Pictures = dict[int, list[np.ndarray]]  # frame -> (H, W, 3) of each camera, 0..
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """Options of what is coded and measured."""
-
     sequence: Path = required("a sequence")
     views: Path = required("its cameras, of which the held-out ones measure, or all if none is held out")
     fps: str = setting("", "frames a second, where the sequence does not say")
@@ -59,11 +57,9 @@ class Subject:
     truth: Pictures  # empty: no pictures were taken
 
     def frame(self, number: int) -> Gaussians:
-        """A frame as every other coder than airgs is given it."""
         return next(frames[number - start] for start, frames in self.groups if start <= number < start + len(frames))
 
     def point(self, trial: Trial) -> RdPoint:
-        """Run a coder and measure what it decodes to."""
         coded = trial.code(self)
         shown = {n: [render(coded.frames[n], camera).rgb for camera in self.cameras] for n in self.measured}
         true = pooled_psnr(shown, self.truth) if self.truth else None

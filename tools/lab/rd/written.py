@@ -97,7 +97,6 @@ def _frame(path: Path, number: int) -> Gaussians:
 
 
 def _spz(bits: int, subject: Subject) -> Coded:
-    """Every frame a file."""
     from gsply import GSData, write_spz  # of the extra `formats`
 
     size, encode_s, decode_s = 0, 0.0, 0.0

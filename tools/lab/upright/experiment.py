@@ -38,8 +38,6 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is guessed."""
-
     scenes: tuple[str, ...] = required("SCENE=UP, such as head/=y, or .glb models")
     held: tuple[str, ...] = setting((), "names of those by whom no weight was chosen")
     turns: int = setting(24, "of each kind")
@@ -47,14 +45,12 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each scene."""
     rows = [measure(scene, options) for scene in options.scenes]
     answer = " ".join(share for kind in ("tuned", "held back") if (share := _words(rows, kind)))
     return Page([Section(answer, tables=[Table("upright", rows, COLUMNS)])])
 
 
 def measure(scene: str, options: Options) -> Row:
-    """Guess one scene as it comes and turned."""
     place, _, told = scene.partition("=")
     up, name, rng = np.array(parse_up(told or "y"), np.float64), Path(place).stem, np.random.default_rng(0)
     shown = _moments(Path(place), rng) if place.endswith(".glb") else _always(_frames(place))
@@ -78,7 +74,6 @@ def is_upright(frames: Sequence[Gaussians], up: NDArray[np.float64]) -> bool:
 
 
 def turned(gaussians: Gaussians, turn: Rotation) -> Gaussians:
-    """Gaussians, without SH, as a turn leaves them."""
     quaternions = multiply(np.roll(turn.as_quat(), 1), gaussians.quaternions.astype(np.float64))
     means = gaussians.means @ turn.as_matrix().T
     return replace(gaussians.with_degree(0), means=means.astype(np.float32), quaternions=quaternions.astype(np.float32))
@@ -104,7 +99,6 @@ def _always(frames: list[Gaussians]) -> Iterator[list[Gaussians]]:
 
 
 def _moments(path: Path, rng: np.random.Generator) -> Iterator[list[Gaussians]]:
-    """Frames of one animation after another."""
     model = Model.of(path)
     named = enumerate(model.document.get("animations", []))
     standing = [i for i, animation in named if not LYING.search(animation.get("name") or "")]

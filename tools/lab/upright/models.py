@@ -29,23 +29,18 @@ THIN = 0.05  # thickness of a disc, in radii
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangles:
-    """All triangles of a model at one moment."""
-
     corners: Floats  # (V, 3, 3) world units
     colours: Floats  # (V, 3, 3) of the corners, 0..1
 
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """An open file."""
-
     document: dict[str, Any]
     chunk: bytes
     pictures: dict[int, Floats] = field(default_factory=dict)
 
     @staticmethod
     def of(path: Path) -> Model:
-        """Read a file."""
         data = path.read_bytes()
         end = 20 + int.from_bytes(data[12:16], "little")
         return Model(json.loads(data[20:end]), data[end + 8 :])
@@ -70,7 +65,6 @@ class Model:
         )
 
     def accessor(self, index: int) -> NDArray:
-        """The numbers of an accessor, (count, width)."""
         a = self.document["accessors"][index]
         view, kind, width = self.document["bufferViews"][a["bufferView"]], KINDS[a["componentType"]], WIDTHS[a["type"]]
         start, item = view.get("byteOffset", 0) + a.get("byteOffset", 0), np.dtype(kind).itemsize * width
