@@ -26,7 +26,7 @@ from airgs_codec.media.image import to_bytes, write_png
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import first_views
-from airgs_codec.play.report.answer import beaten_words
+from airgs_codec.play.report import beaten_words
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.compare import draw_frames, in_order

@@ -19,7 +19,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play.downloader import Batch, BatchKind, Request
 from airgs_codec.play.http import HttpDownloader, fetch_beside
 from airgs_codec.play.http_files import LEAST_BYTES, FileClient, HttpSettings, Transfer, connect
-from airgs_codec.play.report.session import format_metrics
+from airgs_codec.play.report import format_metrics
 from airgs_codec.play.repr_digest import check_repr_digest, repr_digest
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings

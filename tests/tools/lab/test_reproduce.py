@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tools.lab.paper.frames import CHOOSERS, SKIPPED, frame_options, push_frames
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
@@ -22,7 +23,6 @@ from tools.lab.page import Picture, write_picture
 from tools.lab.paper import reproduce
 from tools.lab.paper.ablations import changes
 from tools.lab.paper.footage import Options, run
-from tools.lab.paper.frames import CHOOSERS, SKIPPED, frame_options, push_frames
 from tools.lab.paper.methods import METHODS
 from tools.lab.paper.pictures import draw_ablations, draw_times
 from tools.lab.paper.reproduce import quality
