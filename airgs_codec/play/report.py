@@ -1,4 +1,4 @@
-"""What a session was like: how good it was, what went wrong and why, what would help; its figures as text, and a page."""
+"""What a session was like: how good it was, what went wrong, what would help; its figures as text, and a page."""
 
 from __future__ import annotations
 

@@ -25,8 +25,7 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.publish import encode_part, merge
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import AirgsError
-from airgs_codec.inspect.summary import summarise
-from airgs_codec.inspect.text import format_attributes, format_summary
+from airgs_codec.inspect.summary import format_summary, summarise
 from airgs_codec.inspect.validate import validate_files
 from airgs_codec.jobs.job import load
 from airgs_codec.jobs.work import Work
@@ -125,7 +124,6 @@ def look_and_play(files: Files) -> str:
     look_at(m, package.root_bytes)
     walk_through(m.region, np.zeros(1))
     assert simulate(package, Trace.open("const:1"), policy, SessionSettings(loops=2)).metrics
-    format_attributes(package)
     return ""
 
 
