@@ -49,8 +49,7 @@ demo-train: .venv/installed
 
 demo-study: .venv/installed
 	test -d $(OUT)/fox.airgs || $(BIN)/airgs-encode $(FOX) -o $(OUT)/fox.airgs
-	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(FOX)/trace.csv markov:1 --offsets 4 --report $(OUT)/study
-	@echo "Pictures: $(OUT)/study/index.html"
+	$(BIN)/airgs-play $(OUT)/fox.airgs --compare --traces $(FOX)/trace.csv markov:1 --offsets 4
 
 # Lint and types take one core while tests take the other.
 test: .venv/installed web/node_modules/installed

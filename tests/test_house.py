@@ -27,7 +27,7 @@ def test_no_function_is_long(folder):
         ({"a": SMALL}, {"a": SMALL}, []),
         ({"a": SMALL}, {"a": LARGE}, ["a: 104 lines, at most 100; take something away"]),
         ({"a": LARGE}, {"a": SMALL}, ["a: 100 lines, so lower its entry of 104"]),
-        ({}, {"a": SMALL}, ["a: 1 files, at most 0; take something away", "a: 100 lines, at most 0; take something away"]),
+        ({}, {"a": SMALL}, [f"a: {what}, at most 0; take something away" for what in ("1 files", "100 lines")]),
         ({"a": SMALL}, {}, ["a: it is gone, so take its entry out"]),
     ],
 )  # fmt: skip
@@ -41,7 +41,8 @@ def test_entries_are_only_lowered():
 
 def test_a_long_function_is_named_and_a_kernel_may_be_long(tmp_path):
     body = "".join(f"    x = {i}\n" for i in range(81))
-    (tmp_path / "long.py").write_text(f'def long():\n    """Words do not count."""\n{body}@nb.njit(cache=True)\ndef k():\n{body}')
+    kernel = f"@nb.njit(cache=True)\ndef kernel():\n{body}"
+    (tmp_path / "long.py").write_text(f'def long():\n    """Words do not count."""\n{body}{kernel}')
     assert list(long_functions(tmp_path)) == ["long.py:1 long: 81 lines, at most 80"]
 
 

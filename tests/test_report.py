@@ -31,7 +31,6 @@ def test_columns_are_right_aligned():
     ("main", "arguments"),
     [
         (play_main, [MOVING, "--trace", "const:1", "--policy", "fixed:0", "--report"]),
-        (play_main, [MOVING, "--compare", "--traces", "const:1", "--report"]),
         (manifest_main, ["inspect", MOVING, "--plot"]),
     ],
 )

@@ -22,7 +22,7 @@ from PIL import Image
 import airgs_codec as airgs
 from airgs_codec.media.image import label, to_bytes
 from airgs_codec.package.package import Package
-from airgs_codec.play.report.film import screen_frames, walk
+from airgs_codec.play.film import screen_frames, walk
 from airgs_codec.play.session import SessionLog
 from airgs_codec.play.trace import Trace
 from airgs_codec.render import Camera, render

@@ -41,8 +41,7 @@ from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.inspect.report import write_report
-from airgs_codec.inspect.summary import summarise
-from airgs_codec.inspect.text import format_ladder, format_summary
+from airgs_codec.inspect.summary import format_ladder, format_summary, summarise
 from airgs_codec.media.sound import encode_sound
 from airgs_codec.package.package import open_package
 from airgs_codec.package.region import place_view

@@ -15,7 +15,7 @@ from pathlib import Path
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, open_frames, package
-from airgs_codec.cli.options import App, expect_one, make_app, nested, run_program, takes
+from airgs_codec.cli.options import App, make_app, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.package.package import open_package
 
@@ -26,38 +26,28 @@ class Inspect:
 
     package: str = package()
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
-    numerics: bool = setting(False, "tell instead which extreme properties the scene has, and what bounds them")
     json: bool = as_json("the same as JSON")
 
 
 @takes(Inspect)
 def inspect(options: Inspect) -> int:
     """Show groups, tiers, levels, rungs, bytes and what was left out."""
-    from airgs_codec.inspect.summary import summarise
-    from airgs_codec.inspect.text import bytes_by_attribute, format_attributes, format_summary
+    from airgs_codec.inspect.summary import format_summary, summarise
 
-    expect_one(plot=options.plot, numerics=options.numerics or None)
     if options.plot:
         require_matplotlib("--plot")
         expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
-    if options.numerics:
-        from airgs_codec.inspect.numerics import format_numerics, measure_numerics
-
-        found = measure_numerics(package)
-        say(json.dumps([dataclasses.asdict(one) for one in found]) if options.json else format_numerics(found))
-        return 0
     summary = summarise(package.manifest, package.manifest_bytes)
     if options.plot:
         from airgs_codec.inspect.plot import plot_ladder
 
         plot_ladder(package.manifest, package.manifest_bytes, options.plot)
     if options.json:
-        by_attribute = {name: round(size) for name, size in bytes_by_attribute(package).items()}
-        say(json.dumps(summary.to_json() | {"top_rung_bytes_by_attribute": by_attribute}))
+        say(json.dumps(summary.to_json()))
         return 0
     picture = [f"picture: {options.plot}"] if options.plot else []
-    say("\n".join([format_summary(summary), format_attributes(package), *picture]))
+    say("\n".join([format_summary(summary), *picture]))
     return 0
 
 

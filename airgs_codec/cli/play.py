@@ -27,16 +27,15 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
+from airgs_codec.play.film import film
 from airgs_codec.play.http import HttpDownloader, HttpSettings, fetch_beside
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
-from airgs_codec.play.report.film import film
-from airgs_codec.play.report.session import format_metrics, region_record, some, write_report
-from airgs_codec.play.report.study import format_study, write_study
+from airgs_codec.play.report import format_metrics, region_record, some, write_report
 from airgs_codec.play.session import SessionLog, measure_decoding, simulate
 from airgs_codec.play.session import play as play_over
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.study import StudySettings, run_study
+from airgs_codec.play.study import StudySettings, format_study, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
@@ -88,8 +87,10 @@ def play(options: Play) -> int:
         if not options.video.absolute().parent.is_dir():
             raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
         expect_folder(options.video.absolute().parent)
-    if options.compare and options.player.budget is not None:
-        raise ConfigError("--player.budget: expected a single session, got --compare")
+    single = {"player.budget": options.player.budget, "report": options.report, "video": options.video}
+    for name, value in single.items():
+        if options.compare and value is not None:
+            raise ConfigError(f"--{name}: expected a single session, got --compare")
     if options.package.startswith(("http://", "https://")):
         return _over_http(options)
     if options.http.as_fast:
@@ -174,9 +175,5 @@ def _compare(package: Package, options: Play) -> int:
     settings = StudySettings(policies, tuple(traces), *link, options.seed, rules, options.jobs)
     with contextlib.closing(Bar(options.json)) as bar:
         study = run_study(options.package, settings, bar)
-    if options.report:
-        write_study(study, options.report)
     say(format_study(study, options.json))
-    if options.report and not options.json:
-        say(f"report: {options.report / 'index.html'}")
     return 0

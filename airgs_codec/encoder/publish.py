@@ -20,7 +20,6 @@ from airgs_codec.encoder.tables import add_sound
 from airgs_codec.encoder.track import tracked
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
-from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import write_file

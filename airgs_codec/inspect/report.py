@@ -18,12 +18,11 @@ from airgs_codec.inspect.compare import Comparison, Seen, compare_two, side_by_s
 from airgs_codec.inspect.plot import plot_rungs
 from airgs_codec.inspect.sides import Side, before_both, shared_views, side_of
 from airgs_codec.inspect.summary import RungSummary, summarise
-from airgs_codec.inspect.text import bytes_by_attribute
 from airgs_codec.media.image import to_bytes, write_png
 from airgs_codec.media.movie import write_movie
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import first_views
-from airgs_codec.play.report.answer import beaten_words
+from airgs_codec.play.report import beaten_words
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.compare import draw_frames, in_order
@@ -49,22 +48,23 @@ def write_report(
     (a, b), m, stages = (side_of(given, "given"), side_of(package, "encoded")), package.manifest, done.stages()
     words, views = shared_views(a, b)
     result = compare_two(a, b, range(a.frames), [_small(v) for v in before_both(a, b, views)[:VIEWS]], progress)
-    rungs, front = summarise(m, done.manifest_bytes).rungs, _small(first_views(m.region, m.world)[0])
+    summary, front = summarise(m, done.manifest_bytes), _small(first_views(m.region, m.world)[0])
     with report_folder(folder):
         worst, name = side_by_side(a, b, _worst(result)), f"frame-{_worst(result).frame:06d}.png"
         write_png(folder / name, worst)
         write_movie(folder / FILM_NAME, _film(a, b, before_both(a, b, [front])[0]), m.fps)
         pictures = [
             Picture("Seconds of each part of the work.", partial(_draw_stages, stages)),
-            Picture("What viewers fetch and see; grey: no player should.", partial(plot_rungs, rungs)),
+            Picture("What viewers fetch and see; grey: no player should.", partial(plot_rungs, summary.rungs)),
             Picture("The worst picture of the worst frame.", name=name, panels=3, shape=worst.shape),
             Picture("All frames; left: as given, right: as encoded.", name=FILM_NAME),
         ]
         answer = {
-            "good": _good(rungs[0], result, words.removesuffix(f" of {a.name}"), done.uncertainty),
-            "wrong": _wrong(result, rungs, bytes_by_attribute(package)),
+            "good": _good(summary.rungs[0], result, words.removesuffix(f" of {a.name}"), done.uncertainty),
+            "wrong": _wrong(result, summary.rungs, summary.top_rung_bytes),
             "bought": bought(stages),
-            "useless": beaten_words({f"{r.key}+{r.state}": r.best for r in rungs if r.psnr is not None}) or "Nothing.",
+            "useless": beaten_words({f"{r.key}+{r.state}": r.best for r in summary.rungs if r.psnr is not None})
+            or "Nothing.",
             "change": advice(done) or "Nothing.",
         }
         decided = html_table([(str(number), line) for number, line in enumerate(m.decisions, 1)])
@@ -104,14 +104,13 @@ def _good(top: RungSummary, result: Comparison, views: str, uncertainty: float) 
     return f"{claim}. It shows the frames that were given at {result.quality.psnr:.1f} dB in {views}."
 
 
-def _wrong(result: Comparison, rungs: Sequence[RungSummary], sizes: Mapping[str, float]) -> str:
+def _wrong(result: Comparison, rungs: Sequence[RungSummary], sizes: Mapping[str, int]) -> str:
     """The worst frame, and what holds the top rung back."""
     worst, mean = min(result.by_frame), result.quality.psnr
     far = ", far below the others" if worst < mean - UNEVEN_DB else ""
     told = [f"Frame {_worst(result).frame} is the worst with {worst:.1f} dB{far}.", holds_back(rungs)]
-    largest, total = next(iter(sizes.items())), sum(sizes.values())
-    if total:
-        told.append(f"Most bytes, about {100 * largest[1] / total:.0f} %, go to {largest[0].replace('_', ' ')}.")
+    largest = max(sizes, key=lambda kind: sizes[kind])
+    told.append(f"Most bytes, {100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.")
     return " ".join(filter(None, told))
 
 

@@ -1,27 +1,31 @@
 """What is in a package, as figures: its groups, key tiers, levels and rungs, with their bytes and qualities.
 
 A rung is a key quality together with a level. Lengths are in bytes, rates in bit/s. `to_json` gives the same figures as
-plain values, `text` and `plot` show them to people.
+plain values, `format_summary` as tables of text, `plot` draws them.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec import _report
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.sound import LAYOUTS
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Manifest, on_ladder, pooled_quality
-from airgs_codec.package.region import RegionSummary
+from airgs_codec.package.region import RegionSummary, world_words
 from airgs_codec.package.tables import Atlas, LeftOut, Views, World
 
+NOTHING = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
+MOST_GROUPS = 12  # in the table of groups
+QUALITY_HEADS = ["PSNR dB", "worst", "SSIM", "ΔE"]
 NAMES = {"gaussians": "Gaussians", "updates": "rows are never updated"}  # of what an encoder leaves out
 FEW = 4  # groups of which each has a line of its own, where something was left out
 
@@ -52,7 +56,7 @@ class KeySummary:
 
 @dataclass(frozen=True, slots=True)
 class LevelSummary:
-    """One level without its keys; its quality is that of the level with the keys in Q0."""
+    """One level without its keys."""
 
     id: str
     pruned: float  # share of the moving rows, 0..1
@@ -61,11 +65,6 @@ class LevelSummary:
     bytes_per_frame: float
     mean_bps: float
     peak_bps: float  # of its largest segment
-    psnr: float | None  # dB, of the error pooled over pictures; None: not measured, as are the next three
-    worst: float | None  # dB, of the worst picture
-    ssim: float | None
-    delta_e: float | None  # CIEDE2000
-    max_error: dict[str, float]  # the largest over groups, for each attribute in the units of its channels
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +166,6 @@ def _level(m: Manifest, index: int) -> LevelSummary:
     level = m.levels[index]
     rows = [group.levels[index].rows for group in m.groups]
     total = sum(m.bytes_of(m.state_files(i, index)) for i in range(len(m.segments)))
-    errors = np.array([group.levels[index].max_error for group in m.groups]).max(axis=0).tolist()
     return LevelSummary(
         id=level.id,
         pruned=level.pruned,
@@ -176,8 +174,6 @@ def _level(m: Manifest, index: int) -> LevelSummary:
         bytes_per_frame=total / m.frames,
         mean_bps=8 * total * float(m.fps) / m.frames,
         peak_bps=float(segment_rates(m, index).max()),
-        **_quality(m, index, 0),
-        max_error=dict(zip(STATE.attributes, errors, strict=True)),
     )
 
 
@@ -292,3 +288,112 @@ def _without_plane(atlas: Atlas, layout: Layout) -> str:
 def span(low: int, high: int) -> str:
     """A range of whole numbers."""
     return str(low) if low == high else f"{low}-{high}"
+
+
+def format_summary(s: Summary) -> str:
+    """All tables, and what was left out and repaired."""
+    kinds = [f"{kind} {_kilobytes(size / s.frames)}" for kind, size in s.top_rung_bytes.items()]
+    lines = [
+        *_head(s),
+        "",
+        *_groups(s),
+        "",
+        *_keys(s),
+        "",
+        "levels, without keys:",
+        *_levels(s),
+        "",
+        "everything a viewer fetches (*: the ladder; the others are beaten by a mixture of two on it):",
+        *_rungs(s.rungs),
+        "",
+        f"top rung, kB/frame: {', '.join(kinds)}",
+        *(f"left out: {line}" for line in s.left_out),
+        *(f"repaired: {line}" for line in s.repairs),
+        *(f"decided: {line}" for line in s.decisions),
+    ]
+    return "\n".join(lines + ([f"attribution: {s.attribution}"] if s.attribution else []))
+
+
+def format_ladder(s: Summary) -> str:
+    """The rungs that players choose among, and what was repaired and decided, as fits a screen."""
+    best = [rung for rung in s.rungs if rung.best]  # none where quality was not measured
+    quality = "quality on pictures that no decision saw" if best else "quality was not measured"
+    lines = [
+        f"rungs that players choose among: everything a viewer fetches; {quality}",
+        *_rungs(best or s.rungs, marked=False),
+        *(f"repaired: {line}" for line in s.repairs),
+        *(f"decided: {line}" for line in s.decisions),
+    ]
+    return "\n".join(lines)
+
+
+def table(head: list[str], rows: list[list[str]]) -> list[str]:
+    """A table without the columns after the first in which no row has anything."""
+    used = [i for i in range(len(head)) if not i or any(row[i] not in NOTHING for row in rows)]
+    return _report.table([head[i] for i in used], [[row[i] for i in used] for row in rows])
+
+
+def _head(s: Summary) -> list[str]:
+    v = s.views
+    measured = f"quality against the {v.reference} over {v.measured} other pictures of each segment"
+    measured += ", errors pooled for PSNR"
+    return [
+        f"{s.frames} frames at {s.fps:g} fps ({s.duration_s:.2f} s), SH degree {s.sh_degree}, "
+        f"{s.package_bytes / 1e6:.3f} MB in all ({_kilobytes(s.package_bytes / s.frames)} kB/frame)",
+        f"viewing region {s.region.words}",
+        f"views of {s.region.views}",
+        world_words(s.world),
+        *([f"sound: Opus, {s.sound.form}, {s.sound.mean_bps / 1e3:.0f} kbit/s"] if s.sound else []),
+        *([f"background: {', '.join(f'{value:g}' for value in s.background)}"] if s.background else []),
+        f"decided on {v.decided} pictures of each group; "
+        + (measured if v.reference != "none" else "quality was not measured"),
+    ]
+
+
+def _groups(s: Summary) -> list[str]:
+    rows = [
+        [str(i), f"{g.frames[0]}-{g.frames[1] - 1}", *map(str, (g.gaussians, g.keeps or "", g.static, g.segments))]
+        for i, g in enumerate(s.groups)
+    ]
+    if len(rows) > MOST_GROUPS:
+        rows = [*rows[: MOST_GROUPS - 2], ["…"] * 6, rows[-1]]
+    return table(["group", "frames", "Gaussians", "keeps", "static", "segments"], rows)
+
+
+def _keys(s: Summary) -> list[str]:
+    keys = [k for k in s.keys if k.gaussians[1]]  # others have no files
+    rows = [[k.tier, k.quality, span(*k.gaussians), f"x{k.factor:g}", _kilobytes(k.bytes_per_frame)] for k in keys]
+    return table(["key tier", "quality", "Gaussians", "steps", "kB/frame"], rows)
+
+
+def _levels(s: Summary) -> list[str]:
+    rows = [
+        [
+            v.id,
+            span(*v.gaussians),
+            f"{100 * v.pruned:g} %",
+            f"x{v.factor:g}",
+            _kilobytes(v.bytes_per_frame),
+            *(f"{rate / 1e6:.2f}" for rate in (v.mean_bps, v.peak_bps)),
+        ]
+        for v in s.levels
+    ]
+    return table(["level", "Gaussians", "pruned", "steps", "kB/frame", "Mbit/s", "peak"], rows)
+
+
+def _rungs(rungs: Sequence[RungSummary], marked: bool = True) -> list[str]:
+    rows = [
+        [f"{r.key} + {r.state}", _kilobytes(r.bytes_per_frame), f"{r.mean_bps / 1e6:.2f}", *_measured(r)]
+        + ["*" * r.best] * marked
+        for r in rungs
+    ]
+    return table(["rung", "kB/frame", "Mbit/s", *QUALITY_HEADS, *[""] * marked], rows)
+
+
+def _kilobytes(size: float) -> str:
+    return f"{size / 1e3:.2f}"
+
+
+def _measured(rung: RungSummary) -> list[str]:
+    values = ((rung.psnr, 2), (rung.worst, 1), (rung.ssim, 4), (rung.delta_e, 2))
+    return [f"{value:.{digits}f}" if value is not None else "-" for value, digits in values]

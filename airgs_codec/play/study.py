@@ -9,19 +9,22 @@ import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._report import listed, table
 from airgs_codec.errors import ConfigError, TransportError
 from airgs_codec.package.layout import FileKind
 from airgs_codec.package.package import open_package
+from airgs_codec.places.whole import to_json
 from airgs_codec.play.fetcher import TableStore
-from airgs_codec.play.metrics import FIGURES
+from airgs_codec.play.metrics import FIGURES, headlines, meanings
 from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
@@ -29,6 +32,7 @@ from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
+SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
 PERCENTILES = tuple(range(101))  # of the frame times that are recorded of a session
 Row = dict[str, Any]  # what is known of one session or run, by name
 
@@ -204,3 +208,146 @@ def summarise(study: Study, feasible: bool | None = None) -> list[PolicySummary]
             )
         )
     return summaries
+
+
+def study_record(study: Study) -> dict[str, Any]:
+    """All tables with the meaning of every figure; what is not known is NaN, and null in JSON."""
+    return {
+        "package": study.package,
+        "answer": study_answer(study),
+        "figures": meanings(FIGURES),
+        "all": [asdict(summary) for summary in summarise(study)],
+        "feasible": [asdict(summary) for summary in summarise(study, True)],
+    }
+
+
+def format_study(study: Study, as_json: bool = False) -> str:
+    """The headline figures on all links, and on those whose smallest rungs are feasible, and which policy to take."""
+    if as_json:
+        return to_json(study_record(study))
+    everything, feasible = summarise(study), summarise(study, True)
+    lines = [conditions(study), "PSNR: dB of a session, mean over display ticks; --json has all figures", ""]
+    lines += [f"all {everything[0].sessions} links:", *_summary_lines(everything), ""]
+    if count := feasible[0].sessions:
+        words = f"{count} links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on:"
+        lines += [words, *_summary_lines(feasible), ""]
+    return "\n".join([*lines, *filter(None, study_answer(study).values())])
+
+
+def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
+    shown = headlines(FIGURES)
+    cells = [
+        [s.policy, *("-" if np.isnan(s.figures[f.name].mean) else f.text(s.figures[f.name].mean) for f in shown)]
+        for s in summaries
+    ]
+    return table(["policy", *(figure.heading for figure in shown)], cells)
+
+
+def conditions(study: Study) -> str:
+    """Return what was played over what, in a sentence."""
+    s = study.settings
+    means = {r["trace"]: r["mean_bps"] for r in study.rows}
+    rates = [bps / 1e6 for bps in means.values()]
+    scale = "unscaled" if s.scale == 1 else f"rates x{s.scale:g}"
+    trips = sorted({round(1e3 * r["rtt_s"]) for r in study.rows})
+    trip = f"{trips[0]}" if len(trips) == 1 else f"{trips[0]}-{trips[-1]}"
+    frames, seconds = study.rows[0]["frames"], study.rows[0]["played_s"]
+    return (
+        f"{study.package}: {frames} frames ({seconds:.1f} s) over {len(means)} traces, {s.offsets} offsets each "
+        f"(seed {s.seed}), {scale}, means {min(rates):.1f}-{max(rates):.1f} Mbit/s (median {np.median(rates):.1f}), "
+        f"after the end: {s.end}, round trip {trip} ms, buffer {s.session.buffer_s:g} s"
+    )
+
+
+def study_answer(study: Study) -> dict[str, str]:
+    """Which policy these links speak for, in whole sentences by what they tell; oracles are no players."""
+    players = [p for p in study.settings.policies if p not in ORACLES] or list(study.settings.policies)
+    goodness = {p: _goodness(study, p) for p in players}
+    ranked = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
+    best, links = ranked[0], len(goodness[ranked[0]])
+    psnr, waited, regret = (_mean(study.of(best, name)) for name in ("psnr_mean", "stall_ratio", "regret"))
+    shows = f"it shows {psnr:.1f} dB and" if _is_measured(study) else "what it shows was not measured, and it"
+    good = f"{best} does best on {links} links: {shows} waits {100 * waited:.1f} % of the time."
+    if len(ranked) > 1:
+        good += f" {_lead(study, best, ranked[1])}"
+        good += f" {ranked[-1]} is the last of {len(ranked)}." if len(ranked) > 2 else ""
+    shown = {name for row in study.rows for name in row["rungs"]}
+    unseen = [name for name in study.rungs if name not in shown]
+    return {
+        "good": good,
+        "wrong": _wrong(study, best, regret),
+        "useless": f"No policy showed {listed(unseen)} on any of these links." if unseen else "",
+        "change": _advice(study, best),
+    }
+
+
+def _is_measured(study: Study) -> bool:
+    """Whether the quality of the package is known."""
+    return any(row["qoe"] is not None for row in study.rows)
+
+
+def _mean(values: NDArray[np.float64]) -> float:
+    """The mean of those that are not NaN; NaN where all are."""
+    known = values[~np.isnan(values)]
+    return float(known.mean()) if known.size else math.nan
+
+
+def _goodness(study: Study, policy: str) -> NDArray[np.float64]:
+    """(n,) QoE of a policy's sessions in dB; where quality was not measured, the share of time that nobody waited."""
+    return study.of(policy, "qoe") if _is_measured(study) else 1 - study.of(policy, "stall_ratio")
+
+
+def _difference(study: Study, a: str, b: str) -> Interval:
+    """By how much the `_goodness` of one policy is above that of another on the same links."""
+    traces = [row["trace"] for row in study.rows if row["policy"] == a]
+    return interval(_goodness(study, a) - _goodness(study, b), traces)
+
+
+def _is_sure(study: Study, difference: Interval) -> bool:
+    """Whether a difference is one on other traces, too."""
+    return len({row["trace"] for row in study.rows}) >= SURE_TRACES and difference.low > 0
+
+
+def _lead(study: Study, best: str, other: str) -> str:
+    lead = _difference(study, best, other)
+    sure = "" if _is_sure(study, lead) else ", which may be chance"
+    if not _is_measured(study):
+        mean, low, high = (100 * share for share in lead)
+        return f"{other}, the next, waits {mean:.1f} % more ({low:.1f} to {high:.1f} over traces{sure})."
+    return (
+        f"Its QoE (quality less changes and 20 dB for a second of waiting) is {lead.mean:.2f} dB above that of "
+        f"{other}, the next ({lead.low:.2f} to {lead.high:.2f} over traces{sure})."
+    )
+
+
+def _wrong(study: Study, best: str, regret: float) -> str:
+    """Where the best policy waits, whether another could do better, and what it does not show."""
+    hard, easy = (100 * study.of(best, "stall_ratio", feasible) for feasible in (False, True))
+    told = []
+    if len(hard):
+        told.append(
+            f"On {len(hard)} of {len(hard) + len(easy)} links no policy helps: there even the smallest rungs, begun "
+            f"after {FEASIBLE_START_S:g} s, stall, and {best} waits {hard.mean():.1f} % of the time."
+        )
+    if easy.size and easy.mean() > 0:
+        told.append(f"Where the smallest rungs would not stall it still waits {easy.mean():.1f} % of the time.")
+    if regret > 0:
+        told.append(f"It shows {regret:.1f} dB less than the most that a player could at the same moments.")
+    return " ".join(told) or f"Nothing: nobody waits{', and no player could show more' if regret <= 0 else ''}."
+
+
+def _advice(study: Study, best: str) -> str:
+    """What to play with, and whether other rungs or more links are needed."""
+    told = []
+    known = DEFAULT_POLICY in study.settings.policies
+    if best == DEFAULT_POLICY:
+        told.append(f"Stay with {DEFAULT_POLICY}, the default.")
+    elif not known or _is_sure(study, _difference(study, best, DEFAULT_POLICY)):
+        told.append(f"Play with --policy {best}.")
+    else:
+        lead = _difference(study, best, DEFAULT_POLICY).mean
+        more = f"{lead:.2f} dB more" if _is_measured(study) else f"{100 * lead:.1f} % less waiting"
+        told.append(f"Give more --traces: {more} than {DEFAULT_POLICY}, the default, may be chance here.")
+    if (~np.array([row["feasible"] for row in study.rows], bool)).any():
+        told.append("For links that carry too little, encode a lower level (airgs-encode --levels).")
+    return " ".join(told)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from airgs_codec.analysis.up import AXES, Subject, find_front, guess_up
+from airgs_codec.analysis.up import AXES, Subject, find_floor, find_front, guess_up
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.scene.camera import MARGIN
 from airgs_codec.scene.gaussians import multiply
-from tests.support.places import ball, discs, filmed_room
+from tests.support.places import ball, discs, filmed_room, floor
 from tests.support.views import joined
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -61,12 +61,18 @@ def test_what_rests_is_below_what_moves(ordered, lost):
     assert guess_up(Subject.of([still, swayed])) == pytest.approx([1, 0, 0])
 
 
+def test_a_floor_has_everything_on_one_side():
+    up = find_floor(joined(ball(), floor(-0.55)))
+    assert up is not None and up @ [0, 1, 0] > 0.99
+    assert find_floor(ball()) is None
+    assert find_floor(joined(ball(), floor(0.0))) is None, "as much below as above"
+
+
 @pytest.mark.parametrize("up", AXES[[1, 4]])
-def test_a_place_is_filmed_level_and_lighter_above(up):
+def test_a_place_that_was_filmed_is_lighter_above(up):
     room = filmed_room()
     light = np.where((room.means @ up)[:, None] > 0, 1.0, -1.0).astype(np.float32) * np.ones_like(room.sh_dc)
-    viewer = np.zeros(3), np.array([0.0, 0.0, 1.0])
-    assert guess_up(Subject.of([replace(room, sh_dc=light)], viewer)) == pytest.approx(up)
+    assert guess_up(Subject.of([replace(room, sh_dc=light)]), filmed=True) == pytest.approx(up)
 
 
 def test_the_first_view_shows_the_whole_subject_with_a_margin():

@@ -104,6 +104,7 @@ def test_policies_are_compared_over_traces(capsys):
         (["--player.budget", "0"], "budget: expected at least 1 Gaussian"),
         (["--player.budget", "1"], "Gaussians or more, got 1"),
         (["--player.budget", "9", "--compare"], "--player.budget: expected a single session"),
+        (["--report", "never", "--compare"], "--report: expected a single session"),
         (["--player.buffer", "nan"], "buffer"),
         (["--offset", "1e9"], "offset"),
         (["--scale", "0"], "scale"),

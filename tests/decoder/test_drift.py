@@ -14,8 +14,8 @@ from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.package import open_package
+from airgs_codec.play.film import screen_frames
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.report.film import screen_frames
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace

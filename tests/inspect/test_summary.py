@@ -5,19 +5,23 @@ import json
 
 import pytest
 
-from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import bytes_by_kind, describe_left_out, segment_rates, summarise
-from airgs_codec.inspect.text import bytes_by_attribute, format_attributes, format_ladder, format_summary
+from airgs_codec.inspect.summary import (
+    bytes_by_kind,
+    describe_left_out,
+    format_ladder,
+    format_summary,
+    segment_rates,
+    summarise,
+)
 from airgs_codec.media.image import read_picture
 from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.package import open_files, open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import LeftOut
-from airgs_codec.places.place import Memory
 from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
-from tests.support.refusals import cases
 from tests.support.regions import arc
 
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
@@ -45,7 +49,7 @@ def test_a_segment_without_measurements_leaves_a_rung_unmeasured():
     assert pooled_quality(tiny_manifest(psnr=None), 0, 0) is None
     summary = summarise(tiny_manifest(psnr=None), MANIFESTS).to_json()
     for name in ("psnr", "worst", "ssim", "delta_e"):
-        assert {entry[name] for entry in summary["rungs"] + summary["levels"]} == {None}
+        assert {entry[name] for entry in summary["rungs"]} == {None}
 
 
 @pytest.mark.parametrize("claim", [-1e300, 1e300])
@@ -62,8 +66,6 @@ def test_rates_of_levels():
     assert level.mean_bps == pytest.approx(2 * 16800 / 1.5)
     assert level.peak_bps == 33600
     assert level.bytes_per_frame == pytest.approx(4200 / 15)
-    measured = (level.psnr, level.worst, level.ssim, level.delta_e)
-    assert measured == tuple(pytest.approx(v) for v in (40, 38, 0.9, 0.5))
 
 
 def test_a_rung_counts_everything_a_viewer_fetches():
@@ -132,15 +134,6 @@ def test_channels_and_their_attributes():
         *("means", "means", "log_scales", "quaternions", "opacity", "colour", "colour"),
     ]
     assert [KEY.attribute_of(c) for c in (0, 3, 6, 7)] == ["log_scales", "quaternions", "opacity", "colour"]
-
-
-@pytest.mark.parametrize("name", ["moving", "two-groups-sh1", "one-gaussian"])
-def test_bytes_by_attribute_share_out_pictures_and_key_sidecars(name):
-    package = open_package(VALID / name)
-    kinds = bytes_by_kind(package.manifest, 0, 0, package.manifest_bytes)
-    shared = kinds["key pictures"] + kinds["key sidecars"] + kinds["state pictures"]
-    assert sum(bytes_by_attribute(package).values()) == pytest.approx(shared)
-    assert "by entropy" in format_attributes(package)
 
 
 def test_the_table_has_every_rung_level_and_repair():
@@ -215,17 +208,10 @@ def test_a_background_is_told_where_there_is_one(name, lines):
     assert [line for line in text.split("\n") if line.startswith("background")] == lines
 
 
-def test_a_picture_of_another_size_is_refused():
-    package = open_files(Memory("other", cases()["bad_picture-size"].package()))
-    with pytest.raises(FormatError, match="expected 64x4096, got 64x64") as caught:
-        bytes_by_attribute(package)
-    assert caught.value.reason == "bad_picture"
-
-
 def test_what_a_scene_does_not_need_is_not_printed():
-    """A still frame: no errors of states, no column of bases, no tier without rows."""
+    """A still frame: no column of bases, no tier without rows."""
     text = format_summary(summarise(open_package(VALID / "white").manifest, MANIFESTS))
-    assert "keeps" not in text and "max_error" not in text and "pruned" not in text
+    assert "keeps" not in text and "pruned" not in text
     assert not [line for line in text.split("\n") if line.split()[:2] == ["T1", "Q0"]]
     whole = format_summary(summarise(open_package(VALID / "kept").manifest, MANIFESTS))
-    assert "keeps" in whole and "max_error" in whole and "T0" in whole
+    assert "keeps" in whole and "T0" in whole

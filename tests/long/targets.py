@@ -25,8 +25,7 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import AirgsError
-from airgs_codec.inspect.summary import summarise
-from airgs_codec.inspect.text import format_attributes, format_summary
+from airgs_codec.inspect.summary import format_summary, summarise
 from airgs_codec.inspect.validate import validate_files
 from airgs_codec.jobs.job import load
 from airgs_codec.jobs.work import Work
@@ -37,9 +36,9 @@ from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_files
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.region import read_world
-from airgs_codec.package.viewpath import path_of_region
 from airgs_codec.places.place import Memory
 from airgs_codec.places.results import Store
+from airgs_codec.play.film import walk_through
 from airgs_codec.play.policies.named import NAMES
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
@@ -123,9 +122,8 @@ def look_and_play(files: Files) -> str:
     m, policy = package.manifest, NAMES[crc32(files[JSON_NAME]) % len(NAMES)]
     format_summary(summarise(m, package.manifest_bytes))
     look_at(m, package.root_bytes)
-    path_of_region(m.region)
+    walk_through(m.region, np.zeros(1))
     assert simulate(package, Trace.open("const:1"), policy, SessionSettings(loops=2)).metrics
-    format_attributes(package)
     return ""
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from airgs_codec.package.manifest import on_ladder
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.report.answer import (
+from airgs_codec.play.report import (
     ASKED,
     BELOW,
     FAULTS,
@@ -18,10 +18,9 @@ from airgs_codec.play.report.answer import (
     beaten_words,
     find_stalls,
 )
-from airgs_codec.play.report.study import study_answer
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.study import Study, StudySettings, _session_row
+from airgs_codec.play.study import Study, StudySettings, _session_row, study_answer
 from tests.play.test_session import link, play
 from tests.support.manifests import missing, tiny_manifest
 

@@ -11,7 +11,7 @@ from airgs_codec.play.downloader import Lost, Shown, SimulatedDownloader
 from airgs_codec.play.offers import NONE, OVER_BUDGET, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import ADAPTIVE, ORACLES, make_policy
-from airgs_codec.play.report.session import format_metrics
+from airgs_codec.play.report import format_metrics
 from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace

@@ -18,7 +18,7 @@ from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import check_repr_digest, open_package, repr_digest
 from airgs_codec.play.downloader import Batch, BatchKind, Request
 from airgs_codec.play.http import LEAST_BYTES, FileClient, HttpDownloader, HttpSettings, Transfer, connect, fetch_beside
-from airgs_codec.play.report.session import format_metrics
+from airgs_codec.play.report import format_metrics
 from airgs_codec.play.session import play, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace

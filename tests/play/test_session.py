@@ -34,8 +34,7 @@ from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import STALL_DB, Policy
-from airgs_codec.play.report.answer import answer
-from airgs_codec.play.report.session import format_metrics, write_report
+from airgs_codec.play.report import answer, format_metrics, write_report
 from airgs_codec.play.session import SessionLog, session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace

@@ -13,8 +13,8 @@ from airgs_codec.cli.play import main
 from airgs_codec.package.layout import sound_path
 from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import FileEntry, Sound
+from airgs_codec.play.film import sound_of
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.report.film import sound_of
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Trace

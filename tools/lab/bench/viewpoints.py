@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.viewpoint_score import Sample
-from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.analysis.viewpoints import Sample, find_viewpoints
 from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.sequence import open_sequence
@@ -66,14 +65,13 @@ def measure(scene: str, folder: Path) -> Row:
     row = {"scene": name_of(scene), "sure": found.confident, "story": re.split(r":| \(", found.story)[0]}
     if cameras:
         row |= compare(read_cameras(Path(cameras)), found.cameras, Sample.of(middle, ROWS))
-    sheet = [f"{score:.2f}" for score in found.scores]
-    write_contact_sheet(folder / f"{row['scene']}.png", middle, found.cameras, sheet)
+    write_contact_sheet(folder / f"{row['scene']}.png", middle, found.cameras)
     return row
 
 
 def compare(rig: Sequence[Camera], found: Sequence[Camera], sample: Sample) -> Row:
     """Medians and worst of what lies between the cameras of a rig and the nearest found ones."""
-    pairs = np.array([_nearest(camera, found, sample.look(camera).distance) for camera in rig])
+    pairs = np.array([_nearest(camera, found, sample.look(camera)[1]) for camera in rig])
     middle, worst = np.median(pairs, axis=0).tolist(), pairs.max(axis=0).tolist()
     return dict(zip(("away", "degrees", "worst_away", "worst_degrees"), [*middle, *worst], strict=True))
 

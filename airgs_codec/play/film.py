@@ -1,12 +1,14 @@
-"""What the viewer saw: the rungs of a session decoded, rendered from a path of cameras, and filmed."""
+"""What the viewer saw: the rungs of a session decoded, rendered on a walk, and filmed."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.decoder.sound import decode_all
@@ -15,8 +17,8 @@ from airgs_codec.media.image import label, to_bytes
 from airgs_codec.media.movie import write_movie
 from airgs_codec.media.mp4 import SOUND_RATE
 from airgs_codec.package.package import Package
-from airgs_codec.package.region import levelled
-from airgs_codec.package.viewpath import path_of_region
+from airgs_codec.package.region import levelled, place_view, view_from
+from airgs_codec.package.tables import Region
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
@@ -27,14 +29,43 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
 MOST_PIXELS = 640  # of the longer side of a picture
+STEP_S = 2.0  # of a walk, from a place to the next
+CIRCLE, CORNERS = 0.5, 8  # where there is but one place: the radius of a circle about it, in reaches, and its stops
 
 
 def walk(log: SessionLog) -> list[Camera]:
-    """The camera of every display tick of a session, on a walk by the places of the package's region."""
+    """The camera of every display tick of a session, on a walk through the package's region."""
     m = log.offers.manifest
-    times = np.arange(len(log.screen_ticks)) / log.offers.fps
-    views = path_of_region(levelled(m.region, m.world)).cameras(times)
+    views = walk_through(levelled(m.region, m.world), np.arange(len(log.screen_ticks)) / log.offers.fps)
     return [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in views]
+
+
+def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
+    """The view of a viewer after each of (T,) seconds.
+
+    He goes from each place of the region on to the nearest that is left, and back the same way, as often as need be;
+    about a place that is alone in a circle. On his way he turns about what he looks at, and so never walks through it.
+    """
+    tour, left = [region.places[0]], list(region.places[1:])
+    while left:
+        last = np.array([*tour[-1].position, *tour[-1].focus])
+        tour.append(left.pop(int(np.argmin([np.linalg.norm(last - [*p.position, *p.focus]) for p in left]))))
+    stops = [*tour, *tour[-2::-1]]
+    if len(tour) == 1:
+        right, down = place_view(region, tour[0]).world_to_camera[:2, :3] * CIRCLE * tour[0].reach
+        turns = 2 * np.pi * np.arange(CORNERS + 1) / CORNERS
+        ring = tour[0].position + np.cos(turns)[:, None] * right + np.sin(turns)[:, None] * down
+        stops = [replace(tour[0], position=position.tolist()) for position in ring]
+    whole, share = np.divmod(times / STEP_S % (len(stops) - 1), 1)
+    at, numbers = whole + share**2 * (3 - 2 * share), np.arange(len(stops))  # slower near the stops
+    positions, foci, ups = (np.array([getattr(stop, of) for stop in stops]) for of in ("position", "focus", "up"))
+    axes = [place_view(region, stop).world_to_camera[:3, :3] for stop in stops]
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    rows = np.column_stack([foci, ups, np.linalg.norm(positions - foci, axis=1)])
+    between = np.column_stack([np.interp(at, numbers, column) for column in rows.T])
+    ahead = Slerp(numbers, Rotation.from_matrix(axes))(at).as_matrix()[:, 2]
+    views = zip(between[:, :3] - between[:, 6:] * ahead, between[:, :3], between[:, 3:6], strict=True)
+    return [view_from(region, *view, f"walk{i:04d}") for i, view in enumerate(views)]
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
