@@ -22,12 +22,11 @@ from typing import Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.options import make_app, run_program, takes
+from airgs_codec.cli.options import expect_names, make_app, run_program, takes
 from airgs_codec.cli.terminal import Bar  # before all that loads numba
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import VERSION
 from tools.lab.experiments import EXPERIMENTS, MEASUREMENTS, Experiment, Measurement
-from tools.lab.options import expect_names
 from tools.lab.page import Made, Page, text_of, write_page
 from tools.lab.published import FIGURES, REPOSITORY, publish, today_and_commit
 from tools.lab.results import Results

@@ -24,11 +24,8 @@ from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, 
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles
 
 METHODS = TRAINER, COMMON, DESCENT, UNSCALED = (
-    "the trainer's Adam",
-    "Adam, epsilon 1e-8",
-    "gradient descent",
-    "descent, no scaling",
-)
+    "the trainer's Adam", "Adam, epsilon 1e-8", "gradient descent", "descent, no scaling",
+)  # fmt: skip
 FACTORS = (0.1, 1.0, 10.0, 100.0)  # on the trainer's learning rates
 ITERATIONS = 30
 REACH = f"{ITERATIONS} iterations"  # what bounds a fit

@@ -19,7 +19,7 @@ from airgs_codec.play.trace import Trace
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab.timing import Took
+from tools.lab import Took
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX, FOX_VIEWS = DATA / "fox", DATA / "fox_views"

@@ -112,15 +112,11 @@ def _wall(g: Gaussians) -> Gaussians:
 
 
 SCENES: dict[str, Callable[[Gaussians], Gaussians]] = {
-    "a plain cloud": lambda g: g,
-    "balls: rotations do not matter": _filled("log_scales", np.log(SIZE / 3)),
-    "one Gaussian hides the others": _wall,
-    "sizes over seven decades": _sized,
-    "nothing is seen": _filled("opacity_logits", -20.0),
-    "all in one place": _filled("means", 0.25),
-    "all equal": lambda g: g.take(np.zeros(len(g), np.intp)),
-    "colours of a million": _filled("sh_dc", 1e6),
-}
+    "a plain cloud": lambda g: g, "balls: rotations do not matter": _filled("log_scales", np.log(SIZE / 3)),
+    "one Gaussian hides the others": _wall, "sizes over seven decades": _sized,
+    "nothing is seen": _filled("opacity_logits", -20.0), "all in one place": _filled("means", 0.25),
+    "all equal": lambda g: g.take(np.zeros(len(g), np.intp)), "colours of a million": _filled("sh_dc", 1e6),
+}  # fmt: skip
 
 
 def sample_of(g: Gaussians) -> CalibrationSample:

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from airgs_codec._settings import setting
 from airgs_codec.render import cpu
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
 from tools.lab.numerics import fits, gradients, plans, steps
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -33,15 +33,11 @@ from tools.lab.numerics.outcome import (
     does_well,
     ranges,
 )
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of
-from tools.lab.results import content
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tools.lab.command import Lab
 
 CASES: tuple[Case, ...] = (*fits.cases(), *gradients.cases(), *steps.cases(), *plans.cases())
 PARTS = tuple(dict.fromkeys(case.part for case in CASES))

@@ -16,21 +16,17 @@ from typing import TYPE_CHECKING
 import torch
 
 from airgs_codec._report import plain_log_ticks
-from airgs_codec._settings import setting
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
 from tools.lab.numerics.questions import NAMES, QUESTIONS, Question
 from tools.lab.numerics.rows import FOX, REPEATS, Bench, Row, open_scene, open_spinach
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of
-from tools.lab.results import content
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tools.lab.command import Lab
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5

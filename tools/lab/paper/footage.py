@@ -11,12 +11,10 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._settings import setting
 from airgs_codec.cli.common import parse_frames
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import to_bytes, write_png
@@ -25,11 +23,7 @@ from airgs_codec.render import render
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, resized
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab.options import required
-from tools.lab.page import Page, Section
-
-if TYPE_CHECKING:
-    from tools.lab.command import Lab
+from tools.lab import Lab, Page, Section, required, setting
 
 OPAQUE = 0.5  # opacity from which a Gaussian may lend its mean to the points
 NOISE = 2e-3

@@ -9,13 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from airgs_codec._settings import setting
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab.options import required
-from tools.lab.page import Page, Picture, Section, Table
+from tools.lab import Lab, Page, Picture, Section, Table, content, required, setting
 from tools.lab.paper.dense import (
     BEST_RANKING,
     DROP,
@@ -28,29 +26,20 @@ from tools.lab.paper.dense import (
     split_at_cliff,
 )
 from tools.lab.paper.states import MEASURED, checking_views
-from tools.lab.results import content
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tools.lab.command import Lab
 
 PAPER_SAVING, PAPER_COST = 0.42, 2.3  # 1.9 -> 1.1 MB a frame on HiFi4G, and its dB
 PRUNED = {
-    "ranking": ("ranked by", ""),
-    "pruned": ("pruned", ".0%"),
-    "kb_frame": ("state kB a frame", ".2f"),
-    "psnr_held": ("withheld, dB", ".2f"),
-    "psnr_dropped": ("not drawn, dB", ".2f"),
-}
+    "ranking": ("ranked by", ""), "pruned": ("pruned", ".0%"), "kb_frame": ("state kB a frame", ".2f"),
+    "psnr_held": ("withheld, dB", ".2f"), "psnr_dropped": ("not drawn, dB", ".2f"),
+}  # fmt: skip
 LADDERS = {
-    "ladder": ("ladder", ""),
-    "level": ("level", ""),
-    "kb_frame": ("state kB a frame", ".2f"),
-    "psnr": ("dB", ".2f"),
-    "ssim": ("SSIM", ".4f"),
-    "before_cliff": ("before the cliff", ""),
-}
+    "ladder": ("ladder", ""), "level": ("level", ""), "kb_frame": ("state kB a frame", ".2f"), "psnr": ("dB", ".2f"),
+    "ssim": ("SSIM", ".4f"), "before_cliff": ("before the cliff", ""),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

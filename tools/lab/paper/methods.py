@@ -59,10 +59,5 @@ def _naive(_: Subject, quick: bool) -> Method:
 
 
 METHODS: dict[str, Callable[[Subject, bool], Method]] = {
-    "airgs": _airgs,
-    "airgs-paper": _paper,
-    "v3": _v3,
-    "3dgstream": _stream,
-    "4dgs": _fourdgs,
-    "naive3dgs": _naive,
-}
+    "airgs": _airgs, "airgs-paper": _paper, "v3": _v3, "3dgstream": _stream, "4dgs": _fourdgs, "naive3dgs": _naive,
+}  # fmt: skip

@@ -15,30 +15,24 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from airgs_codec._settings import setting
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
+from tools.lab import Lab, Page, Picture, Section, Table, expect_names, setting, timed
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.baselines.method import frame_path, mean_bytes
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table
 from tools.lab.paper import pictures
 from tools.lab.paper.ablations import SIZE, Ablation, ablate, changes, shortened
 from tools.lab.paper.methods import METHODS, trainer_settings
 from tools.lab.paper.scenes import Subject, parse_subject
 from tools.lab.paper.streams import OURS, airgs_levels, one_level, stream, streams_of
 from tools.lab.paper.training import Job, Trained, in_processes, row_of, train
-from tools.lab.timing import timed
-
-if TYPE_CHECKING:
-    from tools.lab.command import Lab
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX = f"fox={DATA / 'fox_views'}"

@@ -18,10 +18,10 @@ from airgs_codec.jobs.engines import Processes
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
+from tools.lab import timed
 from tools.lab.baselines.method import Frame, frame_path, mean_bytes, run_method
 from tools.lab.paper.methods import make_method
 from tools.lab.paper.scenes import Subject
-from tools.lab.timing import timed
 
 RENDERED = 5  # frames whose pictures are timed
 T = TypeVar("T")
@@ -88,20 +88,13 @@ def row_of(trained: Trained, rate: float) -> dict[str, Any]:
     away = np.abs(quality - quality.mean())
     keys = [frame.seconds for frame in frames[1:] if frame.kind == "key"]
     return {
-        "scene": trained.scene,
-        "method": trained.method,
-        "psnr": float(quality.mean()),
-        "worst": float(quality.min()),
-        "deviation": float(away.mean()),
-        "most_deviation": float(away.max()),
-        "ssim": _mean([frame.ssim for frame in frames]),
-        "kb_frame": mean_bytes(frames) / 1e3,
-        "mbit_s": 8e-6 * mean_bytes(frames) * rate,
-        "gaussians": _mean([frame.gaussians for frame in frames]),
-        "train_s_frame": _mean([frame.seconds for frame in frames]),
-        "key_s": _mean(keys) if keys else None,
+        "scene": trained.scene, "method": trained.method, "psnr": float(quality.mean()),
+        "worst": float(quality.min()), "deviation": float(away.mean()), "most_deviation": float(away.max()),
+        "ssim": _mean([frame.ssim for frame in frames]), "kb_frame": mean_bytes(frames) / 1e3,
+        "mbit_s": 8e-6 * mean_bytes(frames) * rate, "gaussians": _mean([frame.gaussians for frame in frames]),
+        "train_s_frame": _mean([frame.seconds for frame in frames]), "key_s": _mean(keys) if keys else None,
         "fps": trained.fps,
-    }
+    }  # fmt: skip
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING
 
 from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from tools.lab import Lab, Page, Picture, Section, Table, rows_of, setting
-from tools.lab.page import Row
+from tools.lab import Lab, Page, Picture, Row, Section, Table, rows_of, setting
 from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.points import RdPoint, bd_rate, curves, kb_at

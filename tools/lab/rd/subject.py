@@ -17,7 +17,7 @@ from airgs_codec.render import Camera, read_cameras, render
 from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.gaussians import Gaussians, morton_order
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab.options import required, setting
+from tools.lab import required, setting
 from tools.lab.rd.points import RdPoint
 
 Pictures = dict[int, list[np.ndarray]]  # frame -> (H, W, 3) of each camera, 0..1
