@@ -12,6 +12,7 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.jobs.job import code_digest, digest
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.scene.beside import Settings, write_settings
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians, join_rows, to_matrices
 from airgs_codec.scene.sequence import open_sequence
@@ -104,3 +105,13 @@ def predicted(g: Gaussians, rng: np.random.Generator) -> Gaussians:
     turned = np.einsum("nij,nj->ni", to_matrices(g.quaternions), local * np.exp(g.log_scales))
     moved = replace(g, means=(g.means + turned).astype(np.float32), log_scales=scales)
     return moved.take(rng.permutation(len(g)))
+
+
+def camera_entry(camera: Camera, picture: str, time: int) -> dict[str, object]:
+    """A picture as transforms.json has it."""
+    pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
+    return {
+        "file_path": picture, "camera": camera.name, "split": camera.split, "time_index": time,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width, "h": camera.height,
+        "transform_matrix": pose.tolist(),
+    }  # fmt: skip

@@ -21,7 +21,7 @@ from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.optimise import Losses
 from airgs_codec.trainer.fit.parameters import from_gaussians, render, to_gaussians
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
-from tools.lab.baselines.hexplane import Field, FieldSize, PlaneWeights, field_from, plane_loss
+from tools.lab.baselines.hexplane import Field, FieldSize, PlaneWeights, plane_loss
 from tools.lab.baselines.method import Footage, Shown
 from tools.lab.baselines.threedgs import SH_EVERY, START_OPACITY, Splats, Timetable
 
@@ -63,9 +63,9 @@ class Fourdgs:
             fit.step()
             progress("all frames", fit.iteration, fit.total)
         sizes = spread(write_model(footage.folder / MODEL, fit.splats.gaussians(), fit.field), footage.frames)
-        g, field = read_model(footage.folder / MODEL)
+        g = read_model(footage.folder / MODEL, fit.field)
         for t in range(done, footage.frames):
-            shown = deformed(g, field, t / max(1, footage.frames - 1))
+            shown = deformed(g, fit.field, t / max(1, footage.frames - 1))
             yield Shown("frame" if t else "key", shown, sizes[t], fit.seconds / footage.frames)
 
 
@@ -147,14 +147,15 @@ def write_model(folder: Path, g: Gaussians, field: Field) -> int:
     folder.mkdir(exist_ok=True)
     splats, numbers = folder / "canonical.ply", folder / "field.npz"
     write_ply(splats, g)
-    np.savez(numbers, **field.arrays())  # type: ignore[arg-type]
+    np.savez(numbers, **{name: value.numpy() for name, value in field.state_dict().items()})  # type: ignore[arg-type]
     return splats.stat().st_size + numbers.stat().st_size
 
 
-def read_model(folder: Path) -> tuple[Gaussians, Field]:
-    """Return what `write_model` wrote."""
+def read_model(folder: Path, field: Field) -> Gaussians:
+    """Return the Gaussians that `write_model` wrote; the field, of the same size, takes the numbers of that one."""
     with np.load(folder / "field.npz", allow_pickle=False) as arrays:
-        return read_ply(folder / "canonical.ply"), field_from(arrays)
+        field.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
+    return read_ply(folder / "canonical.ply")
 
 
 def spread(total: int, frames: int) -> list[int]:

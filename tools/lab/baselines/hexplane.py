@@ -10,9 +10,7 @@ from dataclasses import dataclass
 from functools import reduce
 from itertools import combinations
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from airgs_codec.trainer.fit.parameters import Parameters
 
@@ -66,26 +64,6 @@ class Field(torch.nn.Module):
             planes = zip(PAIRS, self.planes[k : k + len(PAIRS)], strict=True)
             found.append(reduce(torch.mul, [_sample(plane, axes[a], axes[b]) for (a, b), plane in planes]))
         return torch.cat(found, dim=0).t()
-
-    def arrays(self) -> dict[str, NDArray[np.float32]]:
-        return {name: value.numpy() for name, value in self.state_dict().items()}
-
-
-def field_from(arrays: Mapping[str, NDArray[np.float32]]) -> Field:
-    """The field whose `arrays` these are."""
-    state = {name: torch.from_numpy(np.array(value)) for name, value in arrays.items()}
-    planes = [state[f"planes.{i}"] for i in range(sum(name.startswith("planes.") for name in state))]
-    cells = [plane.shape[-1] for plane in planes[:: len(PAIRS)]]
-    size = FieldSize(
-        cells=cells[0],
-        moments=planes[PAIRS.index((0, TIME))].shape[2],
-        features=planes[0].shape[1],
-        resolutions=tuple(c // cells[0] for c in cells),
-        width=len(state["first.bias"]),
-    )
-    field = Field(size, state["low"], state["high"], 0)
-    field.load_state_dict(state)
-    return field
 
 
 @dataclass(frozen=True, slots=True)

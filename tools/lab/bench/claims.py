@@ -50,10 +50,8 @@ def run(options: Options, lab: Lab) -> Page:
         scene, _, cameras = spec.partition("=")
         sequence = open_sequence(scene, views=cameras or None)
         for target in options.targets:
-            goal, folder = (
-                None if target == DEFAULT else Goal(PSNR, float(target)),
-                lab.folder / f"{name_of(spec)}-{target}.airgs",
-            )
+            goal = None if target == DEFAULT else Goal(PSNR, float(target))
+            folder = lab.folder / f"{name_of(spec)}-{target}.airgs"
             try:
                 encode(sequence, folder, goal=goal)
             except AirgsError as error:

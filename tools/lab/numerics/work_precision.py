@@ -19,9 +19,10 @@ from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
+from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
 from tools.lab.numerics.questions import NAMES, QUESTIONS, Question
-from tools.lab.numerics.rows import FOX, REPEATS, Bench, Row, open_scene, open_spinach
+from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Row, Scene, open_spinach
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,7 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    scene: str = setting(f"fox={FOX}", "NAME=FOLDER or NAME=FOLDER=VIEWS, the fox by default")
+    fox: Path = setting(FOX, "a sequence with its cameras")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
     traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
     only: tuple[str, ...] = setting(NAMES, f"some of {', '.join(NAMES)}")
@@ -49,7 +50,7 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     expect_names("--only", options.only, NAMES)
-    scenes = [open_scene(options.scene)]
+    scenes = [Scene("fox", open_sequence(options.fox, fps=FOX_FPS))]
     if options.spinach is not None:
         scenes.append(open_spinach(options.spinach))
     traces = tuple(map(read_trace, sorted(options.traces.iterdir()))) if options.traces is not None else ()

@@ -6,7 +6,7 @@ their own.
 
 The source is the top rung of the package, as decoded. At its own steps that is what a viewer would see; for a step
 factor f the states are coded again with steps of sqrt(f^2 - 1), so that both codings together err as one with f would.
-Where the original is not given, the top rung's measured error is added. All of this takes errors as independent.
+All of this takes errors as independent.
 
 PSNR is that of the squared error pooled over views and frames, as in the package's tables. n moving rows of a group,
 T frames of a segment, C colour channels beside the ten of position, rotation, scale and opacity.
@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import middle_frames
 from airgs_codec.encoder.sample import encode_and_decode
-from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import state_codec
-from airgs_codec.media.metrics import psnr, squared_error
+from airgs_codec.media.metrics import psnr
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.play.ladder import Ladder, Option
@@ -78,7 +77,7 @@ def measure_dense(
     package: Package,
     cameras: Sequence[Camera],
     training: Sequence[Camera],
-    original: GaussianSequence | None = None,
+    original: GaussianSequence,
     jobs: int = 1,
     progress: Progress = silent,
 ) -> list[DenseLevel]:
@@ -86,12 +85,9 @@ def measure_dense(
 
     Every pruned share for every ranking at the package's steps, in both semantics, and with every factor (`hold`,
     ranked by BEST_RANKING). `cameras` see the pictures that are compared, `training` those in which usage is
-    measured. `jobs` levels are coded at a time. Raises ConfigError for a package without measured quality where no
-    `original` is given, FormatError.
+    measured. `jobs` levels are coded at a time. Raises FormatError.
     """
     m = package.manifest
-    if original is None and not m.measured:
-        raise ConfigError("dense levels: the package has no measured quality, give the original with --against")
     prunings = [
         *(Pruning(ranking, share, 1.0) for ranking in MEASURED for share in SHARES),
         *(Pruning(BEST_RANKING, share, factor) for factor in FACTORS[1:] for share in SHARES[:-1]),
@@ -114,9 +110,8 @@ def measure_dense(
                 progress(f"segment {index + 1} of {len(m.segments)}", done, len(tasks))
                 size, values = task.result()
                 for semantics, frames in _shown(source, pruning, rows, values):
-                    error, likeness = _compare(in_order(source.frames, iter(frames)), reference, views)
-                    squared, similarity = error + source.floor_mse, likeness - source.floor_dissimilarity
-                    levels.append(DenseLevel(index, pruning, semantics, size, squared, similarity))
+                    seen = _compare(in_order(source.frames, iter(frames)), reference, views)
+                    levels.append(DenseLevel(index, pruning, semantics, size, *seen))
     return levels + pool_segments(levels, m)
 
 
@@ -128,26 +123,19 @@ class _Segment:
     values: NDArray[np.float32]  # (T, 10 + C, n) differences to the canonical space
     frames: tuple[int, ...]  # of the segment, which are measured
     reference: tuple[Gaussians, ...]  # those frames, as they should look
-    floor_mse: float  # what the reference itself errs
-    floor_dissimilarity: float  # the same as 1 - SSIM
     state_bytes: int  # of level 0 in the package
     coded_bytes: int  # of level 0 as coded here, at least 1
 
 
-def _open_segment(package: Package, index: int, states: GroupStates, original: GaussianSequence | None) -> _Segment:
+def _open_segment(package: Package, index: int, states: GroupStates, original: GaussianSequence) -> _Segment:
     m = package.manifest
     segment = m.segments[index]
     values = states.values[segment.start - states.start : segment.stop - states.start]
     numbers = middle_frames(segment.start, segment.stop, FRAMES)
     frames = tuple(n - segment.start for n in numbers)
-    if original is None:
-        reference = tuple(states.show(values[t]) for t in frames)
-        top = segment.levels[0]
-        floor = squared_error(top.psnr[0]), 1 - top.ssim[0]
-    else:
-        reference, floor = tuple(original.load(numbers).frames), (0.0, 0.0)
+    reference = tuple(original.load(numbers).frames)
     coded, _ = _code(states, values, frames, np.ones(len(states.rows), bool), 1.0)
-    return _Segment(states, values, frames, reference, *floor, m.bytes_of(m.state_files(index, 0)), max(1, coded))
+    return _Segment(states, values, frames, reference, m.bytes_of(m.state_files(index, 0)), max(1, coded))
 
 
 def _send(source: _Segment, kept: NDArray[np.bool_], factor: float) -> tuple[int, list[Values]]:

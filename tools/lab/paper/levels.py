@@ -45,17 +45,17 @@ LADDERS = {
 @dataclass(frozen=True, slots=True)
 class Options:
     package: Path = required("folder of a package")
-    against: Path | None = setting(None, "the original sequence; without it, errors are added to those of the top rung")
+    against: Path = setting(Path("tests/data/fox"), "the original sequence")
     views: Path | None = setting(None, "cameras, in place of those of the original or of views drawn")
 
 
 def run(options: Options, lab: Lab) -> Page:
     package = open_package(options.package)
     frames = package.manifest.frames
-    original = open_sequence(options.against) if options.against else None
-    if original is not None and len(original) != frames:
+    original = open_sequence(options.against)
+    if len(original) != frames:
         raise ConfigError(f"{options.against}: expected {frames} frames, got {len(original)}")
-    cameras = read_cameras(options.views) if options.views else list(original.cameras) if original else []
+    cameras = read_cameras(options.views) if options.views else list(original.cameras)
     training, measured = checking_views(package.manifest.region, cameras)
     reads = {"package": content(options.package), "against": options.against, "views": options.views}
     jobs = os.cpu_count() or 1
