@@ -39,7 +39,7 @@ EXPERIMENTS = (
     Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
     _bench("scenes", "What is measured?", "10 s"),
-    Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
+    _bench("soak-farm", "Are the bytes the same where everything fails?", "10 min"),
     _bench("splits", "How good is a training where nobody trained it?", "hours"),
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
@@ -53,7 +53,7 @@ EXPERIMENTS = (
     Experiment(
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
-    Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.levels", "minutes"),
+    Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.dense", "minutes"),
     Experiment("reproduce", "How do the methods of the paper compare?", "tools.lab.paper.reproduce", "an hour"),
     Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.lab.paper.footage", "minutes"),
 )

@@ -13,8 +13,17 @@ from tests.support.views import ring
 from tools.lab.command import Lab
 from tools.lab.page import text_of, write_picture
 from tools.lab.paper import dense
-from tools.lab.paper.dense import DROP, HOLD, measure_dense, pruning_levels, saving_levels, split_at_cliff
-from tools.lab.paper.levels import Options, page, run
+from tools.lab.paper.dense import (
+    DROP,
+    HOLD,
+    Options,
+    measure_dense,
+    page,
+    pruning_levels,
+    run,
+    saving_levels,
+    split_at_cliff,
+)
 from tools.lab.paper.states import MEASURED, measured_views
 
 

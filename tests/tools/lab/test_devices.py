@@ -18,8 +18,23 @@ from tests.support.training import write_blobs
 from tests.support.views import ring
 from tools.lab import main, seconds_of
 from tools.lab.bench import device_parts, devices
-from tools.lab.bench.device_parts import LIMITS, Fit, compare, fit, fitted, measured, pictures
-from tools.lab.bench.devices import LEFT_OUT, NOT_KNOWN, STOPPED, Found, Options, Part, page_of, parts_of
+from tools.lab.bench.devices import (
+    LEFT_OUT,
+    LIMITS,
+    NOT_KNOWN,
+    STOPPED,
+    Fit,
+    Found,
+    Options,
+    Part,
+    compare,
+    fit,
+    fitted,
+    measured,
+    page_of,
+    parts_of,
+    pictures,
+)
 from tools.lab.command import Lab
 from tools.lab.timing import Alone
 

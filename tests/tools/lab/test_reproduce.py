@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from tools.lab.paper.frames import CHOOSERS, SKIPPED, frame_options, push_frames
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
@@ -20,15 +21,11 @@ from tools.lab.baselines.method import Frame
 from tools.lab.command import Lab
 from tools.lab.page import Picture, write_picture
 from tools.lab.paper import reproduce
-from tools.lab.paper.ablations import changes
 from tools.lab.paper.footage import Options, run
-from tools.lab.paper.frames import CHOOSERS, SKIPPED, frame_options, push_frames
-from tools.lab.paper.methods import METHODS
 from tools.lab.paper.pictures import draw_ablations, draw_times
 from tools.lab.paper.reproduce import quality
-from tools.lab.paper.scenes import parse_subject
 from tools.lab.paper.streams import Level, Stream, saved_by_level, spread_keys, stream, streams_of
-from tools.lab.paper.training import Trained, row_of
+from tools.lab.paper.training import METHODS, Trained, changes, parse_subject, row_of
 
 
 def constant(rate_bps: float) -> Trace:

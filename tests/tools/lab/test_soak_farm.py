@@ -4,9 +4,10 @@ import pytest
 
 pytest.importorskip("distributed", reason="Dask, the extra `farm`, is not installed")
 
+from tools.lab.soak import farm
+
 from airgs_codec.errors import ConfigError
 from tools.lab.command import Lab
-from tools.lab.soak import farm
 
 
 def test_two_workers_four_jobs_and_a_few_failures_end_with_the_same_bytes(tmp_path, monkeypatch):

@@ -15,9 +15,8 @@ from tests.support.paths import FOX, VALID
 from tools.lab import main, published
 from tools.lab.command import Lab
 from tools.lab.numerics import encode, selector, survey, work_precision
-from tools.lab.numerics.questions import NAMES, QUESTIONS
 from tools.lab.numerics.rows import Bench, Place, Row, average, open_scene, quartiles
-from tools.lab.numerics.work_precision import Options, answer, figure, judge, page, run, seconds
+from tools.lab.numerics.work_precision import NAMES, QUESTIONS, Options, answer, figure, judge, page, run, seconds
 from tools.lab.page import text_of, write_picture
 from tools.lab.timing import Took
 

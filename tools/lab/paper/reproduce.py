@@ -28,11 +28,23 @@ from tools.lab import Lab, Page, Picture, Section, Table, expect_names, setting,
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.baselines.method import frame_path, mean_bytes
 from tools.lab.paper import pictures
-from tools.lab.paper.ablations import SIZE, Ablation, ablate, changes, shortened
-from tools.lab.paper.methods import METHODS, trainer_settings
-from tools.lab.paper.scenes import Subject, parse_subject
 from tools.lab.paper.streams import OURS, airgs_levels, one_level, stream, streams_of
-from tools.lab.paper.training import Job, Trained, in_processes, row_of, train
+from tools.lab.paper.training import (
+    METHODS,
+    SIZE,
+    Ablation,
+    Job,
+    Subject,
+    Trained,
+    ablate,
+    changes,
+    in_processes,
+    parse_subject,
+    row_of,
+    shortened,
+    train,
+    trainer_settings,
+)
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX = f"fox={DATA / 'fox_views'}"

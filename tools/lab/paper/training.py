@@ -1,27 +1,206 @@
-"""All methods trained on all scenes, a process for each, and what the paper's tables say of them.
+"""Which scenes and methods are compared, all methods trained on all scenes, and one setting changed at a time.
 
-Table 1 of the paper (quality, size, time) and Table 2 (keyframes); its curves of quality over time.
+A scene is NAME=FOLDER, then options after commas. Tables 1 and 2 of the paper: quality, size, time, keyframes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from airgs_codec.errors import AirgsError
+from airgs_codec.cli.common import parse_frames
+from airgs_codec.encoder.settings import EncodeSettings, as_in_paper
+from airgs_codec.errors import AirgsError, ConfigError, TrainingError
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
+from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.settings import TrainSettings, preset
 from tools.lab import timed
-from tools.lab.baselines.method import Frame, frame_path, mean_bytes, run_method
-from tools.lab.paper.methods import make_method
-from tools.lab.paper.scenes import Subject
+from tools.lab.baselines.airgs import AirGS
+from tools.lab.baselines.fourdgs import Fourdgs
+from tools.lab.baselines.method import Footage, Frame, Method, frame_path, mean_bytes, run_method
+from tools.lab.baselines.stream3dgs import Stream3dgs, StreamSettings
+from tools.lab.baselines.threedgs import Naive3dgs
+from tools.lab.baselines.v3 import V3, V3Settings
+
+OPTIONS = ("frames", "size", "near", "held")
+QUICK_FRAMES, QUICK_SIZE = 4, 128  # most of a scene in a quick run
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    name: str
+    folder: Path
+    frames: tuple[int, int | None] = (0, None)  # [start, stop)
+    size: int | None = None  # longest side of the pictures in pixels; None: as they are
+    near: float | None = None  # near plane in world units; None: as the scene has it
+    held: tuple[str, ...] = ()  # cameras that are held out; none: those that the scene says
+
+    def quick(self) -> Subject:
+        start, stop = self.frames
+        last = start + QUICK_FRAMES if stop is None else min(stop, start + QUICK_FRAMES)
+        return replace(self, frames=(start, last), size=min(self.size or QUICK_SIZE, QUICK_SIZE))
+
+    def words(self) -> dict[str, object]:
+        words = {"scene": self.folder.resolve().name, "frames": self.frames, "size": self.size, "near": self.near}
+        return words | ({"held": self.held} if self.held else {})
+
+    def open(self) -> MultiviewScene:
+        """The scene, some of its cameras held out. Raises SceneError."""
+        scene = with_held_out(open_scene(self.folder, frames=self.frames), self.held or None)
+        return scene if self.near is None else with_near(scene, self.near)
+
+    def footage(self, folder: Path) -> Footage:
+        """Return what a method is trained on, into a folder. Raises SceneError."""
+        scene = self.open()
+        return Footage(Pictures(scene, max_size=self.size), len(scene), scene.points, folder, self.words())
+
+
+def parse_subject(text: str) -> Subject:
+    """NAME=FOLDER[,frames=A:B][,size=PX][,near=Z][,held=CAMERA+CAMERA...]. Raises ConfigError."""
+    first, *rest = text.split(",")
+    name, _, folder = first.partition("=")
+    options = dict(part.partition("=")[::2] for part in rest)
+    if not name or not folder or set(options) - set(OPTIONS):
+        raise ConfigError(f"--scene: expected NAME=FOLDER with {', '.join(OPTIONS)} after commas, got {text!r}")
+    try:
+        size = int(options["size"]) if "size" in options else None
+        near = float(options["near"]) if "near" in options else None
+    except ValueError as error:
+        raise ConfigError(f"--scene {text!r}: {error}") from error
+    held = tuple(filter(None, options.get("held", "").split("+")))
+    return Subject(name, Path(folder), parse_frames(options.get("frames")), size, near, held)
+
+
+QUICK_FIRST = 300  # iterations of a fit from scratch in a quick run
+
+
+def make_method(name: str, subject: Subject, quick: bool) -> Method:
+    return METHODS[name](subject, quick)
+
+
+def trainer_settings(subject: Subject, quick: bool) -> TrainSettings:
+    """The default settings of the trainer, at the size of the pictures of a scene."""
+    settings = TrainSettings(max_size=subject.size)
+    if not quick:
+        return settings
+    return replace(settings, first_iterations=QUICK_FIRST, key_iterations=150, frame_iterations=60, budget=2_000)
+
+
+def _airgs(subject: Subject, quick: bool) -> Method:
+    return AirGS(subject.open(), trainer_settings(subject, quick))
+
+
+def _paper(subject: Subject, quick: bool) -> Method:
+    """The whole system of the paper: its trainer, its levels."""
+    training = preset("paper", trainer_settings(subject, quick))
+    return AirGS(subject.open(), training, as_in_paper(EncodeSettings()), name="airgs-paper")
+
+
+def _v3(_: Subject, quick: bool) -> Method:
+    short = V3Settings(rows=2_000, key_iterations=QUICK_FIRST, finetune_iterations=60, frame_iterations=40)
+    return V3(short if quick else V3Settings())
+
+
+def _stream(subject: Subject, quick: bool) -> Method:
+    first = trainer_settings(subject, quick)
+    return Stream3dgs(StreamSettings(first, iterations=40, added_iterations=20) if quick else StreamSettings(first))
+
+
+def _fourdgs(_: Subject, quick: bool) -> Method:
+    return Fourdgs(iterations=2 * QUICK_FIRST) if quick else Fourdgs()
+
+
+def _naive(_: Subject, quick: bool) -> Method:
+    return Naive3dgs(iterations=QUICK_FIRST) if quick else Naive3dgs()
+
+
+METHODS: dict[str, Callable[[Subject, bool], Method]] = {
+    "airgs": _airgs, "airgs-paper": _paper, "v3": _v3, "3dgstream": _stream, "4dgs": _fourdgs, "naive3dgs": _naive,
+}  # fmt: skip
+
+
+SIZE = 160  # longest side of the pictures in pixels
+AS_IT_IS = "as it is"
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    question: str
+    name: str
+    settings: TrainSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Ablation:
+    subject: Subject
+    change: Change
+    folder: Path
+
+
+def changes(base: TrainSettings) -> list[Change]:
+    """All of them; the first one is the trainer as it is."""
+
+    def change(question: str, name: str, **some: object) -> Change:
+        return Change(question, name, replace(base, **some))  # type: ignore[arg-type]
+
+    weight = base.temporal.weight
+    temporal = "temporal loss λ_t"
+    return [
+        change("", AS_IT_IS),
+        change("grouping τ", "no keyframe after the first", min_psnr_db=0.0, max_drop_db=math.inf),
+        change("grouping τ", "τ = 30 dB alone, the paper's", max_drop_db=math.inf),
+        change("grouping τ", "a drop of 1 dB", max_drop_db=1.0),
+        change("how frames move", "six MLPs", deltas="mlp"),
+        change("how frames move", "MLPs, then each on its own", deltas="mlp+residual"),
+        change(temporal, "0", temporal=replace(base.temporal, weight=0.0)),
+        change(temporal, "a tenth", temporal=replace(base.temporal, weight=weight / 10)),
+        change(temporal, "ten times", temporal=replace(base.temporal, weight=10 * weight)),
+        change("inflation loss λ_inf", "0", inflation=0.0),
+        change("inflation loss λ_inf", "100 times", inflation=100 * base.inflation),
+        change("new Gaussians at keyframes", "none", max_growth=0.0),
+        change("new Gaussians at keyframes", "without seeds", seeds=False),
+        change("what rests", "not known", static="off"),
+    ]
+
+
+def shortened(settings: TrainSettings) -> TrainSettings:
+    """Half of the usual iterations or fewer: what matters is the difference that a change makes."""
+    return replace(settings, first_iterations=1000, key_iterations=500, frame_iterations=150)
+
+
+def ablate(number: int, ablation: Ablation) -> dict[str, Any]:
+    """The change trained and encoded, going on where a run before was interrupted; one that fails says so in its note.
+
+    PSNR in dB over held-out views, Gaussians in the last frame.
+    """
+    change = ablation.change
+    row: dict[str, Any] = {"question": change.question, "name": change.name}
+    footage = ablation.subject.footage(ablation.folder / f"{number:02d}")
+    try:
+        frames = run_method(AirGS(ablation.subject.open(), change.settings), footage)
+    except TrainingError as error:
+        return row | {"psnr": math.nan, "kb_frame": math.nan, "note": str(error)}
+    quality = [frame.psnr for frame in frames]
+    return row | {
+        "psnr": sum(quality) / len(quality),
+        "worst": min(quality),
+        "kb_frame": mean_bytes(frames) / 1e3,
+        "keys": sum(frame.kind == "key" for frame in frames),
+        "gaussians": frames[-1].gaussians,
+        "train_s_frame": sum(frame.seconds for frame in frames) / len(frames),
+    }
+
 
 RENDERED = 5  # frames whose pictures are timed
 T = TypeVar("T")

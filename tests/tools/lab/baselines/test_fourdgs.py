@@ -18,8 +18,23 @@ from airgs_codec.trainer.fit.losses import mean_psnr
 from tests.support.multiview_files import write_views
 from tests.support.views import coloured_cloud, moved, ring
 from tools.lab.baselines import fourdgs
-from tools.lab.baselines.fourdgs import MODEL, Fit, Fourdgs, deformed, moment, read_model, spread, write_model
-from tools.lab.baselines.hexplane import PAIRS, TIME, Field, FieldSize, PlaneWeights, field_from, plane_loss
+from tools.lab.baselines.fourdgs import (
+    MODEL,
+    PAIRS,
+    TIME,
+    Field,
+    FieldSize,
+    Fit,
+    Fourdgs,
+    PlaneWeights,
+    deformed,
+    field_from,
+    moment,
+    plane_loss,
+    read_model,
+    spread,
+    write_model,
+)
 from tools.lab.baselines.method import Footage
 
 SIZE = FieldSize(cells=5, moments=3, features=2, resolutions=(1, 2), width=4)

@@ -21,8 +21,7 @@ from airgs_codec.trainer.fit.parameters import from_gaussians
 from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud, ring
 from tools.lab.baselines.method import Footage, frame_path, run_method
-from tools.lab.baselines.naive3dgs import Naive3dgs
-from tools.lab.baselines.threedgs import Splats, Timetable, chosen, is_kept, reset_opacity
+from tools.lab.baselines.threedgs import Naive3dgs, Splats, Timetable, chosen, is_kept, reset_opacity
 
 
 @pytest.fixture

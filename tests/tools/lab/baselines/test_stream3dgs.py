@@ -22,8 +22,16 @@ from tests.support.training import SETTINGS
 from tests.support.views import appeared, coloured_cloud, joined, ring
 from tools.lab.baselines.hashgrid import FieldSettings
 from tools.lab.baselines.method import Footage, frame_path, run_method
-from tools.lab.baselines.stream3dgs import Stream3dgs, StreamSettings, decode
-from tools.lab.baselines.transformation import TURN, Region, apply_cache, region_of, transformed
+from tools.lab.baselines.stream3dgs import (
+    TURN,
+    Region,
+    Stream3dgs,
+    StreamSettings,
+    apply_cache,
+    decode,
+    region_of,
+    transformed,
+)
 
 CACHE = FieldSettings(levels=3, features=2, log2_table=8, coarsest=4, width=16)
 OPTIONS = StreamSettings(
