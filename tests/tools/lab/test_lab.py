@@ -11,13 +11,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import pytest
-from tools.lab.options import expect_names, required, setting
 
 from airgs_codec.cli.options import read_options
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
 from tests.support.paths import REPOSITORY
-from tools.lab import main, published
+from tools.lab import expect_names, main, published, required, setting
 from tools.lab.command import PROGRAM, Lab
 from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
 from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, text_of, update, wrapped, write_page
