@@ -167,9 +167,12 @@ def test_data_of_3dgstream_that_is_cut_is_refused():
 
 def test_what_v3_shows_is_what_its_bytes_decode_to_and_a_stopped_group_begins_anew(scene, tmp_path, monkeypatch):
     coded = []
-    monkeypatch.setattr(
-        "tools.lab.baselines.v3.v3_layout", lambda *a: coded.append((a[0], v3_layout(*a))) or coded[-1][1]
-    )
+
+    def layout(group, *settings):
+        coded.append((group, v3_layout(group, *settings)))
+        return coded[-1][1]
+
+    monkeypatch.setattr("tools.lab.baselines.v3.v3_layout", layout)
     footage = footage_of(scene, tmp_path)
     shown = list(V3(V3_SMALL).frames(footage, 0, silent))
     assert [one.kind for one in shown] == ["key", "frame", "key"] and shown[0].bytes > shown[1].bytes > 0
