@@ -143,15 +143,9 @@ def cases() -> list[Case]:
     rows = [f"{factor:g}" for factor in FACTORS]
     return [
         Case(
-            part="trainer",
-            name=f"train-{axis.name}",
-            title=axis.title,
-            label=axis.label,
-            value="loss after / before",
-            own=(TRAINER, "1"),
-            points=grid(METHODS, rows, axis.values),
-            judge=partial(judge, axis),
-            why=f"{REACH}{axis.why} (loss x {{span}})",
+            part="trainer", name=f"train-{axis.name}", title=axis.title, label=axis.label,
+            value="loss after / before", own=(TRAINER, "1"), points=grid(METHODS, rows, axis.values),
+            judge=partial(judge, axis), why=f"{REACH}{axis.why} (loss x {{span}})",
         )
         for axis in AXES
-    ]
+    ]  # fmt: skip

@@ -70,12 +70,10 @@ class Line:
 LINES = (
     Line(
         "Needles, coincident rows, quaternions of any length",
-        ("train-needles", "train-coincident", "train-quaternions"),
-        "nothing",
+        ("train-needles", "train-coincident", "train-quaternions"), "nothing",
     ),
     Line(
-        "Their gradients, and those far away or hardly opaque",
-        tuple(case.name for case in gradients.cases()),
+        "Their gradients, and those far away or hardly opaque", tuple(case.name for case in gradients.cases()),
         "nothing",
     ),
     Line("Distance / extent of the scene", ("train-distance",), "stay at {well}"),
@@ -86,11 +84,10 @@ LINES = (
     Line("Steps from tiny to huge", ("codec-steps",), "scale scenes to ordinary sizes"),
     Line("Rows that matter unequally, colours on a line", ("codec-classes", "codec-klt"), "nothing"),
     Line(
-        "Links from 1e-30 to 1e30 bit/s",
-        ("selector-programmes", "selector-margin", "selector-sessions"),
+        "Links from 1e-30 to 1e30 bit/s", ("selector-programmes", "selector-margin", "selector-sessions"),
         "offer a rung that fits the slowest link",
     ),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
