@@ -3,7 +3,7 @@
 Scenes are folders of pictures, as airgs-train reads them. With the default settings of the device, in pictures of full
 size, five frames of each are fitted: a first frame, two in its group, a keyframe and one in the group of that. What was
 trained is drawn by the device and the CPU, and compared; then it is encoded. The same fits with a tenth of the
-iterations follow on both; on the CPU all iterations are done where ten times what the tenth took is left.
+iterations follow on both, and those with all iterations on the CPU come last.
 
 Parts are done in the order of their worth, each in a process of its own. At the limit, the one that is under way is
 stopped, and those behind it are left out; the page is written after each. Ends with status 1 where a difference is over
@@ -186,7 +186,7 @@ def encoded(device: str, name: str, model: Path, settings: EncodeSettings) -> li
 
 TENTH = 0.1  # of the iterations, of fits that are short enough for both
 DONE, STOPPED = "done", "stopped at the limit"
-LEFT_OUT, NOT_KNOWN = "left out: no time left", "left out: nothing tells how long it takes"
+LEFT_OUT = "left out: no time left"
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,27 +214,23 @@ class Part:
     function: Callable[..., list[Row]]
     arguments: tuple[object, ...]
     left: Callable[[], list[Row]] = list  # the rows that there are where it is stopped
-    tenth: Part | None = None  # this one takes ten times as long, and is left out where that is not there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
     parts: list[Row] = field(default_factory=list)  # a row for each part
     rows: dict[str, list[Row]] = field(default_factory=lambda: {"fits": [], "encodes": [], "pictures": []})
-    took: dict[Part, float] = field(default_factory=dict)  # seconds of those that are done
 
     def do(self, part: Part, left_s: float) -> None:
-        needed = 0.0 if part.tenth is None else self.took.get(part.tenth, math.inf) / TENTH
         row: Row = {"part": part.what, "scene": part.scene, "device": part.device}
-        if left_s <= needed:
-            self.parts.append(row | {"state": NOT_KNOWN if left_s > 0 and needed == math.inf else LEFT_OUT})
+        if left_s <= 0:
+            self.parts.append(row | {"state": LEFT_OUT})
             return
         begun = time.perf_counter()
         rows: list[Row] = []
         try:
             how, (rows, gpu_mib) = alone(measured, part.function, part.device, *part.arguments, limit_s=left_s)
             row |= {"state": DONE, "memory, MB": how.peak_mb, "of the GPU, MiB": gpu_mib}
-            self.took[part] = how.took.wall
         except TimeoutError:
             row["state"], rows = STOPPED, part.left()
         except Exception as error:  # whatever it is, others may still be done
@@ -269,10 +265,9 @@ def parts_of(options: Options, folder: Path) -> Iterator[Part]:
     whole = []
     for scene, model in zip(options.scenes, models, strict=True):
         yield _fit(options, scene, device, folder / f"{model.name}-tenth", TENTH)
-        tenth = _fit(options, scene, "cpu", folder / f"{model.name}-cpu-tenth", TENTH)
-        yield tenth
+        yield _fit(options, scene, "cpu", folder / f"{model.name}-cpu-tenth", TENTH)
         yield _encode("cpu", scene.name, model)
-        whole.append(replace(_fit(options, scene, "cpu", folder / f"{model.name}-cpu"), tenth=tenth))
+        whole.append(_fit(options, scene, "cpu", folder / f"{model.name}-cpu"))
     yield from whole
 
 
