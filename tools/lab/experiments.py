@@ -53,7 +53,6 @@ EXPERIMENTS = (
     Experiment(
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
-    Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.dense", "minutes"),
     Experiment("reproduce", "How do the methods of the paper compare?", "tools.lab.paper.reproduce", "an hour"),
     Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.lab.paper.footage", "minutes"),
 )
@@ -66,8 +65,8 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, fox.airgs is what airgs-encode makes of fox/ by default; frames of fox_alone/ are those of
-# naive 3DGS in `paper`, its transforms.json that of fox_views/ with the cameras that `paper` holds out.
+# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of fox_views/
+# with the cameras that `paper` holds out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
@@ -111,7 +110,6 @@ MEASUREMENTS = (
         "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
         "--traces raca2018_4g_car/ --jobs 1",
     ),
-    Measurement("dense", "paper", "dense fox.airgs/ --against fox/ --views fox/transforms.json"),
     Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
     Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
     Measurement(
@@ -140,7 +138,7 @@ MEASUREMENTS = (
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("crowd", "soak-live")
+NO_LONGER_MEASURED = ("dense", "crowd", "soak-live")
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,15 +6,13 @@ from itertools import islice
 
 import pytest
 
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.trainer import train
 from airgs_codec.trainer.data.readers import open_scene
-from tests.support.paths import FOX, GOLDEN, VALID
+from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.temporal import write_temporal
 from tests.support.training import SETTINGS, write_blobs
@@ -36,12 +34,12 @@ from tools.lab.bench import (
     tracked,
     viewpoints,
 )
-from tools.lab.experiments import EXPERIMENTS
+from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
 from tools.lab.numerics import decode, extremes, sequences, stiff, work_precision
 from tools.lab.numerics import encode as trials
 from tools.lab.numerics.rows import Bench
 from tools.lab.page import text_of, write_picture
-from tools.lab.paper import dense, footage, reproduce, training
+from tools.lab.paper import footage, reproduce, training
 from tools.lab.published import read_figures
 from tools.lab.rd import experiment as rd
 from tools.lab.rd.coders import layout_trials
@@ -114,15 +112,6 @@ def run_paper(tmp, patch, package):
     return reproduce.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_dense(tmp, patch, package):
-    patch.setattr(dense, "FRAMES", 1)
-    patch.setattr(dense, "FACTORS", (1.0, 2.0))
-    moving = open_package(VALID / "moving")
-    shown = [frame.gaussians for frame in decode_frames(moving, 0, moving.manifest.frames)]
-    scene = write_sequence(tmp / "scene", shown, cameras=False)
-    return dense.run(dense.Options(VALID / "moving", scene), Lab.at(tmp / "lab", quiet=True))
-
-
 def run_splits(tmp, patch, package):
     scene = write_blobs(tmp / "fox")
     options = splits.Options(scene, splits=1, hold=2, frames="0:2", train="--iterations 30,10,5")
@@ -191,7 +180,7 @@ def run_jobs(tmp, patch, package):
 
 RUNS = {
     "scenes": run_scenes, "rd-fox": run_rd, "claims": run_claims, "rivals": run_rivals, "omissions": run_omissions,
-    "static": run_static, "tracked-head": run_tracked, "paper": run_paper, "dense": run_dense,
+    "static": run_static, "tracked-head": run_tracked, "paper": run_paper,
     "splits-fox": run_splits, "keyframe": run_keyframe, "work-precision": run_work_precision, "stiff": run_stiff,
     "extremes": run_extremes, "streaming": run_streaming, "viewpoints": run_viewpoints, "scale": run_scale,
     "million": run_million, "jobs": run_jobs,
@@ -216,7 +205,7 @@ def test_it_gives_the_tables_that_are_published(name, tmp_path, monkeypatch, dem
 def test_every_published_experiment_is_run_here():
     """But for what needs a browser, and for twins."""
     twins = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
-    assert {*RUNS, *twins, "engines", "crowd", "soak-live"} == set(read_figures())
+    assert {*RUNS, *twins, "engines", *NO_LONGER_MEASURED} == set(read_figures())
     assert {one.name for one in EXPERIMENTS} > {"devices", "soak-farm", "upright", "link", "footage"}
 
 

@@ -2,8 +2,7 @@
 
 Every method trains every scene from the same pictures into scenes/SCENE/METHOD of the folder, and is judged by the
 scene's held-out cameras as its own viewer decodes it. Streams go over the traces in the paper's frame mode. What is
-finished stays: the same command goes on after an interruption. What pruning costs is the experiment `dense`, with the
-package and the model of a scene.
+finished stays: the same command goes on after an interruption.
 
 --quick takes at most four frames of a scene, 128 pixels large, with a few hundred iterations: what it prints shows that
 everything works, and no more.
