@@ -65,8 +65,8 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of fox_views/
-# with the cameras that `paper` holds out.
+# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of
+# fox_views/ with the cameras that `paper` holds out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
