@@ -99,7 +99,7 @@ def run_tracked(tmp, patch, package):
 
 
 def run_paper(tmp, patch, package):
-    patch.setattr(reproduce, "in_processes", lambda work, calls, *_: [work(i, one) for i, one in enumerate(calls)])
+    patch.setattr(reproduce, "in_processes", lambda work, calls, *_: [work(*one) for one in calls])
     small = replace(SETTINGS, first_iterations=30, key_iterations=10, frame_iterations=5)
     for module in (reproduce, training):
         patch.setattr(module, "trainer_settings", lambda *_: small)

@@ -31,10 +31,6 @@ from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
 SCRATCH = (200, 300, 400, 500, 600, 800, 1200, 2500)
-COLUMNS = {
-    "fitted": ("fitted", ""), "iterations": ("iterations", "d"), "seconds": ("CPU s", ".1f"),
-    "psnr": ("PSNR, dB", ".2f"), "rows": ("Gaussians", ",d"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +78,7 @@ def page(rows: int, fast: Sequence[Row], slow: Sequence[Row]) -> Page:
         )
     else:
         words.insert(0, "No fit from the frame before shows what one from scratch does.")
-    return Page([Section(" ".join(words))], data=[Table("keyframe", [*fast, *slow], COLUMNS)])
+    return Page([Section(" ".join(words))], data=[Table("keyframe", [*fast, *slow])])
 
 
 def _added(rows: int, fast: Sequence[Row]) -> float:

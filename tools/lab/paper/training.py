@@ -6,7 +6,7 @@ A scene is NAME=FOLDER, then options after commas. Tables 1 and 2 of the paper: 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -85,10 +85,6 @@ def parse_subject(text: str) -> Subject:
 QUICK_FIRST = 300  # iterations of a fit from scratch in a quick run
 
 
-def make_method(name: str, subject: Subject, quick: bool) -> Method:
-    return METHODS[name](subject, quick)
-
-
 def trainer_settings(subject: Subject, quick: bool) -> TrainSettings:
     """The default settings of the trainer, at the size of the pictures of a scene."""
     settings = TrainSettings(max_size=subject.size)
@@ -141,13 +137,6 @@ class Change:
     settings: TrainSettings
 
 
-@dataclass(frozen=True, slots=True)
-class Ablation:
-    subject: Subject
-    change: Change
-    folder: Path
-
-
 def changes(base: TrainSettings) -> list[Change]:
     """All of them; the first one is the trainer as it is."""
 
@@ -179,16 +168,15 @@ def shortened(settings: TrainSettings) -> TrainSettings:
     return replace(settings, first_iterations=1000, key_iterations=500, frame_iterations=150)
 
 
-def ablate(number: int, ablation: Ablation) -> dict[str, Any]:
+def ablate(subject: Subject, change: Change, folder: Path) -> dict[str, Any]:
     """The change trained and encoded, going on where a run before was interrupted; one that fails says so in its note.
 
     PSNR in dB over held-out views, Gaussians in the last frame.
     """
-    change = ablation.change
     row: dict[str, Any] = {"question": change.question, "name": change.name}
-    footage = ablation.subject.footage(ablation.folder / f"{number:02d}")
+    footage = subject.footage(folder)
     try:
-        frames = run_method(AirGS(ablation.subject.open(), change.settings), footage)
+        frames = run_method(AirGS(subject.open(), change.settings), footage)
     except TrainingError as error:
         return row | {"psnr": math.nan, "kb_frame": math.nan, "note": str(error)}
     quality = [frame.psnr for frame in frames]
@@ -216,44 +204,35 @@ class Trained:
     fps: float  # pictures a second that one core draws of a held-out view, median over frames
 
 
-@dataclass(frozen=True, slots=True)
-class Job:
-    subject: Subject
-    method: str
-    quick: bool
-    folder: Path
-
-
-def in_processes(work: Callable[[int, Any], T], calls: Iterable[Any], count: int, progress: Progress) -> list[T]:
-    """What `work`, a function of a module, gives for each of `calls` and its number, each on one core, in their order.
+def in_processes(work: Callable[..., T], calls: Sequence[Any], count: int, progress: Progress) -> list[T]:
+    """What `work`, a function of a module, gives for each of `calls`, each on one core, in their order.
 
     Raises the first error of a call.
     """
-    numbered = list(enumerate(calls))
     done: dict[int, T] = {}
-    for at, result in Processes(count, 1).map(_numbered, [(work, at, call) for at, call in numbered]):
+    for at, result in Processes(count, 1).map(_numbered, [(work, at, call) for at, call in enumerate(calls)]):
         done[at] = result
-        progress("runs", len(done), len(numbered))
-    return [done[at] for at, _ in numbered]
+        progress("runs", len(done), len(calls))
+    return [done[at] for at in range(len(calls))]
 
 
-def _numbered(work: Callable[[int, Any], T], at: int, call: Any) -> tuple[int, T]:
-    return at, work(at, call)
+def _numbered(work: Callable[..., T], at: int, call: Any) -> tuple[int, T]:
+    return at, work(*call)
 
 
-def train(_: int, job: Job) -> Trained:
-    footage = job.subject.footage(job.folder)
+def train(subject: Subject, method: str, quick: bool, folder: Path) -> Trained:
+    footage = subject.footage(folder)
     try:
-        frames = run_method(make_method(job.method, job.subject, job.quick), footage)
+        frames = run_method(METHODS[method](subject, quick), footage)
     except AirgsError as error:
-        raise type(error)(f"{job.method} on {job.subject.name}: {error}") from error
+        raise type(error)(f"{method} on {subject.name}: {error}") from error
     numbers = np.linspace(0, len(frames) - 1, min(RENDERED, len(frames))).astype(int)
     camera = footage.pictures.held_out(0)[0].camera
     seconds = []
     for number in numbers:
-        loaded = CPU.load(read_ply(frame_path(job.folder, int(number))))
+        loaded = CPU.load(read_ply(frame_path(folder, int(number))))
         seconds.append(timed(partial(loaded.draw, camera), 1)[0].cpu)
-    return Trained(job.subject.name, job.method, tuple(frames), round(1 / float(np.median(seconds)), 1))
+    return Trained(subject.name, method, tuple(frames), round(1 / float(np.median(seconds)), 1))
 
 
 def row_of(trained: Trained, rate: float) -> dict[str, Any]:
