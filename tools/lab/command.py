@@ -1,7 +1,7 @@
 """The command: list the experiments, run one, print which command makes which figure.
 
     python -m tools.lab                     every experiment: its name, its question, how long it takes
-    python -m tools.lab NAME … [-o FOLDER]  run one; its page, pictures, CSV and JSON go to FOLDER
+    python -m tools.lab NAME … [-o FOLDER]  run one; its page, pictures and JSON go to FOLDER
     python -m tools.lab publish DATA        run all that documents show, in a folder of scenes (hours)
 
 What was measured stays in FOLDER/work, so that a run that was interrupted goes on.
