@@ -22,10 +22,6 @@ def _bench(name: str, question: str, takes: str) -> Experiment:
     return Experiment(name, question, f"tools.lab.bench.{name.replace('-', '_')}", takes)
 
 
-def _room(name: str, question: str, takes: str) -> Experiment:
-    return Experiment(name, question, f"tools.lab.{name.replace('-', '_')}.experiment", takes)
-
-
 EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
     _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
@@ -35,7 +31,12 @@ EXPERIMENTS = (
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
     _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
     _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
-    _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
+    Experiment(
+        "rd",
+        "How many bytes does which quality take, here and in published formats?",
+        "tools.lab.rd.experiment",
+        "20 min a scene",
+    ),
     Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
     _bench("scenes", "What is measured?", "10 s"),
@@ -44,7 +45,7 @@ EXPERIMENTS = (
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
-    _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
+    _bench("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"

@@ -30,7 +30,7 @@ from tools.lab.numerics import extremes, stiff, work_precision
 from tools.lab.page import Table
 from tools.lab.paper import reproduce
 from tools.lab.rd import experiment as rd
-from tools.lab.rd.points import RdPoint
+from tools.lab.rd.subject import RdPoint
 
 PAGES = sorted(published.RESULTS.glob("*.md"))
 ENTRY = {

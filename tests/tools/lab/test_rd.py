@@ -14,8 +14,7 @@ from tools.lab.rd import layouts
 from tools.lab.rd.coders import MPEG_QPS
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.layouts import PUBLISHED, V3_FORMS, mpeg_anchor_layout, v3_layout
-from tools.lab.rd.points import RdPoint, bd_rate, kb_at
-from tools.lab.rd.subject import Subject
+from tools.lab.rd.subject import RdPoint, Subject, bd_rate, kb_at
 from tools.lab.rd.written import written_trials
 
 PRESET = "medium"

@@ -22,8 +22,7 @@ from tools.lab.made import name_of
 from tools.lab.rd.coders import PRESETS, layout_trials, v3_name
 from tools.lab.rd.experiment import measure
 from tools.lab.rd.layouts import V3_FORMS
-from tools.lab.rd.points import RdPoint
-from tools.lab.rd.subject import Trial, open_subject
+from tools.lab.rd.subject import RdPoint, Trial, open_subject
 
 SETTINGS = {"method": ("method", ""), "what": ("setting", ""), "here": ("here", ""), "paper": ("in the paper", "")}
 COLUMNS = {"scene": ("scene", ""), "qp": ("QP", "d")} | {
