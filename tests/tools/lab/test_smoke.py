@@ -50,18 +50,18 @@ ONE_RUNG = replace(QUICK, measure_pictures=0, levels=(LevelSettings(0.0),))
 FOX_WITH_VIEWS = f"{FOX}={FOX / 'transforms.json'}"
 
 
-def run_scenes(tmp, patch, package):
+def run_scenes(tmp, patch):
     return scenes.run(scenes.Options((FOX_WITH_VIEWS,)), Lab.at(tmp, quiet=True))
 
 
-def run_rd(tmp, patch, package):
+def run_rd(tmp, patch):
     patch.setattr(rd, "trials", lambda options: (*islice(layout_trials(), 2), *islice(written_trials(), 1)))
     scene = write_sequence(tmp / "fox", moving_frames(200, 3))
     options = rd.Options(scene, views=scene / "transforms.json", frames=2, at=30.0)
     return rd.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_claims(tmp, patch, package):
+def run_claims(tmp, patch):
     patch.setattr(claims, "encode", partial(encode, settings=replace(QUICK, margin=0.1)))
     clip = write_temporal(tmp / "clip", count=120, frames=3, size=24)
     options = claims.Options((str(clip),), targets=("99.9", "default"), pictures=2)
@@ -70,35 +70,35 @@ def run_claims(tmp, patch, package):
     return page
 
 
-def run_rivals(tmp, patch, package):
+def run_rivals(tmp, patch):
     page = rivals.run(rivals.Options((FOX_WITH_VIEWS,), qps=(6,), frames=2), Lab.at(tmp, quiet=True))
     (row,) = page.tables()[1].rows
     assert abs(row["stored_db"] - row["activated_db"]) > 0.1  # they are not the same one
     return page
 
 
-def run_omissions(tmp, patch, package):
+def run_omissions(tmp, patch):
     some = (omissions.AS_IT_IS, "rows that nobody sees", "planes", "segments")
     patch.setattr(omissions, "TAKEN_BACK", {name: omissions.TAKEN_BACK[name] for name in some})
     scene = write_sequence(tmp / "scene", moving_frames(300, 3, 1))
     return omissions.run(omissions.Options((str(scene),), x264_preset="ultrafast"), Lab.at(tmp / "lab", quiet=True))
 
 
-def run_static(tmp, patch, package):
+def run_static(tmp, patch):
     patch.setattr(static, "encode", lambda scene, folder, *_, **__: encode(scene, folder, QUICK))
     write_ply(tmp / "still.ply", random_gaussians(200))
     patch.setattr(static, "DRAWS", 2)
     return static.run(static.Options((tmp / "still.ply",)), Lab.at(tmp / "lab", quiet=True))
 
 
-def run_tracked(tmp, patch, package):
+def run_tracked(tmp, patch):
     patch.setattr(tracked, "encode", lambda scene, folder, *_: encode(scene, folder, QUICK))
     scene = write_sequence(tmp / "head120", moving_frames(100, 2))
     options = tracked.Options(scene, views=scene / "transforms.json", frames=2)
     return tracked.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_paper(tmp, patch, package):
+def run_paper(tmp, patch):
     patch.setattr(reproduce, "in_processes", lambda work, calls, *_: [work(*one) for one in calls])
     small = replace(SETTINGS, first_iterations=30, key_iterations=10, frame_iterations=5)
     for module in (reproduce, training):
@@ -112,13 +112,13 @@ def run_paper(tmp, patch, package):
     return reproduce.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_splits(tmp, patch, package):
+def run_splits(tmp, patch):
     scene = write_blobs(tmp / "fox")
     options = splits.Options(scene, splits=1, hold=2, frames="0:2", train="--iterations 30,10,5")
     return splits.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_keyframe(tmp, patch, package):
+def run_keyframe(tmp, patch):
     scene = write_blobs(tmp / "blobs")
     settings = replace(SETTINGS, budget=150, first_iterations=10, frame_iterations=2, key_iterations=4, group_frames=1)
     model = train(open_scene(scene, frames=(0, 2)), tmp / "model", settings)
@@ -127,7 +127,7 @@ def run_keyframe(tmp, patch, package):
     return keyframe.run(keyframe.Options(scene, model.folder), Lab.at(tmp / "lab", quiet=True))
 
 
-def run_work_precision(tmp, patch, package):
+def run_work_precision(tmp, patch):
     patch.setattr(Bench, "ladder", lambda bench, scene: bench.package(scene, ONE_RUNG, "small"))
     two = tmp / "two"
     two.mkdir()
@@ -139,42 +139,42 @@ def run_work_precision(tmp, patch, package):
     return page
 
 
-def run_stiff(tmp, patch, package):
+def run_stiff(tmp, patch):
     some = [case for case in stiff.CASES if case.name in ("codec-closed-form", "selector-programmes")]
     patch.setattr(stiff, "CASES", some)
     return stiff.run(stiff.Options(quick=True), Lab.at(tmp, quiet=True))
 
 
-def run_extremes(tmp, patch, package):
+def run_extremes(tmp, patch):
     """Its cases are tested where the encoder is: here they are as published."""
     table = read_figures()["extremes"]["tables"]["extremes"]
     known = {row[0]: dict(zip(table["columns"], row, strict=True)) for row in table["rows"]}
     return extremes.page([known[case.name] for case in sequences.CASES])
 
 
-def run_streaming(tmp, patch, package):
+def run_streaming(tmp, patch):
     (tmp / "traces").mkdir()
     (tmp / "traces" / "one.csv").symlink_to(FOX / "trace.csv")
     policies = ("throughput", streaming.CLIFF, streaming.NO_CLIFF)
-    options = streaming.Options(tmp / "traces", (str(package),), policies, starts=2, seconds=2, jobs=1)
+    options = streaming.Options(tmp / "traces", (str(GOLDEN / "fox"),), policies, starts=2, seconds=2, jobs=1)
     return streaming.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_viewpoints(tmp, patch, package):
+def run_viewpoints(tmp, patch):
     return viewpoints.run(viewpoints.Options((FOX_WITH_VIEWS,)), Lab.at(tmp, quiet=True))
 
 
-def run_scale(tmp, patch, package):
+def run_scale(tmp, patch):
     return scale.run(scale.Options(rows=(), frames=(2,), few=200), Lab.at(tmp, quiet=True))
 
 
-def run_million(tmp, patch, package):
+def run_million(tmp, patch):
     frames = [random_gaussians(100, seed=1)] * million.LOOPED
     options = million.Options(write_sequence(tmp / "fox", frames), rows=400, frames=2, swings=(0.5,), repeat=1)
     return million.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
-def run_jobs(tmp, patch, package):
+def run_jobs(tmp, patch):
     return jobs.run(jobs.Options(frames=4, rows=100), Lab.at(tmp, quiet=True))
 
 
@@ -188,8 +188,8 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
-def test_it_gives_the_tables_that_are_published(name, tmp_path, monkeypatch, demo_package):
-    page = RUNS[name](tmp_path, monkeypatch, demo_package)
+def test_it_gives_the_tables_that_are_published(name, tmp_path, monkeypatch):
+    page = RUNS[name](tmp_path, monkeypatch)
     published = {table: set(one["columns"]) for table, one in read_figures()[name]["tables"].items()}
     found = {table.name: {key for row in table.rows for key in row} for table in page.tables() if table.rows}
     if name not in ("rd-fox", "claims"):  # whose pages show some rows of other tables
