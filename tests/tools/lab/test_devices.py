@@ -17,18 +17,7 @@ from tests.support.training import write_blobs
 from tests.support.views import ring
 from tools.lab import main, seconds_of
 from tools.lab.bench import devices
-from tools.lab.bench.devices import (
-    LIMITS,
-    Fit,
-    Found,
-    Options,
-    compare,
-    fit,
-    fitted,
-    measured,
-    page_of,
-    pictures,
-)
+from tools.lab.bench.devices import LIMITS, Fit, Found, Options, compare, fit, fitted, measured, page_of, pictures
 from tools.lab.command import Lab
 from tools.lab.timing import Alone
 

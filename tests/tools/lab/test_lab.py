@@ -105,14 +105,7 @@ def test_a_page_is_markdown_with_everything_beside_it(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["line.png", "thing.json", "thing.md"]
     text = (tmp_path / "thing.md").read_text()
     assert text == markdown(page(), MADE)
-    for line in (
-        "# How long?",
-        "By hand.",
-        "## More?",
-        "![A line](line.png)",
-        "|name|ms|good|",
-        "|c|-|no|",
-    ):
+    for line in ("# How long?", "By hand.", "## More?", "![A line](line.png)", "|name|ms|good|", "|c|-|no|"):
         assert f"\n{line}\n" in f"\n{text}"
     found = json.loads((tmp_path / "thing.json").read_text())
     assert found["figures"]["times"][1]["ms"] is None and found["machine"] == "2 cores"

@@ -105,10 +105,7 @@ def run(options: Options, lab: Lab) -> Page:
         times = [
             time_of_frame(lab, s, t, rate) for s in subjects for t in trained if t.scene == s.name and t.method in OURS
         ]
-        tables = [
-            Table(f"{options.name}-streams", rows),
-            Table(f"{options.name}-overhead", times),
-        ]
+        tables = [Table(f"{options.name}-streams", rows), Table(f"{options.name}-overhead", times)]
         data += tables
         sections.append(Section(streamed_in_words(rows, len(traces)), "Streams, frame by frame", [picture]))
     if "ablate" in options.only:
