@@ -17,7 +17,6 @@ from airgs_codec.trainer.fit.losses import mean_psnr
 from tests.support.scenes import random_gaussians
 from tests.support.training import SETTINGS, write_blobs
 from tests.support.views import coloured_cloud
-from tools.lab.baselines import rivals
 from tools.lab.baselines.fourdgs import (
     MODEL,
     PAIRS,
@@ -32,7 +31,7 @@ from tools.lab.baselines.fourdgs import (
 from tools.lab.baselines.hashgrid import FieldSettings, HashField
 from tools.lab.baselines.method import Footage, Shown, frame_path, mean_bytes, run_method
 from tools.lab.baselines.stream3dgs import Region, Stream3dgs, StreamSettings, decode, region_of
-from tools.lab.baselines.threedgs import Naive3dgs, Timetable
+from tools.lab.baselines.threedgs import Naive3dgs
 from tools.lab.baselines.v3 import V3, V3Settings, estimated_bits
 from tools.lab.rd.layouts import v3_layout
 
@@ -204,13 +203,6 @@ def test_frames_of_3dgs_are_learnt_alone_and_cost_their_files(scene, tmp_path):
         assert mean_psnr(g, views) > mean_psnr(replace(method, iterations=1).fit(footage, t, silent), views) + 3
 
 
-def test_the_timetable_of_3dgs_is_the_papers_and_shrinks_with_the_run():
-    paper = Timetable()
-    assert [i for i in range(1, 30_001) if paper.densifies(i)] == list(range(600, 15_000, 100))
-    assert [i for i in range(1, 30_001) if paper.resets(i)] == [3_000, 6_000, 9_000, 12_000]
-    assert paper.scaled(0.1) == Timetable(50, 1_500, 100, 750)
-
-
 @dataclass
 class Growing:
     """Frame t has t + 10 Gaussians and 100 t bytes; it stops before frame `until`, as if it were killed."""
@@ -241,10 +233,3 @@ def test_a_stopped_run_goes_on_where_it_stopped_and_another_one_is_refused(scene
             run_method(other, footage)
     with pytest.raises(ConfigError, match="these settings"):
         run_method(method, replace(footage, source={"size": 160}))
-
-
-def test_settings_of_rivals_are_those_that_run():
-    found = {(method, what): (here, paper) for method, what, here, paper in rivals.settings_of()}
-    v3 = V3Settings()
-    assert found["V³", "iterations of a keyframe"] == (v3.key_iterations + v3.finetune_iterations, 16_000)
-    assert found["naive 3DGS", "gradient from which Gaussians are added"] == (4e-4, 2e-4)

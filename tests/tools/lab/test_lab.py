@@ -11,13 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from airgs_codec.cli.options import read_options
 from airgs_codec.errors import ConfigError
 from tests.support.paths import REPOSITORY
-from tools.lab import expect_names, main, published, required, setting
+from tools.lab import main, published, required, setting
 from tools.lab.command import PROGRAM, Lab
 from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
-from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, text_of, update, wrapped, write_page
+from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, update, write_page
 from tools.lab.results import Results, content
 from tools.lab.timing import alone, middle, seconds_of, timed
 
@@ -33,28 +32,6 @@ class Things:
     share: float | None = setting(None, "in %")
     quick: bool = setting(False, "be quick")
     note_text: str = setting("", "a note")
-
-
-def parsed(words):
-    return read_options(Things, words, "lab things")
-
-
-def test_options_come_from_a_dataclass():
-    assert parsed(["a"]) == Things(Path("a"))
-    words = ["a", "--counts", "3", "4", "--share", "0.5", "--quick", "--note-text", "hm"]
-    assert parsed(words) == Things(Path("a"), (3, 4), 0.5, True, "hm")
-
-
-@pytest.mark.parametrize("words", [[], ["a", "--counts", "many"], ["a", "--no-such"]])
-def test_what_is_no_option_is_refused(words, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        parsed(words)
-
-
-def test_names_are_expected_to_be_known():
-    expect_names("--only", ("a",), ("a", "b"))
-    with pytest.raises(ConfigError, match="--only: expected some of a, b, got c"):
-        expect_names("--only", ("a", "c"), ("a", "b"))
 
 
 def test_a_result_is_made_once_for_what_it_reads(tmp_path):
@@ -109,14 +86,6 @@ def test_a_page_is_markdown_with_everything_beside_it(tmp_path):
         assert f"\n{line}\n" in f"\n{text}"
     found = json.loads((tmp_path / "thing.json").read_text())
     assert found["figures"]["times"][1]["ms"] is None and found["machine"] == "2 cores"
-
-
-def test_items_of_a_list_stay_lines_of_their_own():
-    assert wrapped("- a\n- " + "b " * 70).split("\n") == ["- a", "- " + "b " * 58 + "b", "  " + "b " * 10 + "b"]
-
-
-def test_the_terminal_shows_answers_and_tables():
-    assert "How long? It takes 1 ms." in text_of(page()) and "  c    -    no" in text_of(page())
 
 
 def test_a_page_goes_between_its_marks(tmp_path):

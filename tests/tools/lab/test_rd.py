@@ -75,14 +75,6 @@ def test_frames_pay_for_their_packets_and_an_equal_part_of_the_rest():
     assert one.frame_bytes == [one.bytes]
 
 
-def test_finer_settings_cost_more():
-    frames = repair(moving_frames(300, 3), "scene").frames
-    for form in V3_FORMS:
-        assert v3_layout(frames, 6, PRESET, form).bytes > v3_layout(frames, 26, PRESET, form).bytes
-    finest, coarsest = (mpeg_anchor_layout(frames, qps, PRESET) for qps in (MPEG_QPS[0], MPEG_QPS[-1]))
-    assert finest.bytes > coarsest.bytes
-
-
 def test_small_and_faint_gaussians_keep_their_logarithms_in_the_stored_form():
     """One Gaussian of a thousand times the size takes all codes of activated scales."""
     frames = repair(moving_frames(300, 3), "scene").frames
