@@ -24,10 +24,11 @@ from airgs_codec.cli.common import parse_frames
 from airgs_codec.cli.terminal import Bar, run_command
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.beside import ATTRIBUTION_NAME, Settings, read_attribution, write_settings
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, look_at
+from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tools.lab.made import camera_entry
 
 TURNS, HEIGHTS = 9, (-8.0, 0.0, 10.0)  # cameras on the arc, and degrees above the middle of it
 SIZE, FOV_Y = (960, 540), np.radians(32)
@@ -49,7 +50,10 @@ def main(words: Sequence[str] | None = None) -> int:
     def run() -> int:
         make_loop(open_sequence(args.sequence), args.output, args.frames, args.blend)
         cameras = cameras_on_arc(args.position, args.focus, args.arc)
-        entries = {"camera_model": "OPENCV", "frames": [entry(camera) for camera in cameras]}
+        entries = {
+            "camera_model": "OPENCV",
+            "frames": [camera_entry(camera, f"{camera.name}.png", 0) for camera in cameras],
+        }
         (args.output / "transforms.json").write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
         return 0
 
@@ -113,15 +117,6 @@ def cameras_on_arc(position: NDArray[np.float64], focus: NDArray[np.float64], de
             split = "test" if len(cameras) % 4 == 1 else "train"
             cameras.append(replace(square, width=SIZE[0], cx=SIZE[0] / 2, split=split))
     return cameras
-
-
-def entry(camera: Camera) -> dict[str, object]:
-    pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
-    return {
-        "file_path": f"{camera.name}.png", "camera": camera.name, "split": camera.split, "time_index": 0,
-        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width, "h": camera.height,
-        "transform_matrix": pose.tolist(),
-    }  # fmt: skip
 
 
 if __name__ == "__main__":

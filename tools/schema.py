@@ -62,12 +62,10 @@ def _schema_of_dataclass(kind: Any) -> dict[str, Any]:
     hints = typing.get_type_hints(kind, include_extras=True)
     properties = {name: _schema_of(as_required(hint)) for name, hint in hints.items()}
     return {
-        "type": "object",
-        "description": (kind.__doc__ or "").split("\n")[0],
-        "properties": properties,
+        "type": "object", "description": (kind.__doc__ or "").split("\n")[0], "properties": properties,
         "required": [name for name, hint in hints.items() if as_required(hint) is hint],
         "additionalProperties": False,
-    }
+    }  # fmt: skip
 
 
 def main() -> None:

@@ -91,15 +91,13 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
         mpc: _same(mpc, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS", "PAST_DOWNLOADS"),
         ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
-        offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"),
-        downloader: _same(downloader, "CHECK_S"),
-        buffered: _same(buffered, "REPLACE_GAIN_DB"),
-        fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
+        offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"), downloader: _same(downloader, "CHECK_S"),
+        buffered: _same(buffered, "REPLACE_GAIN_DB"), fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
         player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S")
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}},
         http: _same(http, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},
-    }
+    }  # fmt: skip
 
 
 def _same(module: ModuleType, *names: str) -> dict[str, Any]:

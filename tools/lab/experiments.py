@@ -22,10 +22,6 @@ def _bench(name: str, question: str, takes: str) -> Experiment:
     return Experiment(name, question, f"tools.lab.bench.{name.replace('-', '_')}", takes)
 
 
-def _room(name: str, question: str, takes: str) -> Experiment:
-    return Experiment(name, question, f"tools.lab.{name.replace('-', '_')}.experiment", takes)
-
-
 EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
     _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
@@ -35,16 +31,21 @@ EXPERIMENTS = (
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
     _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
     _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
-    _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
+    Experiment(
+        "rd",
+        "How many bytes does which quality take, here and in published formats?",
+        "tools.lab.rd.experiment",
+        "20 min a scene",
+    ),
     Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
     _bench("scenes", "What is measured?", "10 s"),
-    Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
+    _bench("soak-farm", "Are the bytes the same where everything fails?", "10 min"),
     _bench("splits", "How good is a training where nobody trained it?", "hours"),
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
-    _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
+    _bench("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
@@ -53,7 +54,6 @@ EXPERIMENTS = (
     Experiment(
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
-    Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.levels", "minutes"),
     Experiment("reproduce", "How do the methods of the paper compare?", "tools.lab.paper.reproduce", "an hour"),
     Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.lab.paper.footage", "minutes"),
 )
@@ -66,8 +66,8 @@ class Measurement:
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, fox.airgs is what airgs-encode makes of fox/ by default; frames of fox_alone/ are those of
-# naive 3DGS in `paper`, its transforms.json that of fox_views/ with the cameras that `paper` holds out.
+# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of
+# fox_views/ with the cameras that `paper` holds out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
@@ -111,7 +111,6 @@ MEASUREMENTS = (
         "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
         "--traces raca2018_4g_car/ --jobs 1",
     ),
-    Measurement("dense", "paper", "dense fox.airgs/ --against fox/ --views fox/transforms.json"),
     Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
     Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
     Measurement(
@@ -140,7 +139,7 @@ MEASUREMENTS = (
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("crowd", "soak-live")
+NO_LONGER_MEASURED = ("dense", "crowd", "soak-live")
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,14 +12,14 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.jobs.job import code_digest, digest
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.scene.beside import Settings, write_settings
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians, join_rows, to_matrices
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab.results import content
 
 VISIBLE = 0.3  # opacity of Gaussians that say how wide a copy is
 SPACING, FURTHER = 1.1, 1.5  # of copies side by side, in their widths; how much further away every second one is
-JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
 
 
 def encoded(scene: str, folder: Path) -> Path:
@@ -86,21 +86,11 @@ def make_ring(source: Path, copies: int, group: int, frames: int, folder: Path) 
     write_settings(folder, Settings(open_sequence(source).fps, (0,)))
 
 
-def predicted(g: Gaussians, rng: np.random.Generator) -> Gaussians:
-    """A frame in another order, as another training would have it.
-
-    LOST of the rows are left out, SPLIT of them become two that are 1.6 times smaller, and all means are moved by a
-    normal draw of JITTER of each axis of their Gaussian.
-    """
-    g = g.take(rng.permutation(len(g))[round(LOST * len(g)) :])
-    splits = round(SPLIT * len(g))
-    g = g.take(np.concatenate([np.arange(len(g)), np.arange(splits)]))
-    halves = np.concatenate([np.arange(splits), np.arange(len(g) - splits, len(g))])
-    scales = g.log_scales.copy()
-    scales[halves] -= np.float32(math.log(1.6))
-    away = rng.normal(size=(splits, 3)) / 2
-    local = JITTER * rng.normal(size=(len(g), 3))
-    local[halves] += np.concatenate([away, -away])
-    turned = np.einsum("nij,nj->ni", to_matrices(g.quaternions), local * np.exp(g.log_scales))
-    moved = replace(g, means=(g.means + turned).astype(np.float32), log_scales=scales)
-    return moved.take(rng.permutation(len(g)))
+def camera_entry(camera: Camera, picture: str, time: int) -> dict[str, object]:
+    """A picture as transforms.json has it."""
+    pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
+    return {
+        "file_path": picture, "camera": camera.name, "split": camera.split, "time_index": time,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width, "h": camera.height,
+        "transform_matrix": pose.tolist(),
+    }  # fmt: skip

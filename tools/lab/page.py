@@ -1,11 +1,10 @@
-"""The one page of an experiment: question, picture, answer, table; in Markdown with pictures, CSV and JSON beside it.
+"""The one page of an experiment: question, picture, answer, table; in Markdown with pictures and JSON beside it.
 
 A page is a value. `write_page` makes its files, `text_of` what the terminal shows, `update` puts it into a document.
 """
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import textwrap
@@ -30,7 +29,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows that go whole into `name`.csv, and the columns that the page shows: some by their headings, or all."""
+    """Rows, which go whole into the JSON, and the columns that the page shows: some by their headings, or all."""
 
     name: str
     rows: Sequence[Mapping[str, Any]]
@@ -174,27 +173,16 @@ def markdown_table(one: Table) -> str:
 
 
 def write_page(page: Page, made: Made, folder: Path) -> None:
-    """Write NAME.md, a picture and a CSV for each that the page shows, and NAME.json with all figures.
+    """Write NAME.md, the pictures that the page shows, and NAME.json with all figures.
 
     Raises ConfigError without matplotlib, OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for picture in (picture for section in page.sections for picture in section.pictures):
         write_picture(picture, folder / f"{picture.name}.png")
-    for one in page.tables():
-        write_csv(one.rows, folder / f"{one.name}.csv")
     figures = {one.name: list(one.rows) for one in page.tables()}
     write_json(folder / f"{made.name}.json", dataclasses.asdict(made) | {"figures": figures} | dict(page.more))
     write_bytes(folder / f"{made.name}.md", markdown(page, made).encode())
-
-
-def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write all fields of all rows, fractional numbers with six digits."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
 
 
 def write_picture(picture: Picture, path: Path) -> None:

@@ -1,6 +1,5 @@
 """The laboratory's own mechanism: options, the store of results, the page, the tables of experiments and figures."""
 
-import csv
 import importlib
 import json
 import math
@@ -12,15 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from airgs_codec.cli.options import read_options
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.engines import Processes
 from tests.support.paths import REPOSITORY
-from tools.lab import main, published
+from tools.lab import main, published, required, setting
 from tools.lab.command import PROGRAM, Lab
 from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
-from tools.lab.options import expect_names, required, setting
-from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, text_of, update, wrapped, write_page
+from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, update, write_page
 from tools.lab.results import Results, content
 from tools.lab.timing import alone, middle, seconds_of, timed
 
@@ -38,28 +34,6 @@ class Things:
     note_text: str = setting("", "a note")
 
 
-def parsed(words):
-    return read_options(Things, words, "lab things")
-
-
-def test_options_come_from_a_dataclass():
-    assert parsed(["a"]) == Things(Path("a"))
-    words = ["a", "--counts", "3", "4", "--share", "0.5", "--quick", "--note-text", "hm"]
-    assert parsed(words) == Things(Path("a"), (3, 4), 0.5, True, "hm")
-
-
-@pytest.mark.parametrize("words", [[], ["a", "--counts", "many"], ["a", "--no-such"]])
-def test_what_is_no_option_is_refused(words, capsys):
-    with pytest.raises(SystemExit, match="2"):
-        parsed(words)
-
-
-def test_names_are_expected_to_be_known():
-    expect_names("--only", ("a",), ("a", "b"))
-    with pytest.raises(ConfigError, match="--only: expected some of a, b, got c"):
-        expect_names("--only", ("a", "c"), ("a", "b"))
-
-
 def test_a_result_is_made_once_for_what_it_reads(tmp_path):
     made = []
     results = Results.at(tmp_path)
@@ -73,7 +47,6 @@ def test_a_result_is_made_once_for_what_it_reads(tmp_path):
     ]  # fmt: skip
     assert Results.at(tmp_path).once("a", (1, "x"), make)["number"] == 0
     assert results.once("b", (1, "x"), make)["number"] == 2
-    assert results.seconds("a", (1, "x"), make) >= 0 and results.seconds("a", (3, "x"), make) is None
     with pytest.raises(TypeError):
         results.once("a", object(), make)
 
@@ -83,17 +56,6 @@ def test_a_result_that_failed_is_not_kept(tmp_path):
     with pytest.raises(ZeroDivisionError):
         results.once("a", 1, lambda: 1 / 0)
     assert results.once("a", 1, lambda: 5) == 5
-
-
-def test_a_function_is_done_once_for_each_call(tmp_path):
-    assert Results.at(tmp_path).map("a", math.gcd, [(6, 4), (9, 3)]) == [2, 3]
-    assert Results.at(tmp_path).once("other", 1, lambda: 1) == 1
-    engine = Processes(1)
-    try:
-        results = Results(Results.at(tmp_path / "more").store, engine)
-        assert results.map("a", math.gcd, [(8, 4)]) == [4]
-    finally:
-        engine.close()
 
 
 def test_content_is_that_of_files_and_their_names(tmp_path):
@@ -117,31 +79,13 @@ def page(failed=False):
 
 def test_a_page_is_markdown_with_everything_beside_it(tmp_path):
     write_page(page(), MADE, tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["line.png", "thing.json", "thing.md", "times.csv"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["line.png", "thing.json", "thing.md"]
     text = (tmp_path / "thing.md").read_text()
     assert text == markdown(page(), MADE)
-    for line in (
-        "# How long?",
-        "By hand.",
-        "## More?",
-        "![A line](line.png)",
-        "|name|ms|good|",
-        "|c|-|no|",
-    ):
+    for line in ("# How long?", "By hand.", "## More?", "![A line](line.png)", "|name|ms|good|", "|c|-|no|"):
         assert f"\n{line}\n" in f"\n{text}"
-    with (tmp_path / "times.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert rows[0] == {"name": "a|b", "ms": "1.25", "ok": "True", "more": "1"} and rows[1]["more"] == ""
     found = json.loads((tmp_path / "thing.json").read_text())
     assert found["figures"]["times"][1]["ms"] is None and found["machine"] == "2 cores"
-
-
-def test_items_of_a_list_stay_lines_of_their_own():
-    assert wrapped("- a\n- " + "b " * 70).split("\n") == ["- a", "- " + "b " * 58 + "b", "  " + "b " * 10 + "b"]
-
-
-def test_the_terminal_shows_answers_and_tables():
-    assert "How long? It takes 1 ms." in text_of(page()) and "  c    -    no" in text_of(page())
 
 
 def test_a_page_goes_between_its_marks(tmp_path):

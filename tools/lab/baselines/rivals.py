@@ -15,16 +15,14 @@ from airgs_codec.render import read_cameras
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, listed, required, setting
 from tools.lab.baselines.fourdgs import Fourdgs
-from tools.lab.baselines.naive3dgs import Naive3dgs
 from tools.lab.baselines.stream3dgs import StreamSettings
-from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, RATES
+from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, RATES, Naive3dgs
 from tools.lab.baselines.v3 import V3Settings
 from tools.lab.made import name_of
 from tools.lab.rd.coders import PRESETS, layout_trials, v3_name
 from tools.lab.rd.experiment import measure
 from tools.lab.rd.layouts import V3_FORMS
-from tools.lab.rd.points import RdPoint
-from tools.lab.rd.subject import Trial, open_subject
+from tools.lab.rd.subject import RdPoint, Trial, open_subject
 
 SETTINGS = {"method": ("method", ""), "what": ("setting", ""), "here": ("here", ""), "paper": ("in the paper", "")}
 COLUMNS = {"scene": ("scene", ""), "qp": ("QP", "d")} | {

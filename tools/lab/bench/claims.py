@@ -50,24 +50,22 @@ def run(options: Options, lab: Lab) -> Page:
         scene, _, cameras = spec.partition("=")
         sequence = open_sequence(scene, views=cameras or None)
         for target in options.targets:
-            goal, folder = (
-                None if target == DEFAULT else Goal(PSNR, float(target)),
-                lab.folder / f"{name_of(spec)}-{target}.airgs",
-            )
+            goal = None if target == DEFAULT else Goal(PSNR, float(target))
+            folder = lab.folder / f"{name_of(spec)}-{target}.airgs"
             try:
                 encode(sequence, folder, goal=goal)
             except AirgsError as error:
                 lab.tell(f"{name_of(spec)} {target}: {error}")
                 continue
             package = open_package(folder)
-            cameras = draw_views(package.manifest.region, options.pictures, SEED)
-            rows += rows_of(name_of(spec), target, package, measure(package, sequence, cameras, options.pictures))
+            seen = draw_views(package.manifest.region, options.pictures, SEED)
+            rows += rows_of(name_of(spec), target, package, measure(package, sequence, seen, options.pictures))
     packages = [package_row(some) for some in by_package(rows)]
     tables = [Table("claims-shown", [row for row in packages if row["target"] == options.targets[-1]], COLUMNS)]
     data = [Table("claims-packages", packages, COLUMNS), Table("claims", [row.plain() for row in rows])]
     how = (
-        f"Each rung is measured in {options.pictures} pictures from views drawn anew from the package's region; bytes are "
-        "all that a viewer fetches."
+        f"Each rung is measured in {options.pictures} pictures from views drawn anew from the package's region; bytes "
+        "are all that a viewer fetches."
     )
     return Page([Section(verdict(rows), tables=tables)], how, data=data)
 

@@ -1,8 +1,9 @@
 """Seconds, memory and bytes over the number of Gaussians and of frames: scenes encoded twice and decoded.
 
 Made scenes, balls of Gaussians of which a tenth swings, of each number of rows have the first number of `--frames`;
-scenes of each number of frames have `--few` rows. Every encode and every decode is a process of its own. cold: from nothing; warm: once more with the jobs that the first one kept; decode: every frame of
-the top rung. A power law is fitted to cold and decode by least squares of the logarithms.
+scenes of each number of frames have `--few` rows. Every encode and every decode is a process of its own. cold: from
+nothing; warm: once more with the jobs that the first one kept; decode: every frame of the top rung. A power law is
+fitted to cold and decode by least squares of the logarithms.
 """
 
 from __future__ import annotations

@@ -51,10 +51,6 @@ if TYPE_CHECKING:
 
 SEED = 1  # of the order in which cameras are dealt out
 WAY = 0.5  # to the middle of the scene
-COLUMNS = {
-    "split": ("split", "d"), "camera": ("camera", ""), "psnr": ("PSNR, dB", ".1f"), "matched": ("matched", ".1f"),
-    "haze": ("haze", ".3f"),
-}  # fmt: skip
 SAME, CLEAR = 0.1, 0.005  # dB; haze
 NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
 
@@ -119,7 +115,7 @@ def run(options: Options, lab: Lab) -> Page:
     size = 9, 6 * tall / wide + 0.4
     caption = "Filmed, and shown, by held-out cameras"
     picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size, grid=False)
-    table = Table(f"splits-{name}", rows_of(rows), COLUMNS)
+    table = Table(f"splits-{name}", rows_of(rows))
     return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
 
 

@@ -16,8 +16,8 @@ from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import timed
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error
-from tools.lab.timing import timed
 
 VIEWS, FRAMES, SEED = 4, 6, 1000  # of pictures that judge
 RUNGS, TIERS, KEYS = "levels", "L0, first key tiers", "keys alone"

@@ -22,8 +22,8 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, as_preview
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.scene.sequence import GaussianSequence
+from tools.lab import Took, seconds_of
 from tools.lab.numerics.rows import Bench, Place, Point, Row
-from tools.lab.timing import Took, seconds_of
 
 TARGET = 43.0  # dB
 MEASURED = 8  # pictures of a segment, at least

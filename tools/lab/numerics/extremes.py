@@ -39,8 +39,7 @@ def _named(*words: str) -> tuple[str, ...]:
 
 LINES = (
     Line(
-        "Needles; sizes of e^-30 or e^30",
-        _named("scale ratios", "log-scales of -30", "log-scales of +30"),
+        "Needles; sizes of e^-30 or e^30", _named("scale ratios", "log-scales of -30", "log-scales of +30"),
         "clamp axes e^30 apart",
     ),
     Line("Opacity 0, 1, or both in turn", _named("opacity"), "nothing"),
@@ -49,8 +48,7 @@ LINES = (
     Line("1 to 4,097 Gaussians, 1 to 1,000 frames", _named("one ", "15", "17", "25", "40", "1000 frames"), "nothing"),
     Line("Coordinates of 1e6 with details of 1e-3", _named("1e6 from"), "move the scene to the origin"),
     Line(
-        "Jumps of 1e4 steps; rows that share nothing",
-        _named("a jump", "every channel", "the same"),
+        "Jumps of 1e4 steps; rows that share nothing", _named("a jump", "every channel", "the same"),
         "track them, or pay up to {bytes} bytes a row and frame",
     ),
     Line("Colours of 1,000, or subnormal", _named("SH DC of", "SH rest of", "subnormal"), "nothing"),
@@ -60,7 +58,7 @@ LINES = (
         _named("nan in", "inf in", "no finite", "means of 1e38", "log-scales of 1e30", "SH of 1e30"),
         "mend what is refused",
     ),
-)
+)  # fmt: skip
 
 
 def run(options: Options, lab: Lab) -> Page:

@@ -24,11 +24,8 @@ from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, 
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles
 
 METHODS = TRAINER, COMMON, DESCENT, UNSCALED = (
-    "the trainer's Adam",
-    "Adam, epsilon 1e-8",
-    "gradient descent",
-    "descent, no scaling",
-)
+    "the trainer's Adam", "Adam, epsilon 1e-8", "gradient descent", "descent, no scaling",
+)  # fmt: skip
 FACTORS = (0.1, 1.0, 10.0, 100.0)  # on the trainer's learning rates
 ITERATIONS = 30
 REACH = f"{ITERATIONS} iterations"  # what bounds a fit
@@ -146,15 +143,9 @@ def cases() -> list[Case]:
     rows = [f"{factor:g}" for factor in FACTORS]
     return [
         Case(
-            part="trainer",
-            name=f"train-{axis.name}",
-            title=axis.title,
-            label=axis.label,
-            value="loss after / before",
-            own=(TRAINER, "1"),
-            points=grid(METHODS, rows, axis.values),
-            judge=partial(judge, axis),
-            why=f"{REACH}{axis.why} (loss x {{span}})",
+            part="trainer", name=f"train-{axis.name}", title=axis.title, label=axis.label,
+            value="loss after / before", own=(TRAINER, "1"), points=grid(METHODS, rows, axis.values),
+            judge=partial(judge, axis), why=f"{REACH}{axis.why} (loss x {{span}})",
         )
         for axis in AXES
-    ]
+    ]  # fmt: skip

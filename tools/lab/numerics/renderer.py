@@ -19,8 +19,8 @@ from airgs_codec.render import Camera, cpu
 from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.render.reference import render_reference
 from airgs_codec.scene.camera import resized
+from tools.lab import seconds_of, timed
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene
-from tools.lab.timing import seconds_of, timed
 
 SIZES = (0.25, 0.5, 1.0)  # of the sides of a picture
 PAIRS = 1e7  # most pairs of a pixel and a Gaussian in a crop of the definition

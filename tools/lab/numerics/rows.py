@@ -12,14 +12,13 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.play.trace import Trace
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab.timing import Took
+from tools.lab import Took
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX, FOX_VIEWS = DATA / "fox", DATA / "fox_views"
@@ -116,18 +115,6 @@ class Bench:
 
     def ladder(self, scene: Scene) -> Package:
         return self.package(scene, EncodeSettings(), "ladder")
-
-
-def open_scene(spec: str) -> Scene:
-    """The scene that NAME=FOLDER or NAME=FOLDER=VIEWS names. Raises ConfigError, SceneError."""
-    name, _, rest = spec.partition("=")
-    folder, _, views = rest.partition("=")
-    if not (name and folder):
-        raise ConfigError(f"--scene: expected NAME=FOLDER or NAME=FOLDER=VIEWS, got {spec!r}")
-    scene = Scene(name, open_sequence(folder, views=views or None, fps=FOX_FPS))
-    if not scene.sequence.cameras:
-        raise ConfigError(f"--scene {spec}: expected cameras beside the frames, or NAME=FOLDER=VIEWS")
-    return scene
 
 
 def open_spinach(path: Path) -> Scene:

@@ -23,8 +23,8 @@ from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace, markov_trace
+from tools.lab import Took, seconds_of
 from tools.lab.numerics.rows import Bench, Place, Point, Row, average
-from tools.lab.timing import Took, seconds_of
 
 AMPLE, SCARCE = "ample links", "scarce links"
 SHARES = {AMPLE: 1.5, SCARCE: 0.75}  # of the top rung's rate that a link has on average

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from airgs_codec._settings import setting
 from airgs_codec.render import cpu
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
 from tools.lab.numerics import fits, gradients, plans, steps
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -33,15 +33,11 @@ from tools.lab.numerics.outcome import (
     does_well,
     ranges,
 )
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of
-from tools.lab.results import content
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tools.lab.command import Lab
 
 CASES: tuple[Case, ...] = (*fits.cases(), *gradients.cases(), *steps.cases(), *plans.cases())
 PARTS = tuple(dict.fromkeys(case.part for case in CASES))
@@ -74,12 +70,10 @@ class Line:
 LINES = (
     Line(
         "Needles, coincident rows, quaternions of any length",
-        ("train-needles", "train-coincident", "train-quaternions"),
-        "nothing",
+        ("train-needles", "train-coincident", "train-quaternions"), "nothing",
     ),
     Line(
-        "Their gradients, and those far away or hardly opaque",
-        tuple(case.name for case in gradients.cases()),
+        "Their gradients, and those far away or hardly opaque", tuple(case.name for case in gradients.cases()),
         "nothing",
     ),
     Line("Distance / extent of the scene", ("train-distance",), "stay at {well}"),
@@ -90,11 +84,10 @@ LINES = (
     Line("Steps from tiny to huge", ("codec-steps",), "scale scenes to ordinary sizes"),
     Line("Rows that matter unequally, colours on a line", ("codec-classes", "codec-klt"), "nothing"),
     Line(
-        "Links from 1e-30 to 1e30 bit/s",
-        ("selector-programmes", "selector-margin", "selector-sessions"),
+        "Links from 1e-30 to 1e30 bit/s", ("selector-programmes", "selector-margin", "selector-sessions"),
         "offer a rung that fits the slowest link",
     ),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,9 +30,9 @@ from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import seconds_of
 from tools.lab.numerics.encode import ONE_RUNG
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error, shown_frames
-from tools.lab.timing import seconds_of
 
 TRUE_VIEWS, TRUE_SEED, TRIAL_SEED = 48, 1000, 2000
 COUNTS = (1, 2, 4, 8, 16, 32)  # pictures

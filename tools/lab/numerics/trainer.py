@@ -20,8 +20,8 @@ from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.trainer import FrameViews, InMotion
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.settings import TrainSettings
+from tools.lab import seconds_of
 from tools.lab.numerics.rows import FOX_VIEWS, Bench, Place, Point, Row
-from tools.lab.timing import seconds_of
 
 BASE = TrainSettings(budget=4000, capacity=8000, first_iterations=1200)
 COUNTS = (30, 100, 300, 600)  # iterations

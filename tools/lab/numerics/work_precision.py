@@ -7,7 +7,7 @@ what the default is worth beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,21 +16,73 @@ from typing import TYPE_CHECKING
 import torch
 
 from airgs_codec._report import plain_log_ticks
-from airgs_codec._settings import setting
 from airgs_codec.errors import ConfigError
+from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS
+from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
-from tools.lab.numerics.questions import NAMES, QUESTIONS, Question
-from tools.lab.numerics.rows import FOX, REPEATS, Bench, Row, open_scene, open_spinach
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of
-from tools.lab.results import content
+from airgs_codec.scene.sequence import open_sequence
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
+from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
+from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tools.lab.command import Lab
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    name: str  # in rows, and of its picture
+    text: str
+    measure: Callable[[Bench], Iterator[Point]]
+    unit: str  # of error; its first word is that of a difference
+    time: str  # what the seconds are of
+    enough: float  # as near to the best as this is good enough, in the unit
+    default: tuple[str, str] = ("", "")  # curve and setting; nothing: it is not among those measured
+    more: bool = False  # whether more of the unit is better
+    log: bool = False  # axis of error
+    last: bool = False  # only the last setting of each curve is judged: the others are other tasks
+    without: tuple[str, ...] = ()  # settings that nobody can choose
+    labels: bool = True  # settings stand beside their points
+    why: str = ""  # the default may be another than the answer
+
+
+CPU = "CPU seconds"
+QUESTIONS = (
+    Question(
+        "encode", "What does time buy in an encode?", encode.measure, encode.UNIT, CPU, 0.3,
+        default=(encode.CALIBRATED, "veryslow"),
+    ),
+    Question(
+        "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, 0.1,
+        default=(survey.OWN, "5"), log=True, labels=False,
+        why="it looks again until it is sure, since no number of pictures is enough for every scene",
+    ),
+    Question(
+        "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame", 0.5,
+        default=(decode.RUNGS, "L0"), more=True,
+    ),
+    Question(
+        "renderer", "Is a picture in float32 good enough?", renderer.measure, renderer.UNIT, f"{CPU} a picture", 1e-3,
+        default=(renderer.SHIPPED, "320 x 320"), log=True, last=True, labels=False,
+    ),
+    Question(
+        "trainer", "How many iterations does a frame need?", trainer.measure, trainer.UNIT, CPU, 0.1,
+        default=("direct", "300"), more=True,
+    ),
+    Question(
+        "horizon", "How many segments ahead should a plan look?", selector.horizons, selector.UNIT, f"{CPU} a choice",
+        0.1, default=("horizon", str(HORIZON_SEGMENTS)), more=True,
+        why="it waits least, which QoE counts for little",
+    ),
+    Question(
+        "policies", "Which policy should choose?", selector.policies, selector.UNIT, f"{CPU} a choice", 0.1,
+        default=("policies", DEFAULT_POLICY), more=True, without=tuple(ORACLES),
+    ),
+)  # fmt: skip
+NAMES = tuple(question.name for question in QUESTIONS)
+
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
@@ -44,7 +96,7 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    scene: str = setting(f"fox={FOX}", "NAME=FOLDER or NAME=FOLDER=VIEWS, the fox by default")
+    fox: Path = setting(FOX, "a sequence with its cameras")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
     traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
     only: tuple[str, ...] = setting(NAMES, f"some of {', '.join(NAMES)}")
@@ -53,7 +105,7 @@ class Options:
 
 def run(options: Options, lab: Lab) -> Page:
     expect_names("--only", options.only, NAMES)
-    scenes = [open_scene(options.scene)]
+    scenes = [Scene("fox", open_sequence(options.fox, fps=FOX_FPS))]
     if options.spinach is not None:
         scenes.append(open_spinach(options.spinach))
     traces = tuple(map(read_trace, sorted(options.traces.iterdir()))) if options.traces is not None else ()

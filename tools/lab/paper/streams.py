@@ -62,11 +62,9 @@ def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
 
 
 CHOOSERS: dict[str, Chooser] = {
-    "unpruned": choose_top,
-    "paper": choose_best,
-    "paper-no-cliff": partial(choose_best, beta=math.inf),
+    "unpruned": choose_top, "paper": choose_best, "paper-no-cliff": partial(choose_best, beta=math.inf),
     "paper-literal": choose_literally,
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,21 +146,16 @@ class Stream:
             if old != NOTHING
         ]
         return {
-            "frames": len(numbers),
-            "kb_frame": float(log.sizes.mean() / 1e3),
-            "psnr": float(np.mean(own)) if own else np.nan,
-            "psnr_screen": float(np.mean(seen)) if seen else np.nan,
+            "frames": len(numbers), "kb_frame": float(log.sizes.mean() / 1e3),
+            "psnr": float(np.mean(own)) if own else np.nan, "psnr_screen": float(np.mean(seen)) if seen else np.nan,
             "stale": float(((shown != NOTHING) & (shown < numbers)).mean()),
-            "blank": float((shown == NOTHING).mean()),
-            "mean_ms": float(ms.mean()) if len(ms) else np.nan,
+            "blank": float((shown == NOTHING).mean()), "mean_ms": float(ms.mean()) if len(ms) else np.nan,
             "p95_ms": float(np.percentile(ms, 95)) if len(ms) else np.nan,
-            "worst_ms": float(ms.max()) if len(ms) else np.nan,
-            "link_worst_ms": float(1e3 * log.sent_s.max()),
+            "worst_ms": float(ms.max()) if len(ms) else np.nan, "link_worst_ms": float(1e3 * log.sent_s.max()),
             "outage": float((~np.isfinite(log.paper_s)).mean()),
             "late": float((log.waited_s + log.sent_s > 1 / log.fps + SHORTEST_S).mean()),
-            "infeasible": float((~log.fits).mean()),
-            "skipped": float((~sent).mean()),
-        }
+            "infeasible": float((~log.fits).mean()), "skipped": float((~sent).mean()),
+        }  # fmt: skip
 
 
 def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: Pictures) -> Level:

@@ -17,13 +17,11 @@ from typing import TYPE_CHECKING
 
 from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from tools.lab import Lab, Page, Picture, Section, Table, rows_of, setting
-from tools.lab.page import Row
+from tools.lab import Lab, Page, Picture, Row, Section, Table, rows_of, setting
 from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
-from tools.lab.rd.points import RdPoint, bd_rate, curves, kb_at
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
-from tools.lab.rd.subject import Measured, Subject, Trial, open_subject
+from tools.lab.rd.subject import Measured, RdPoint, Subject, Trial, bd_rate, curves, kb_at, open_subject
 from tools.lab.rd.written import written_trials
 
 if TYPE_CHECKING:

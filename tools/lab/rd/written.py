@@ -13,11 +13,11 @@ from pathlib import Path
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.spz import read_spz
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import seconds_of
 from tools.lab.rd.ftgs import read_ftgs, write_ftgs
 from tools.lab.rd.programs import SPZ
 from tools.lab.rd.subject import Coded, Subject, Trial
 from tools.lab.rd.tsog import read_tsog, write_tsog
-from tools.lab.timing import seconds_of
 
 TSOG_SETTINGS = ((256, 1 << 16), (64, 1 << 12), (32, 1 << 10), (16, 1 << 8), (8, 1 << 6))  # levels, entries of palettes
 SPZ_BITS = (12, 10, 8)  # of the fraction of a position; SH in all 8 bits, which splat-transform does not keep

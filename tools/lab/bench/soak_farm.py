@@ -42,7 +42,7 @@ SETTINGS = EncodeSettings(
 PAUSE_S = 1.5  # between two failures
 SLOW, SLOW_S, FULL = 0.05, 0.5, 0.01  # share of writes that take longer, how much, and share that fail
 FAULTS = ("worker", "worker", "worker", "scheduler", "cut", "deleted")
-COMMAND = "import sys; from tools.lab.soak.farm import encode_at; sys.exit(encode_at(*sys.argv[1:]))"
+COMMAND = "import sys; from tools.lab.bench.soak_farm import encode_at; sys.exit(encode_at(*sys.argv[1:]))"
 
 
 @dataclass(frozen=True, slots=True)
