@@ -6,7 +6,6 @@ airgs-player.js      the player
 airgs-vr.js          what it loads for a headset
 airgs-more.js        what it loads once there is a picture: keys, gestures, menu, figures and the like
 airgs-sound.js       what it loads for a package with sound
-airgs-tiles.js       what it loads for a package in several tiles
 packages/NAME/       a package, as it was
 .nojekyll            tells GitHub Pages to serve every file as it is
 """

@@ -17,7 +17,7 @@ from airgs_codec.package.layout import JSON_NAME, MPD_NAME
 PAGE = Path(__file__).parent / "page"
 PLAYER_PAGE, PLAYER_SCRIPT = "player.html", "airgs-player.js"
 # the first loads the others, from beside it
-PLAYER_SCRIPTS = (PLAYER_SCRIPT, "airgs-vr.js", "airgs-more.js", "airgs-sound.js", "airgs-tiles.js")
+PLAYER_SCRIPTS = (PLAYER_SCRIPT, "airgs-vr.js", "airgs-more.js", "airgs-sound.js")
 MODULES = ("airgs.js", "airgs-frames.js")  # for pages of others
 PAGE_TYPES = {PLAYER_PAGE: "text/html"} | dict.fromkeys((*PLAYER_SCRIPTS, *MODULES), "text/javascript")
 NOT_BUILT = "the player is not built: run make page, which needs Node 20 and npm"

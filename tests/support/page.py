@@ -15,7 +15,6 @@ FILES = {
     "airgs-vr.js": "export const enter = () => {};\n",
     "airgs-more.js": "export const readCameraPath = () => {};\n",
     "airgs-sound.js": "export class Sound {}\n",
-    "airgs-tiles.js": "export class ByView {}\n",
     "airgs.js": "export const open = () => {};\n",
     "airgs-frames.js": "export const openFrames = () => {};\n",
 }

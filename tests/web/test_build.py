@@ -17,7 +17,6 @@ MOST_BYTES = {
     "airgs-vr.js": 2_200,
     "airgs-more.js": 15_400,
     "airgs-sound.js": 3_800,
-    "airgs-tiles.js": 3_500,
 }  # as gzip
 LACKING = [what for what in missing() if what != "chromium"]
 

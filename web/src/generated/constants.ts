@@ -1,7 +1,7 @@
 // Made by python -m tools.typescript from airgs_codec: the modules named below say what each is.
 
 // airgs_codec.package.tables
-export const VERSION = 5;
+export const VERSION = 6;
 export const PAGE = 64;
 export const DIGEST = 32;
 export const BLOCK = 16;
@@ -23,7 +23,7 @@ export const ROOT_PATH = "airgs.json";
 export const INIT_PATH = "init.mp4";
 export const POSTER_PATH = "poster.jpg";
 export const SOUND_INIT_PATH = "sound/init.m4a";
-export const PATHS = [["^key/(?:P([1-9]\\d?)/)?T(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.bin$", "sidecar"], ["^key/(?:P([1-9]\\d?)/)?T(0|[1-9]\\d?)/Q(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "key"], ["^state/(?:P([1-9]\\d?)/)?L(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "state"], ["^sound/([1-9]\\d{0,6})\\.m4a$", "sound"], ["^group/([1-9]\\d{0,6})\\.json\\.gz$", "group"], ["^index/([1-9])/([1-9]\\d{0,6})\\.json$", "page"]] as const;
+export const PATHS = [["^key/T(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.bin$", "sidecar"], ["^key/T(0|[1-9]\\d?)/Q(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "key"], ["^state/L(0|[1-9]\\d?)/([1-9]\\d{0,6})\\.m4s$", "state"], ["^sound/([1-9]\\d{0,6})\\.m4a$", "sound"], ["^group/([1-9]\\d{0,6})\\.json\\.gz$", "group"], ["^index/([1-9])/([1-9]\\d{0,6})\\.json$", "page"]] as const;
 export const KEY_ATTRIBUTES = ["log_scales", "quaternions", "opacity", "colour"] as const;
 export const KEY_AT = {"log_scales": 0, "quaternions": 3, "opacity": 6, "colour": 7} as const;
 export const KEY_CHANNELS = ["log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
@@ -136,20 +136,6 @@ export const LONGEST_POLL_S = 4.0;
 export const POLL_S = 1.0;
 export const SILENCE_S = 60.0;
 export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true} as const;
-export const VIEW_BUFFER_S = 1.0;
-
-// airgs_codec.play.fetch_plan
-export const LOOK_S = 0.05;
-export const EARLY_MARGIN = 0.0;
-export const LATE_MARGIN = 30.0;
-export const FURTHEST_S = 1.0;
-export const SOON_S = 0.3;
-
-// airgs_codec.play.sight
-export const BEFORE_S = 0.1;
-export const DECAY_S = 0.5;
-export const CORNERS = 6;
-export const SMALL_TURN = 1e-06;
 
 // airgs_codec.play.http_files
 export const BUSY: readonly number[] = [429, 502, 503, 504];

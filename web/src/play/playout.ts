@@ -16,7 +16,6 @@ export const EARLY = 1e-6;
 export interface Slot {
   readonly position: number;
   rung: number | null;
-  readonly tiles: Map<number, number>;
   readonly seconds: number;
   readonly frames: number;
   readonly readyS: number;
@@ -175,23 +174,6 @@ export class Playout {
     return this.schedule.reached(slot.startAt, nowS);
   }
 
-  /** When a segment that has a place is over; Infinity where it was to be, and nothing follows that would end it. */
-  endS(slot: Slot, nowS: number): number {
-    const endS = this.schedule.reached(slot.startAt + slot.seconds, nowS);
-    return endS <= nowS && slot === this.timeline[this.firstWaiting - 1] ? Infinity : endS;
-  }
-
-  /** Segments with a place that are not over, but for lost ones, in their order. */
-  unfinished(nowS: number): Slot[] {
-    const scheduled = this.timeline.slice(0, this.firstWaiting);
-    return scheduled.filter((slot) => slot.rung !== null && this.endS(slot, nowS) > nowS);
-  }
-
-  /** When what is due at a place is shown; if the schedule is held, as if it went on now. */
-  startsAtS(dueAt: number, nowS: number): number {
-    return this.schedule.reached(dueAt, nowS);
-  }
-
   /** The place where the next segment is due; where playing waits, as if it went on now. */
   dueAt(nowS: number): number {
     const waiting = this.waitingS();
@@ -201,7 +183,7 @@ export class Playout {
 
   /** When a segment that is due at a place must have arrived to be shown without a stall. */
   deadlineS(dueAt: number, nowS: number): number {
-    return this.startsAtS(dueAt, nowS) - this.settings.decodeFrameS;
+    return this.schedule.reached(dueAt, nowS) - this.settings.decodeFrameS;
   }
 
   /** Resume if playing waits for more media although the buffer is too full for the segment at a position. */
@@ -217,13 +199,12 @@ export class Playout {
     return this.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
   }
 
-  /** Append a segment that arrived with some tiles, or is lost; playing begins or goes on when there is enough. */
-  enqueue(position: number, rung: number | null, arrivedS: number, which = this.offers.tiles): void {
+  /** Append a segment that arrived, or is lost (rung null); playing begins or goes on when there is enough. */
+  enqueue(position: number, rung: number | null, arrivedS: number): void {
     const readyS = arrivedS + (rung === null ? 0 : this.settings.decodeFrameS);
-    const tiles = new Map(rung === null ? [] : which.map((tile) => [tile, rung] as const));
     const { start, stop } = this.offers.span(position);
     const [frames, seconds] = [stop - start, (stop - start) / this.offers.fps];
-    const arrived = { position, rung, tiles, seconds, frames, readyS, readyAt: this.schedule.at(readyS) };
+    const arrived = { position, rung, seconds, frames, readyS, readyAt: this.schedule.at(readyS) };
     const slot: Slot = { ...arrived, startAt: Infinity, stallS: 0, committed: false };
     this.timeline.push(slot);
     this.finished = false;
@@ -243,15 +224,9 @@ export class Playout {
     return this.timeline.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
   }
 
-  /** Show another rung of the tiles of a segment that have its rung. */
+  /** Show another rung of a segment. */
   replace(slot: Slot, rung: number): void {
-    for (const [tile, before] of slot.tiles) if (before === slot.rung) slot.tiles.set(tile, rung);
     slot.rung = rung;
-    this.changed();
-  }
-
-  addTile(slot: Slot, tile: number, rung: number): void {
-    slot.tiles.set(tile, rung);
     this.changed();
   }
 
@@ -283,16 +258,10 @@ export class Playout {
     return waiting.length && !this.firstWaiting ? sum - this.skipS : sum;
   }
 
-  /** Most media time ahead of the playhead when the segment at a position has come. */
-  limitS(position: number): number {
-    const { bufferS, roomForTwo } = this.settings;
-    return roomForTwo ? Math.max(bufferS, 2 * this.offers.secondsAt(position)) : bufferS;
-  }
-
   /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
   private blocking(position: number): { slot: Slot; restS: number } | null {
     let ahead = this.offers.secondsAt(position);
-    const most = this.limitS(position);
+    const most = this.settings.bufferS;
     for (let i = this.timeline.length - 1; i >= 0; i--) {
       const slot = this.timeline[i];
       if (ahead + slot.seconds > most) return { slot, restS: slot.seconds - Math.max(0, most - ahead) };

@@ -2,8 +2,7 @@
 import { isSound } from "../format/paths.ts";
 import { REMEMBERED, SHORTEST_S } from "../generated/constants.ts";
 import type { Arrival, Arrived, Downloader, GiveUp, Request } from "./downloader.ts";
-import type { Planner } from "./fetch-plan.ts";
-import { filesOf, type Offers } from "./offers.ts";
+import type { Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 import type { Download, Policy } from "./policies/state.ts";
 import type { SessionSettings } from "./settings.ts";
@@ -15,26 +14,11 @@ export interface Shared {
   settings: SessionSettings;
   playout: Playout;
   stores: Stores;
-  planner: Planner;
 }
 
 export interface SessionParts extends Shared {
   downloader: Downloader;
   policy: Policy;
-}
-
-/** Fetch a batch; meanwhile its files are known to be coming, and then which of them are of no use. */
-export async function fetchBatch(
-  { downloader, stores }: Pick<SessionParts, "downloader" | "stores">,
-  request: Request,
-  giveUp: GiveUp | null,
-  signal: AbortSignal,
-): Promise<Arrival> {
-  const files = filesOf(request.batch);
-  stores.coming.add(files);
-  const arrival = await downloader.fetch(request, giveUp, signal).finally(() => stores.coming.remove(files));
-  for (const path of arrival.refused.keys()) if (!isSound(path)) stores.unusable.add(path);
-  return arrival;
 }
 
 /** Fetches for a session until the signal aborts. */
@@ -74,8 +58,9 @@ export class Receiver {
 
   /** Fetch a batch and take in what is of use; time goes on. */
   async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
-    const { stores } = this.parts;
-    const arrival = await fetchBatch(this.parts, request, giveUp, this.signal);
+    const { downloader, stores } = this.parts;
+    const arrival = await downloader.fetch(request, giveUp, this.signal);
+    for (const path of arrival.refused.keys()) if (!isSound(path)) stores.unusable.add(path);
     this.nowS = arrival.atS;
     stores.tables.add(arrival);
     if (request.kind === "tables") {
@@ -111,9 +96,7 @@ export class Receiver {
       const inTime = playout.startS(slot, this.nowS) >= this.nowS + settings.decodeFrameS;
       if (!inTime || groupOf(offers.place(slot.position)) !== group) continue;
       const [shownQuality, level] = offers.rungs[slot.rung ?? 0];
-      const tiles = [...slot.tiles].filter(([, other]) => other === slot.rung);
-      const tiers = tiles.map(([tile]) => stores.keys.shownTiers(position, quality, tile));
-      if (quality < shownQuality && tiers.every((count) => count >= levels[level].tiers)) {
+      if (quality < shownQuality && stores.keys.shownTiers(position, quality) >= levels[level].tiers) {
         playout.replace(slot, quality * levels.length + level);
       }
     }

@@ -1,25 +1,22 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key units of the chosen rung that are not decoded, one by one, then the state segment.
+// One batch passes at a time: those key tiers of the chosen rung that are not decoded, one by one, then the state segment.
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
 // download that would come too late is abandoned when a smaller one would come sooner; key files that are whole are
 // used. A segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on.
 //
 // The sequence may be played several times: keys and states are fetched again, tables are not. One that grows is played
 // as it grows, until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
-import { LONGEST_POLL_S, POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
+import { LONGEST_POLL_S, POLL_S, REPLACE_GAIN_DB, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
 import { TransportError } from "../media/errors.ts";
 import { type GiveUp, isComplete, type Request, type SessionEvent, type Shown } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
-import { filesOf } from "./offers.ts";
+import { type Batch, filesOf, type Offers } from "./offers.ts";
 import type { Slot } from "./playout.ts";
 import { estimateThroughput, type PlayerState } from "./policies/state.ts";
 import { Receiver, type SessionParts } from "./receiver.ts";
-import { bestReplacement, obtainable, replacing, slotQuality, usable } from "./replacing.ts";
 import { ConfigError } from "./settings.ts";
-
-/** After files that a repair fetches it looks again, seconds, where nothing changes before. */
-const REPAIR_S = 0.05;
+import type { Stores } from "./stores.ts";
 
 type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
 
@@ -155,10 +152,8 @@ export class Session {
 
   /** Choose a rung of the next segment and fetch it; false: it did not come whole, choose again. */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
-    const { offers, planner, playout, policy, stores } = this.parts;
-    const plan = stores.tables.has(position) ? planner.plan(position, this.sentS(latencyS)) : null;
-    const tiles = plan ? obtainable(stores, position, plan) : offers.tiles;
-    const state = plan ? this.state(position, latencyS, tiles) : null;
+    const { offers, playout, policy, stores } = this.parts;
+    const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
     if (!state?.options.length) {
       if (position === this.first) offers.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
@@ -167,11 +162,7 @@ export class Session {
     }
     const decision = policy.choose(state);
     const tables = position > this.first ? this.wantedTables(position + 1) : []; // nothing delays the first picture
-    const batch = { ...stores.keys.missing(position, decision.index, tiles), tables };
-    if (filesOf(batch).some((path) => stores.coming.has(path))) {
-      await this.receiver.wait(this.nowS + REPAIR_S);
-      return false;
-    }
+    const batch = { ...stores.keys.missing(position, decision.index), tables };
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
       const kind = batch.keys.length ? "group" : "state";
@@ -182,19 +173,19 @@ export class Session {
       if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
       if (this.stopped || !isComplete(arrival)) return false;
     }
-    playout.enqueue(position, decision.index, this.nowS, tiles);
+    playout.enqueue(position, decision.index, this.nowS);
     return true;
   }
 
-  private state(position: number, latencyS: number, tiles: readonly number[]): PlayerState {
-    const { offers, playout, policy, stores } = this.parts;
+  private state(position: number, latencyS: number): PlayerState {
+    const { offers, playout, policy, settings, stores } = this.parts;
     return {
-      ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end), tiles),
+      ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end)),
       decoded: stores.keys.decoded(position),
-      options: this.options(position, tiles),
+      options: this.options(position),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
-      bufferLimitS: playout.limitS(position),
+      bufferLimitS: settings.bufferS,
       requestLatencyS: latencyS,
       shownQuality: playout.last && slotQuality(offers, playout.last),
       history: this.receiver.history(this.sentS(latencyS)),
@@ -202,12 +193,12 @@ export class Session {
     };
   }
 
-  /** The rungs of tiles of the next segment that can be had and are smaller than what was given up. */
-  private options(position: number, tiles: readonly number[]): readonly Option[] {
+  /** The rungs of the next segment that can be had and are smaller than what was given up. */
+  private options(position: number): readonly Option[] {
     const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
-    const options = stores.keys.options(position, tiles);
-    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index, tiles)));
+    const options = stores.keys.options(position);
+    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
   }
 
   /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that
@@ -230,18 +221,15 @@ export class Session {
 
   /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
   private async *replaceBest(): Events<boolean> {
-    const { offers: c, downloader, playout, policy, settings, stores } = this.parts;
+    const { downloader, playout, policy, settings } = this.parts;
     if (!(settings.replace && policy.adapts)) return false;
     const estimateBps = estimateThroughput(this.receiver.history(this.nowS));
-    if (!estimateBps) return false;
-    const { rttS } = downloader;
-    const best = bestReplacement(c, playout, stores, { nowS: this.nowS, rttS, rateBps: SAFETY * estimateBps });
+    const best = estimateBps ? this.bestReplacement(SAFETY * estimateBps) : null;
     if (!best) return false;
-    const { slot, option } = best;
-    const rung = option.index;
-    const batch = replacing(c, stores, slot, rung);
+    const { slot, rung } = best;
     const { position } = slot;
-    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS: rttS };
+    const [batch, latencyS] = [this.replacing(slot, rung), downloader.rttS];
+    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS };
     const arrival = await this.receiver.receive(request, null);
     yield { type: "arrived", arrival, throughputBps: estimateBps };
     const late = slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS);
@@ -249,6 +237,34 @@ export class Session {
     yield { type: "replaced", position, before: slot.rung ?? 0, after: rung };
     playout.replace(slot, rung);
     return true;
+  }
+
+  /** The better rung of a buffered segment that gains most dB seconds a byte among those expected in time. */
+  private bestReplacement(rateBps: number): { slot: Slot; rung: number } | null {
+    const { offers: c, downloader, playout, settings, stores } = this.parts;
+    let best: { slot: Slot; rung: number; worth: number } | null = null;
+    for (const slot of playout.pending()) {
+      const startS = playout.startS(slot, this.nowS);
+      if (!(this.nowS < startS && startS < Infinity)) continue;
+      const { rungs } = c.of(c.index(slot.position));
+      for (const { index: rung, sizeBytes, quality } of stores.keys.options(slot.position)) {
+        // The state is decoded where only the keys would be better.
+        const size = sizeBytes - (rungs[rung].level === rungs[slot.rung ?? 0].level ? rungs[rung].stateBytes : 0);
+        const gain = quality - (slotQuality(c, slot) ?? 0);
+        const worth = (gain * slot.seconds) / Math.max(1, size);
+        const comesS = this.nowS + downloader.rttS + (8 * size) / rateBps + settings.decodeFrameS;
+        if (gain < REPLACE_GAIN_DB || comesS > startS || (best && worth <= best.worth)) continue;
+        if (usable(stores, this.replacing(slot, rung))) best = { slot, rung, worth };
+      }
+    }
+    return best;
+  }
+
+  /** The files that it takes to show another rung of a buffered segment: with the same level, only its keys. */
+  private replacing(slot: Slot, rung: number): Batch {
+    const { offers, stores } = this.parts;
+    const batch = stores.keys.missing(slot.position, rung);
+    return offers.rungs[rung][1] === offers.rungs[slot.rung ?? 0][1] ? { ...batch, state: [] } : batch;
   }
 
   private *shown(slots: readonly Slot[]): Generator<Shown> {
@@ -262,3 +278,11 @@ export class Session {
     }
   }
 }
+
+/** Whether no file of a batch was found missing or corrupt. */
+const usable = (stores: Stores, batch: Batch): boolean =>
+  !stores.unusable.size || filesOf(batch).every((path) => !stores.unusable.has(path));
+
+/** dB, null of a lost segment. */
+const slotQuality = (o: Offers, slot: Slot): number | null =>
+  slot.rung === null ? null : o.of(o.index(slot.position)).rungs[slot.rung].psnr;

@@ -12,7 +12,7 @@ export type PlayerLike = EventTarget &
   Pick<Player, "region" | "camera" | "stats" | "resize" | "vr" | "enterVr" | "leaveVr"> &
   Pick<Player, "hasSound" | "muted" | "volume">;
 
-export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "viewAdaptive" | "muted" | "volume">;
+export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "muted" | "volume">;
 
 /** A part of the time line, in seconds, and the number of its rung. */
 export type Part = Player["buffered"][number];

@@ -2,7 +2,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
-import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
 import type { Playout } from "../../src/play/playout.ts";
 import { Session } from "../../src/play/session.ts";
@@ -49,7 +48,6 @@ class Viewer {
   readonly settings;
   readonly playout: Playout;
   readonly stores = new Stores(this.offers);
-  readonly planner = whole(this.offers);
   readonly downloader: Watched;
 
   constructor(settings = {}, trace = FAST) {
