@@ -4,7 +4,7 @@ import { Recent } from "../format/recent.ts";
 import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import type { Slot } from "./playout.ts";
-import type { Shared } from "./receiver.ts";
+import type { Shared } from "./session.ts";
 
 const LEAD_S = 1; // of play that is decoded ahead: what is decoded can no longer be replaced by a better rung
 const NOTHING = { luma: new Uint8Array(0), means: new Float32Array(0), time: 0 };

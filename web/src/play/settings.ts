@@ -9,9 +9,7 @@ export class ConfigError extends Error {
 type Rules = typeof SESSION;
 
 /** The rules of airgs_codec.play.settings, which says what each is. */
-export type SessionSettings = Record<KeysOf<Rules, number>, number> & Record<KeysOf<Rules, boolean>, boolean>;
-
-type KeysOf<Fields, Kind> = { [Name in keyof Fields]: Fields[Name] extends Kind ? Name : never }[keyof Fields];
+export type SessionSettings = { [Name in keyof Rules]: Rules[Name] extends number ? number : boolean };
 
 /** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
 export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
