@@ -20,7 +20,7 @@ import numpy as np
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
 from airgs_codec.package import layout, parse, references, region, tables
-from airgs_codec.play import buffered, downloader, fetch_plan, fetcher, http_files, ladder, offers, player, sight
+from airgs_codec.play import buffered, downloader, fetcher, http_files, ladder, offers, player
 from airgs_codec.play.policies import mpc, named, state
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
@@ -98,10 +98,7 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         buffered: _same(buffered, "REPLACE_GAIN_DB"),
         fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
         player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S")
-        | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}}
-        | {"VIEW_BUFFER_S": settings.view_buffer_s},
-        fetch_plan: _same(fetch_plan, "LOOK_S", "EARLY_MARGIN", "LATE_MARGIN", "FURTHEST_S", "SOON_S"),
-        sight: _same(sight, "BEFORE_S", "DECAY_S", "CORNERS", "SMALL_TURN"),
+        | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}},
         http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},
     }

@@ -59,7 +59,7 @@ PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
     "quick": as_preview,
     "paper": as_in_paper,
 }
-EVERYDAY = ("quality", "tiles", "group_frames", "margin")  # of the settings of the encoder
+EVERYDAY = ("quality", "group_frames", "margin")  # of the settings of the encoder
 
 
 @dataclass(frozen=True, slots=True)

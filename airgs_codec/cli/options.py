@@ -173,7 +173,7 @@ def expect_names(option: str, names: Iterable[str], known: Collection[str]) -> N
 
 
 def option_name(name: str) -> str:
-    """Returns the name of a field's option, as --player.view-buffer has it last: dashes, no unit."""
+    """Returns the name of a field's option, as --player.buffer has it last: dashes, no unit."""
     unit = next((unit for unit in UNITS if name.endswith(unit)), "")
     return name.removesuffix(unit).replace("_", "-")
 

@@ -29,7 +29,6 @@ from airgs_codec.cli.common import (
 from airgs_codec.cli.options import nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.package.region import before_background
 from airgs_codec.places.place import Folder
@@ -40,13 +39,12 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report.film import film, still
 from airgs_codec.play.report.flight import film_along, open_path
-from airgs_codec.play.report.map import Viewer, path_of
+from airgs_codec.play.report.map import Viewer
 from airgs_codec.play.report.session import format_metrics, place_record, some, write_report
 from airgs_codec.play.report.study import format_study, write_study
 from airgs_codec.play.session import SessionLog, measure_decoding, simulate
 from airgs_codec.play.session import play as play_over
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.sight import View
 from airgs_codec.play.study import StudySettings, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render import read_cameras
@@ -83,7 +81,6 @@ class Play:
     measure_decoding: bool = setting(
         False, "measure the time to decode a frame, instead of --player.decode-frame", topic="player"
     )
-    view_adaptive: bool = setting(False, "fetch the tiles that the viewer, who walks as in --video, is expected to see")
     http: HttpSettings = nested(HttpSettings, "http, for a URL")
     compare: bool = setting(False, "compare policies with each other on --traces")
     traces: tuple[str, ...] = setting((), "folders of traces, or traces", metavar="PLACE")
@@ -122,9 +119,8 @@ def play(options: Play) -> int:
         if not options.video.absolute().parent.is_dir():
             raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
         expect_folder(options.video.absolute().parent)
-    if options.compare and (options.player.budget is not None or options.view_adaptive):
-        option = "--view-adaptive" if options.player.budget is None else "--player.budget"
-        raise ConfigError(f"{option}: expected a single session, got --compare")
+    if options.compare and options.player.budget is not None:
+        raise ConfigError("--player.budget: expected a single session, got --compare")
     expect_rate("--fps", options.fps)
     for name in ("size", "fps"):
         if getattr(options, name) and not options.path:
@@ -145,7 +141,7 @@ def play(options: Play) -> int:
     trace = Trace.open(options.trace).cut(options.offset, options.scale).ending(options.end)
     link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
     settings, faults = _settings(package, options), find_faults(package)
-    log = simulate(package, link, options.policy, settings, faults, view=_view(package.manifest, options))
+    log = simulate(package, link, options.policy, settings, faults)
     _present(package, log, options)
     return 0
 
@@ -162,7 +158,7 @@ def _over_http(options: Play) -> int:
         downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep))
         settings = _settings(None, options)
         offers = downloader.open()
-        log = play_over(offers, downloader, options.policy, settings, view=_view(offers.manifest, options))
+        log = play_over(offers, downloader, options.policy, settings)
         if pictures:
             fetch_beside(log, downloader)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
@@ -190,13 +186,6 @@ def _settings(package: Package | None, options: Play) -> SessionSettings:
     if package is None:
         raise ConfigError("--measure-decoding: expected a folder, got a URL")
     return dataclasses.replace(options.player, decode_frame_s=measure_decoding(package))
-
-
-def _view(m: Manifest, options: Play) -> View | None:
-    """The way of a viewer by whom tiles are fetched; None where all are."""
-    if not options.view_adaptive:
-        return None
-    return path_of(m, read_cameras(options.views) if options.views else [])
 
 
 def _present(package: Package, log: SessionLog, options: Play) -> None:

@@ -35,7 +35,7 @@ OPACITY_MARGIN = np.float32(2.0**-20)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Canonical:
-    """The canonical space of a group as decoded from its key units; rows in file order."""
+    """The canonical space of a group as decoded from its key tiers; rows in file order."""
 
     means: NDArray[np.float64]  # (N, 3) world units, in the middle of cells
     motion_units: NDArray[np.float32]  # (N,) world units

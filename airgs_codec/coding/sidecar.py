@@ -1,4 +1,4 @@
-"""What must be exact in a key unit (FORMAT.md §3). N rows of a tier in Morton order.
+"""What must be exact in a key tier (FORMAT.md §3). N rows of a tier in Morton order.
 
 All key qualities share a sidecar, whose canonical means are as coarse as those of the coarsest. The file of a quality
 begins with the detail that its own finer cells add.

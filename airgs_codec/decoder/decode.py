@@ -1,13 +1,12 @@
 """Package -> Gaussians, from the whole to its parts: frames, canonical spaces and segments, codes of pictures.
 
-N rows of a group, n rows of a key unit or of a tile in a level, P planes of an atlas, C colour channels.
+N rows of a group, n rows of a key tier or of a level, P planes of an atlas, C colour channels.
 """
 
 from __future__ import annotations
 
 import functools
-import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields
 from numbers import Integral
@@ -31,12 +30,12 @@ from airgs_codec.coding.channels import (
 from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
-from airgs_codec.decoder.states import ShownState, decode_pictures, expect_size, state_units
+from airgs_codec.decoder.states import decode_pictures, expect_size, state_units
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, STATE, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
-from airgs_codec.package.tables import STATIC, Atlas, Group, unpack_matrix
+from airgs_codec.package.tables import STATIC, Atlas, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -48,15 +47,6 @@ class Frame:
     gaussians: Gaussians
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """What a viewer has of a package."""
-
-    tiers: int | None = None  # key tiers of a tile, from the first on; None: those that viewers of the level fetch
-    tiles: Sequence[int] | None = None  # from 0; None: all
-
-
-WHOLE = Part()
 DECODED_ROWS = 1 << 18  # rows of canonical spaces that stay decoded, and one more space
 
 
@@ -65,9 +55,9 @@ def decode(
 ) -> Gaussians:
     """One frame, from 0, of an open package or the one at a path, at a level and key quality given by id or index.
 
-    Decodes nothing but the key units of the frame's group, those of the group that they are differences to, and its
-    segment up to the frame. While the package is open, key units of some groups stay decoded, and the escapes of one
-    segment. The result has as many rows as the key units that viewers of the level fetch. Raises ConfigError for a
+    Decodes nothing but the key tiers of the frame's group, those of the group that they are differences to, and its
+    segment up to the frame. While the package is open, key tiers of some groups stay decoded, and the escapes of one
+    segment. The result has as many rows as the key tiers that viewers of the level fetch. Raises ConfigError for a
     frame, level or key quality that the package does not have, FormatError for a broken package.
     """
     package = argument("package", package, Package, OPENED, open_package)
@@ -106,14 +96,15 @@ def decode_frames(
     *,
     level: str | int = "L0",
     key_quality: str | int = "Q0",
-    part: Part = WHOLE,
+    tiers: int | None = None,
 ) -> Iterator[Frame]:
     """Frames [start, stop) one after another, each with its number; the other arguments are those of `decode`.
 
-    `part`: what the viewer has. Each key unit and each segment is decoded once. Raises what `decode` raises.
+    `tiers`: key tiers, from the first on, that the viewer has; by default those that viewers of the level fetch. Each
+    key tier and each segment is decoded once. Raises what `decode` raises.
     """
     package = argument("package", package, Package, OPENED, open_package)
-    m, tiers, there = package.manifest, part.tiers, _tiles(package, part.tiles)
+    m = package.manifest
     j, q = m.level_index(level), m.quality_index(key_quality)
     if not (isinstance(start, Integral) and isinstance(stop, Integral) and 0 <= start <= stop <= m.frames):
         raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start!r}:{stop!r}")
@@ -123,82 +114,70 @@ def decode_frames(
         segment = m.segments[index]
         if base is None or m.group_of(index) != group:
             group = m.group_of(index)
-            base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers, there)
+            base = decode_canonical(package, group, q, m.levels[j].tiers if tiers is None else tiers)
         first, last = max(start, segment.start), min(stop, segment.stop)
-        shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start), there)
+        shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start))
         for number, gaussians in zip(range(first, last), shown, strict=True):
             yield Frame(number, gaussians)
 
 
-def _tiles(package: Package, tiles: Iterable[int] | None) -> list[int]:
-    """Tiles that were asked for, ascending. Raises ConfigError for one that the package does not have."""
-    count = package.manifest.tiles
-    found = sorted(set(range(count) if tiles is None else tiles))
-    if not found or not 0 <= found[0] <= found[-1] < count:
-        raise ConfigError(f"tiles: expected some of 0..{count - 1}, got {found}")
-    return found
-
-
-def decode_canonical(
-    package: Package, group: int, quality: int, tiers: int | None = None, tiles: Iterable[int] | None = None
-) -> Canonical:
+def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:
     """The canonical space of a group, in file order.
 
-    It is that of the first `tiers` key tiers of some `tiles` (default: all of all), which may have no rows. Raises
-    ConfigError for tiers that the package does not have, FormatError for a broken package.
+    It is that of the first `tiers` key tiers (default: all), which may have no rows. Raises ConfigError for tiers that
+    the package does not have, FormatError for a broken package.
     """
     m, g = package.manifest, package.manifest.groups[group]
     if tiers is not None and not 1 <= tiers <= m.tiers:
         raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
-    units = [tile * m.tiers + t for tile in _tiles(package, tiles) for t in range(m.tiers)[:tiers]]
-    parts = [_decode_unit(package, group, k, quality) for k in units if g.units[k].count]
+    parts = [_decode_tier(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.count]
     transform = unpack_matrix(g.colour_transform, m.colour_channels)
     return join_canonical(parts, transform) if parts else no_rows(transform)
 
 
-def _decode_unit(package: Package, group: int, unit: int, quality: int) -> Canonical:
-    """The rows of a key unit, which has some."""
+def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Canonical:
+    """The rows of a key tier, which has some."""
     m, g = package.manifest, package.manifest.groups[group]
-    base, units = m.base_of(group), key_units(package, group, unit, quality)
-    shown, sidecar = _read_key(package, group, unit, quality)
+    base, units = m.base_of(group), key_units(package, group, tier, quality)
+    shown, sidecar = _read_key(package, group, tier, quality)
 
     def values(rows: slice) -> NDArray[np.float32]:
         if shown is None:
             return np.zeros((len(units), rows.stop - rows.start), np.float32)
-        return read_values(shown[0], g.units[unit].qualities[quality], shown[1], rows, units)
+        return read_values(shown[0], g.tiers[tier].qualities[quality], shown[1], rows, units)
 
     if base is not None:
-        return add_difference(_decode_unit(package, base, unit, quality), values, g.difference_steps, sidecar.depths)
+        return add_difference(_decode_tier(package, base, tier, quality), values, g.difference_steps, sidecar.depths)
     transform = unpack_matrix(g.colour_transform, m.colour_channels)
     return dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
 
 
-def key_units(package: Package, group: int, unit: int, quality: int) -> NDArray[np.float32]:
-    """Return the value of a code of each channel of the picture of a key unit."""
+def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[np.float32]:
+    """Return the value of a code of each channel of the picture of a key tier."""
     m, g = package.manifest, package.manifest.groups[group]
-    factor = m.qualities[quality].factor * g.units[unit].factor
+    factor = m.qualities[quality].factor * g.tiers[tier].factor
     return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
 
 
 _Picture = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) luma, and its bases
 
 
-def decode_key(package: Package, group: int, unit: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(channels, n) codes of a key unit, n = 0 without a picture, and its sidecar in that quality. FormatError."""
-    atlas = package.manifest.groups[group].units[unit].qualities[quality]
-    shown, sidecar = _read_key(package, group, unit, quality)
+def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
+    """(channels, n) codes of a key tier, n = 0 without a picture, and its sidecar in that quality. FormatError."""
+    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
+    shown, sidecar = _read_key(package, group, tier, quality)
     codes = np.empty((len(atlas.centres), 0), np.int32) if shown is None else read_codes(shown[0], atlas, shown[1])
     return codes, sidecar
 
 
-def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_Picture | None, KeySidecar]:
-    """The picture of a key unit, None where it has none, and its sidecar, as in `decode_key`.
+def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[_Picture | None, KeySidecar]:
+    """The picture of a key tier, None where it has none, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
     """
     m, g = package.manifest, package.manifest.groups[group]
-    entry, differs, coarsest = g.units[unit], g.keeps is not None, m.qualities[-1].coarser
-    sidecar_path, *media_paths = m.key_files(group, unit, quality)
+    entry, differs, coarsest = g.tiers[tier], g.keeps is not None, m.qualities[-1].coarser
+    sidecar_path, *media_paths = m.key_files(group, tier, quality)
     shape = package.read(sidecar_path), entry.count, g.grid, coarsest, sidecar_path, differs
     if not media_paths:
         return None, unpack_key_sidecar(*shape)
@@ -219,77 +198,30 @@ def _read_key(package: Package, group: int, unit: int, quality: int) -> tuple[_P
 
 
 def decode_segment(
-    package: Package,
-    index: int,
-    base: Canonical,
-    level: int,
-    places: Sequence[int],
-    tiles: Iterable[int] | None = None,
+    package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
 ) -> Iterator[Gaussians]:
     """Frames of a segment over a decoded canonical space; `places` ascend and count from the start of the segment.
 
-    `base` is that of some `tiles`, by default all, and of the first key tiers of them, as many as viewers of the level
-    fetch or others: its rows tell. H.264 is decoded up to the last frame. Raises FormatError.
+    `base` is that of the first key tiers, as many as viewers of the level fetch or others: its rows tell. H.264 is
+    decoded up to the last frame. Raises FormatError.
     """
-    m, there = package.manifest, _tiles(package, tiles)
-    if not (places and len(base.means) and m.state_files(index, level, there)):
+    m = package.manifest
+    media = m.state_files(index, level)
+    if not (places and len(base.means) and media):
         frame = base.to_gaussians()
         yield from (frame for _ in places)
         return
-    parts = _tile_states(package, index, base, level, there)
     group, units = m.groups[m.group_of(index)], state_units(package, index, level)
-    varies = [any(_varies(part.atlas, STATE.slice(name)) for part in parts) for name in ("quaternions", COLOUR)]
-    applier = StateApplier.of(base, np.concatenate([part.rows for part in parts]), group.state_steps, *varies)
+    atlas, rows = group.levels[level], np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
+    complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
+    if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
+        raise FormatError("count_mismatch", media[0], f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
+    varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
+    applier = StateApplier.of(base, rows, group.state_steps, *varies)
     frames = range(places[0], places[-1] + 1)
-    pictures = [decode_pictures(package, index, level, frames, part.tile) for part in parts]
-
-    def read(shown: Sequence[ShownState], some: slice) -> NDArray[np.float32]:
-        values, first = [], 0
-        for part, state in zip(parts, shown, strict=True):
-            start, stop = max(0, some.start - first), min(len(part.rows), some.stop - first)
-            if start < stop:
-                values.append(state.values(slice(start, stop), units))
-            first += len(part.rows)
-        return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
-
-    for place, shown in zip(frames, zip(*pictures, strict=True), strict=True):
+    for place, state in zip(frames, decode_pictures(package, index, level, frames), strict=True):
         if place in places:
-            yield applier.apply_parts(functools.partial(read, shown))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _TileStates:
-    """The states of a tile in a segment that has a file."""
-
-    tile: int
-    atlas: Atlas
-    rows: NDArray[np.intp]  # (n,) of the canonical space that the level carries
-
-
-def _tile_states(package: Package, index: int, base: Canonical, level: int, tiles: Sequence[int]) -> list[_TileStates]:
-    """Those of all tiles of a canonical space that have a file. Raises FormatError where sidecars give other rows."""
-    m = package.manifest
-    group = m.groups[m.group_of(index)]
-    tiers, spans = _tile_rows(group, tiles, len(base.means))
-    found = []
-    for tile, (start, stop) in zip(tiles, itertools.pairwise(spans), strict=True):
-        depths, atlas = base.depths[start:stop], group.tiles[tile].levels[level]
-        rows = start + np.flatnonzero((depths >= level) & (depths != STATIC))
-        for media in m.state_files(index, level, [tile]):
-            if len(rows) > atlas.rows or (tiers >= m.levels[level].tiers and len(rows) != atlas.rows):
-                detail = f"the sidecars give {len(rows)} rows, the table {atlas.rows}"
-                raise FormatError("count_mismatch", media, detail)
-            found.append(_TileStates(tile, atlas, rows))
-    return found
-
-
-def _tile_rows(group: Group, tiles: Sequence[int], rows: int) -> tuple[int, list[int]]:
-    """How many key tiers a canonical space of some tiles has that has so many rows, and where those of each begin."""
-    for tiers in range(len(group.tiles[0].tiers), 0, -1):
-        counts = [sum(tier.count for tier in group.tiles[tile].tiers[:tiers]) for tile in tiles]
-        if sum(counts) == rows:
-            return tiers, [0, *itertools.accumulate(counts)]
-    raise AssertionError(f"{rows} rows are those of no number of key tiers of tiles {tiles}")
+            yield applier.apply_parts(functools.partial(state.values, units=units))
 
 
 def _varies(atlas: Atlas, channels: slice) -> bool:

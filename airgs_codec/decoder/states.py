@@ -1,6 +1,6 @@
-"""The pictures of a tile in a segment that has a file: of slopes, if it begins with them, and of frames.
+"""The pictures of a segment that has a file: of slopes, if it begins with them, and of frames.
 
-T frames, P planes, n rows of a tile in a level, C colour channels.
+T frames, P planes, n rows of a level, C colour channels.
 """
 
 from __future__ import annotations
@@ -28,14 +28,13 @@ from airgs_codec.package.tables import Atlas
 
 AHEAD = 6  # pictures that are decoded before they are needed
 _Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and the bases in force until the next
-_Which = tuple[int, int, int]  # segment, level, tile
-# Of an open package: escapes of slopes, if there are any, and of frames, of the tiles of one segment and level.
-_escapes: WeakKeyDictionary[Package, dict[_Which, tuple[Escapes | None, Escapes]]] = WeakKeyDictionary()
+# Of an open package: the segment and level decoded last, its escapes of slopes, if there are any, and of frames.
+_escapes: WeakKeyDictionary[Package, tuple[tuple[int, int], tuple[Escapes | None, Escapes]]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownState:
-    """What the states of a tile in a frame are made of; bases are in force until the next."""
+    """What the states of a frame are made of; bases are in force until the next."""
 
     atlas: Atlas
     luma: _Luma
@@ -61,25 +60,28 @@ def state_units(package: Package, index: int, level: int) -> NDArray[np.float32]
     return code_units(steps * m.levels[level].factor, m.state_gain)
 
 
-def decode_slopes(package: Package, index: int, level: int, tile: int = 0) -> NDArray[np.int32] | None:
-    """(10 + C, n) codes of the slopes of a tile with a file, None where it has none. Raises FormatError."""
-    shown = next(decode_pictures(package, index, level, range(1), tile))
+def decode_slopes(package: Package, index: int, level: int) -> NDArray[np.int32] | None:
+    """(10 + C, n) codes of the slopes of a segment with a file, None where it has none. Raises FormatError."""
+    shown = next(decode_pictures(package, index, level, range(1)))
     atlas = replace(shown.atlas, centres=[0] * len(shown.atlas.centres))
     return None if shown.slopes is None else read_codes(shown.slopes[0], atlas, shown.slopes[1])
 
 
-def decode_pictures(package: Package, index: int, level: int, frames: range, tile: int = 0) -> Iterator[ShownState]:
-    """Consecutive frames of a segment, counted from its start, of a tile with a file. Raises FormatError."""
+def decode_pictures(package: Package, index: int, level: int, frames: range) -> Iterator[ShownState]:
+    """Consecutive frames of a segment with a file, counted from its start. Raises FormatError."""
     m, first, last = package.manifest, frames.start, frames.stop
     segment = m.segments[index]
-    count, lined = segment.stop - segment.start, segment.levels[level].lined(tile)
-    (media,) = m.state_files(index, level, [tile])
-    atlas = m.groups[m.group_of(index)].tiles[tile].levels[level]
+    count, lined = segment.stop - segment.start, bool(segment.levels[level].line)
+    (media,) = m.state_files(index, level)
+    atlas = m.groups[m.group_of(index)].levels[level]
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
     front, pictures = pictures.cut() if lined else (None, pictures)
     coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
     shape = count, len(atlas.planes), atlas.rows
-    rising, jumps = _escapes_again(package, (index, level, tile), columns, shape, media)
+    known = _escapes.get(package)
+    if known is None or known[0] != (index, level):
+        known = _escapes[package] = (index, level), escapes.unpack_segment(columns, shape, lined, media)
+    rising, jumps = known[1]
     slopes = None if front is None or rising is None else (_only(front, atlas), next(rising.running()))
     times = line_times(count) if lined else np.zeros(count)
     bases, shown = jumps.running(), 0
@@ -98,22 +100,6 @@ def _only(pictures: Pictures, atlas: Atlas) -> NDArray[np.uint8]:
         raise FormatError("bad_picture", pictures.where, "expected a picture of slopes, got none")
     expect_size(picture, atlas, pictures.where)
     return picture
-
-
-def _escapes_again(
-    package: Package, which: _Which, columns: bytes | None, shape: tuple[int, int, int], where: str
-) -> tuple[Escapes | None, Escapes]:
-    """The escapes of `which` segment, level and tile; those of the last segment and level stay decoded."""
-    known = _escapes.setdefault(package, {})
-    found = known.get(which)
-    if found is None:
-        index, level, tile = which
-        lined = package.manifest.segments[index].levels[level].lined(tile)
-        found = escapes.unpack_segment(columns, shape, lined, where)
-        if any(other[:2] != which[:2] for other in list(known)):
-            known.clear()
-        known[which] = found
-    return found
 
 
 def decode_ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:

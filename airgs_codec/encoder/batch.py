@@ -109,7 +109,7 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
     work.progress("calibration", 0, 1)
     subject = _longest(prepared)
     work.run([prepared.job(SURVEY, subject)])
-    once = replace(settings, quality=1.0, tiles=1, threads=available_cores())  # what is found holds for all of them
+    once = replace(settings, quality=1.0, threads=available_cores())  # what is found holds for all of them
     calibrating = prepared.job(CALIBRATION, subject, once)
     choosing = prepared.job(BANDS, subject, settings, {"calibration": made_by(calibrating)})
     found, cached = work.cached(calibrating, user_cache("calibration"))
@@ -324,6 +324,5 @@ def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequenc
 
 def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
     """Give the width and height that no picture of the groups exceeds."""
-    tiles = [tile for group in groups for tile in group.tiles]
-    atlases = [a for tile in tiles for row in (*(tier.qualities for tier in tile.tiers), tile.levels) for a in row]
+    atlases = [a for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for a in row]
     return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)

@@ -93,7 +93,7 @@ class Subject:
             classes=layout.classes[index],
             sensitivity=layout.sensitivity.take(index),
             moving=np.ones(len(index), bool),
-            factors=np.array(layout.factors)[layout.units[index]],
+            factors=np.array(layout.factors)[layout.tiers[index]],
             row_ratio=len(layout.rows) / len(index),
             group_frames=len(self.frames),
             segment_frames=segment,
@@ -183,11 +183,11 @@ def choose_levels(
     What pictures miss without the others is rendered. `price` is that of a byte a frame at factor 1.
     """
     layout, pruning = subject.layout, subject.pruning
-    counts = range(1, layout.tiers + 1)
-    own = layout.tier_of_rows
+    counts = range(1, len(layout.factors) + 1)
+    own = layout.tiers
     missing = [pruning.error_of(int((own < count).sum())) for count in counts] if layout.removal_error > 0 else []
     parts = [sample.take(own[sample.index] < count) for count in counts]
-    most = layout.tiers
+    most = len(layout.factors)
     levels: list[LevelSettings] = []
     for factor, quality in LEVELS:
         if levels and missing:
@@ -331,7 +331,7 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
     """
     tiers = TIERS if settings.calibrate == "ladder" else settings.tiers
-    ladder = replace(settings, quality=1.0, tiles=1, calibrate="none", tiers=tiers)
+    ladder = replace(settings, quality=1.0, calibrate="none", tiers=tiers)
     subject = Subject.of(sequence, survey, ladder)
     sample, withholding = subject.sample(float(sequence.fps)), Withholding.of(subject)
     top = sample

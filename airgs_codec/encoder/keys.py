@@ -1,7 +1,7 @@
 """Canonical frames -> key pictures with their detail, and back to the canonical space that viewers have.
 
 A group that has the rows of an earlier one, the base, may be coded as what differs from it. N rows of a group in file
-order; n rows of a unit, P planes, C colour channels, c channels: 7 + C, or 10 + C of differences.
+order; n rows of a key tier, P planes, C colour channels, c channels: 7 + C, or 10 + C of differences.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, key: Gauss
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedAtlas:
-    """A key unit of one group at one key quality: all that its files but the shared sidecar are made of."""
+    """A key tier of one group at one key quality: all that its files but the shared sidecar are made of."""
 
     atlas: Atlas  # without its largest errors; 0 rows: nothing is sent
     samples: NDArray[np.uint8]  # (P, n) luma
@@ -121,13 +121,13 @@ class CodedAtlas:
 class CodedKeys:
     """The keys of one group."""
 
-    units: tuple[tuple[CodedAtlas, ...], ...]  # unit x key quality
+    tiers: tuple[tuple[CodedAtlas, ...], ...]  # key tier x key quality
     coarser: tuple[int, ...]  # of each key quality: its cells of canonical means are 2^coarser times the finest
     left_out: tuple[LeftOut, ...]
 
 
 def code_keys(layout: GroupLayout, settings: EncodeSettings, base: Sequence[Canonical] = ()) -> CodedKeys:
-    """Quantise the key of a group for every unit and key quality.
+    """Quantise the key of a group for every tier and key quality.
 
     With `base`, the canonical space of another group with the same rows as decoded in each key quality, that is what
     differs from it.
@@ -137,19 +137,18 @@ def code_keys(layout: GroupLayout, settings: EncodeSettings, base: Sequence[Cano
     omitted, planes = (np.empty(0, bool), None) if base else omissions.planes(settings.scaled_price)
     coarser = settings.coarser
 
-    def code(unit: int, quality: int) -> CodedAtlas:
-        rows, factor = layout.unit_rows(unit), settings.key_factors[quality]
+    def code(tier: int, quality: int) -> CodedAtlas:
+        rows, factor = layout.tier_rows(tier), settings.key_factors[quality]
         if base and layout.before:
             space, steps = base[quality].part(rows), layout.difference_steps
             changes, before = (state_channels([g.take(rows)], space, steps) for g in (layout.key, layout.before))
-            return _code_difference(changes, changes - before, layout.unit_steps(unit, STATE) * factor)
+            return _code_difference(changes, changes - before, layout.tier_steps(tier, STATE) * factor)
         sidecar = layout.sidecar(rows, _static(layout))
         detail = detail_columns(sidecar, layout.grid, coarser[quality], coarser[-1])
-        return _code_unit(values[None, :, rows], layout.unit_steps(unit) * factor, omitted, detail)
+        return _code_tier(values[None, :, rows], layout.tier_steps(tier) * factor, omitted, detail)
 
     qualities = range(len(settings.key_factors))
-    units = range(layout.tiles * layout.tiers)
-    coded = tuple(tuple(code(unit, quality) for quality in qualities) for unit in units)
+    coded = tuple(tuple(code(tier, quality) for quality in qualities) for tier in range(len(layout.factors)))
     return CodedKeys(coded, coarser, tuple(note for note in (omissions.gaussians(), planes) if note))
 
 
@@ -158,7 +157,7 @@ def _static(layout: GroupLayout) -> NDArray[np.uint8]:
     return np.full(len(layout.codes), STATIC, np.uint8)
 
 
-def _code_unit(
+def _code_tier(
     values: NDArray[np.float64], steps: NDArray[np.float64], omitted: NDArray[np.bool_], detail: list[Column]
 ) -> CodedAtlas:
     """From (1, c, n) values, (c,) steps, (c,) channels that are left out, and the detail of positions."""
@@ -183,7 +182,7 @@ def _code_difference(
     near = (np.abs(values) <= PROMISED * steps[:, None]).all(axis=1, keepdims=True)
     near |= (np.abs(changes) <= SLIGHT * steps[:, None]).all(axis=1, keepdims=True)
     sent, none = np.where(near, 0.0, values), np.zeros(len(steps), bool)
-    coded = _code_unit(sent, steps, none, []) if sent.any() else _no_picture(steps)
+    coded = _code_tier(sent, steps, none, []) if sent.any() else _no_picture(steps)
     if not values.size:
         return coded
     error = ErrorModel.of(values.min(axis=(0, 2)), values.max(axis=(0, 2)), coded.atlas, steps / qp_step(KEY_QP))
@@ -204,7 +203,7 @@ def _with_picture(atlas: Atlas) -> Atlas:
 def encode_keys(
     layout: GroupLayout, keys: CodedKeys, clock: Clock, settings: EncodeSettings
 ) -> list[list[Representation]]:
-    """The picture of every unit in every key quality, unit x quality."""
+    """The picture of every key tier in every key quality, tier x quality."""
     codec, ticks = key_codec(settings.preset), clock.frame_ticks
 
     def encode(part: CodedAtlas) -> Representation:
@@ -214,26 +213,26 @@ def encode_keys(
         gop = ClosedGop(pictures, layout.span.start * ticks, layout.span.frames * ticks)
         return encode_checked([gop], pictures.size, clock, codec)
 
-    tasks = [functools.partial(encode, part) for unit in keys.units for part in unit]
+    tasks = [functools.partial(encode, part) for tier in keys.tiers for part in tier]
     coded = iter(encode_parallel(tasks, settings.threads))
-    return [[next(coded) for _ in unit] for unit in keys.units]
+    return [[next(coded) for _ in tier] for tier in keys.tiers]
 
 
 def key_bytes(layout: GroupLayout, keys: CodedKeys, pictures: Sequence[Sequence[Representation]]) -> int:
-    """Bytes of all key units and sidecars of a group, before there are states."""
+    """Bytes of all key pictures and sidecars of a group, before there are states."""
     total = 0
-    for unit, of_unit in enumerate(pictures):
-        rows = layout.unit_rows(unit)
+    for tier, of_tier in enumerate(pictures):
+        rows = layout.tier_rows(tier)
         if rows.stop > rows.start:
-            total += len(pack_key_sidecar(key_sidecar(layout, unit, _static(layout)), layout.grid, keys.coarser[-1]))
-        total += sum(len(gop.fragment) for part in of_unit for gop in part.gops)
-        total += sum(len(coded.detail) for coded in keys.units[unit])
+            total += len(pack_key_sidecar(key_sidecar(layout, tier, _static(layout)), layout.grid, keys.coarser[-1]))
+        total += sum(len(gop.fragment) for part in of_tier for gop in part.gops)
+        total += sum(len(coded.detail) for coded in keys.tiers[tier])
     return total
 
 
-def key_sidecar(layout: GroupLayout, unit: int, depths: NDArray[np.uint8]) -> KeySidecar:
-    """Make the sidecar of a unit; `depths` (N,) are those of all rows."""
-    sidecar = layout.sidecar(layout.unit_rows(unit), depths)
+def key_sidecar(layout: GroupLayout, tier: int, depths: NDArray[np.uint8]) -> KeySidecar:
+    """Make the sidecar of a tier; `depths` (N,) are those of all rows."""
+    sidecar = layout.sidecar(layout.tier_rows(tier), depths)
     return sidecar if layout.keeps is None else replace(sidecar, codes=sidecar.codes[:0], classes=sidecar.classes[:0])
 
 
@@ -250,20 +249,20 @@ def decode_keys(
     `pictures` are those of `encode_keys`; `base` is the canonical space, in that quality, that keys are differences to.
     """
     parts = []
-    for unit, of_quality in enumerate(pictures):
-        gops, coded, rows = of_quality[quality].gops, keys.units[unit][quality], layout.unit_rows(unit)
+    for tier, of_quality in enumerate(pictures):
+        gops, coded, rows = of_quality[quality].gops, keys.tiers[tier][quality], layout.tier_rows(tier)
         if not gops:
             if base is not None:
                 parts.append(replace(base.part(rows), depths=_static(layout)[rows]))
             continue
-        where = f"key unit {unit} of frames {layout.span.start}-{layout.span.stop - 1}"
+        where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
         picture = next(iter(gops[0].pictures(where)))
         reader = ColumnReader(coded.detail or None, where)
         coarser = keys.coarser[-1 if base else quality]
-        sidecar = _read_positions(reader, layout, unit, coarser, keys.coarser[-1])
+        sidecar = _read_positions(reader, layout, tier, coarser, keys.coarser[-1])
         jumps = escapes.read_columns(reader, (1, len(coded.atlas.planes), coded.atlas.rows))
         codes = read_codes(picture, coded.atlas, jumps.bases(0))
-        steps = layout.unit_steps(unit, STATE if base else KEY) * settings.key_factors[quality]
+        steps = layout.tier_steps(tier, STATE if base else KEY) * settings.key_factors[quality]
         values = from_codes(codes, steps, qp_step(KEY_QP))
         if base is None:
             made = dequantise_key(values, sidecar, layout.transform, layout.grid, layout.key_steps, coarser)
@@ -273,8 +272,8 @@ def decode_keys(
     return join_canonical(parts, layout.transform)
 
 
-def _read_positions(reader: ColumnReader, layout: GroupLayout, unit: int, coarser: int, coarsest: int) -> KeySidecar:
-    """The rows of a unit as a key quality has them, every one static, from the bytes that are sent."""
-    shared = layout.sidecar(layout.unit_rows(unit), _static(layout))
+def _read_positions(reader: ColumnReader, layout: GroupLayout, tier: int, coarser: int, coarsest: int) -> KeySidecar:
+    """The rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
+    shared = layout.sidecar(layout.tier_rows(tier), _static(layout))
     codes = coarse_codes(shared.codes, shared.classes, layout.grid, coarsest)
     return read_detail(reader, replace(shared, codes=codes), layout.grid, coarser, coarsest)

@@ -1,6 +1,6 @@
-"""The states of a tile of a group in a level -> samples, escapes, and lines in time where they save bytes.
+"""The states of a group in a level -> samples, escapes, and lines in time where they save bytes.
 
-T frames of the group, S segments, n rows of the tile in the level, P planes, C colour channels. A line is what each row
+T frames of the group, S segments, n rows of the level, P planes, C colour channels. A line is what each row
 rises by in a segment, coded as a picture in front of its frames, which code what the line as decoded leaves: errors do
 not add up.
 """
@@ -61,7 +61,7 @@ class StoredSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedLevel:
-    """A tile of one group in a level: all that its pictures and escapes are made of."""
+    """A level of one group: all that its pictures and escapes are made of."""
 
     atlas: Atlas  # without its largest errors
     error: ErrorModel | None  # None: it carries no rows
@@ -97,7 +97,7 @@ Lines = Sequence[CodedLine | None]  # of each segment
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LevelCoder:
-    """Codes the n rows of a tile in a level, one channel after the other."""
+    """Codes the n rows of a level, one channel after the other."""
 
     values: StateValues
     rows: NDArray[np.intp]  # (n,) among those of the values

@@ -279,22 +279,14 @@ def _originals(sequence: GaussianSequence, pictures: Pictures, renderer: Rendere
 
 
 def _rung(package: Package, rung: tuple[int, int], base: Canonical, pictures: Pictures, renderer: Renderer) -> Source:
-    """Draw `rung`, a segment's level over the canonical space of all units in a key quality, in some pictures.
+    """Draw `rung`, a segment's level over the canonical space of all key tiers in a key quality, in some pictures.
 
     They are asked for in their order, by ascending frames.
     """
     m, (index, level) = package.manifest, rung
     segment = m.segments[index]
-    fewer = _fewer_tiers(m.groups[m.group_of(index)], base, m.levels[level].tiers)
+    tiers = m.groups[m.group_of(index)].tiers[: m.levels[level].tiers]
     numbers = sorted({number for number, _ in pictures})
+    fewer = base.first(sum(tier.count for tier in tiers))
     frames = decode_segment(package, index, fewer, level, [number - segment.start for number in numbers])
     return draw_frames(in_order(numbers, frames), renderer)
-
-
-def _fewer_tiers(group: Group, base: Canonical, tiers: int) -> Canonical:
-    """The canonical space that the first `tiers` key tiers of all tiles make, of the one that all tiers make."""
-    counts = [tier.count for tier in group.units]
-    if len(group.tiles) == 1:
-        return base.first(sum(counts[:tiers]))
-    there = [unit % len(group.tiles[0].tiers) < tiers for unit in range(len(counts))]
-    return base.part(np.flatnonzero(np.repeat(there, counts)))

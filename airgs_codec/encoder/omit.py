@@ -166,7 +166,7 @@ class KeyOmissions:
         """Estimate the cost of every channel."""
         centres = np.median(values, axis=1)
         apart = (values - centres[:, None]) / layout.row_steps()
-        weights = layout.key_weights() * np.array(layout.factors)[layout.units] ** 2
+        weights = layout.key_weights() * np.array(layout.factors)[layout.tiers] ** 2
         sizes, guesses = estimate_cost(apart[None], np.zeros(len(centres)), weights)
         return KeyOmissions(layout, values, centres, sizes / layout.span.frames, guesses)
 

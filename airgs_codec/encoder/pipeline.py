@@ -25,7 +25,7 @@ from airgs_codec.encoder.calibrate import Calibration, calibrate
 from airgs_codec.encoder.keys import CodedKeys, code_keys, decode_keys, encode_keys, key_bytes, lay_out_again
 from airgs_codec.encoder.measure import AskedPictures, RoundErrors, measure_round
 from airgs_codec.encoder.omit import omit_bands
-from airgs_codec.encoder.plan import GroupLayout, find_box, keep_rows, lay_out
+from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
@@ -56,9 +56,9 @@ class CodedKey:
 
     layout: GroupLayout
     keys: CodedKeys
-    pictures: Sequence[Sequence[Representation]]  # unit x key quality
+    pictures: Sequence[Sequence[Representation]]  # key tier x key quality
     decoded: Sequence[Canonical]  # for each key quality
-    bytes: int  # of all its key units and sidecars
+    bytes: int  # of all its key pictures and sidecars
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,8 +148,7 @@ def code_group(sequence: GaussianSequence, key: CodedKey, settings: EncodeSettin
         clock = Clock.of(sequence.fps)
         states = code_states(layout, key.decoded, frames, settings, clock, Path(scratch))
         pictures = encode_states(layout, states, clock, settings)
-        boxes = [find_box(frames, layout.rows[layout.tile_rows(tile)]) for tile in range(layout.tiles)]
-        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, boxes, first_segment)
+        coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, first_segment)
         table, files = finish_group(coded)
     return GroupFiles(table, files, layout.rows, states.depths)
 

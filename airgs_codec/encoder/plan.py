@@ -1,7 +1,6 @@
-"""How a group is coded, before anything of it is: rows, tiles, tiers, order, steps, grid, colour transform, segments.
+"""How a group is coded, before anything of it is: rows, tiers, order, steps, grid, colour transform, segments.
 
-T frames and N rows of a group that are written, n rows of a unit, C colour channels, P tiles. A unit is a key tier of a
-tile: number tile * tiers + tier.
+T frames and N rows of a group that are written, n rows of a key tier, C colour channels.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
 
-INSIDE = 1.0  # per cent of the rows, at either end of an axis, that may lie outside of a box: a few are far off
 MOST_FACTOR = 3.0  # of a tier on key steps, times the least of any
 MOTION_FRAMES = 4  # that tell whether rows move together
 
@@ -126,37 +124,6 @@ def rank_updates(
     return score, find_moving(states, changes, weights, keep_all)
 
 
-def assign_tiles(means: NDArray[np.floating], count: int) -> NDArray[np.uint8]:
-    """(N,) tile of each row, by its mean (N, 3): tiles hold about equally many rows; ties go by row."""
-    tiles = np.zeros(len(means), np.uint8)
-
-    def halve(rows: NDArray[np.intp], first: int, parts: int) -> None:
-        if parts == 1 or not len(rows):
-            tiles[rows] = first
-            return
-        low, high = np.percentile(means[rows], [INSIDE, 100 - INSIDE], axis=0)
-        order = rows[np.argsort(means[rows, int(np.argmax(high - low))], kind="stable")]
-        few = parts // 2
-        middle = len(order) * few // parts
-        halve(order[:middle], first, few)
-        halve(order[middle:], first + few, parts - few)
-
-    halve(np.arange(len(means)), 0, count)
-    return tiles
-
-
-def find_box(frames: Sequence[Gaussians], rows: NDArray[np.intp]) -> tuple[list[float], list[float]]:
-    """Two opposite corners, world units, of a box that holds nearly all means of some rows in every frame.
-
-    At either end of an axis INSIDE per cent of the rows of a frame may lie outside. Of no rows it is the origin.
-    """
-    if not len(rows):
-        return [0.0] * 3, [0.0] * 3
-    corners = np.array([np.percentile(frame.means[rows], [INSIDE, 100 - INSIDE], axis=0) for frame in frames])
-    low, high = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
-    return [float(f"{v:.6g}") for v in low], [float(f"{v:.6g}") for v in high]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class GroupLayout:
     """Everything that is decided about a group from its canonical frame. Arrays hold rows in file order."""
@@ -169,11 +136,9 @@ class GroupLayout:
     removal_error: float  # mean squared error of pictures without the rows left out
     rows: NDArray[np.intp]  # (N,) input rows
     key: Gaussians  # N rows: the canonical frame, the mean of all frames, which the key codes
-    tiles: int
-    tiers: int  # of a tile
-    units: NDArray[np.uint16]  # (N,) ascending
-    factors: tuple[float, ...]  # of each unit, on the key steps
-    codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a unit
+    tiers: NDArray[np.uint8]  # (N,) tier of each row, ascending
+    factors: tuple[float, ...]  # of each tier, on the key steps
+    codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a tier
     classes: NDArray[np.int16]  # (N,) motion classes
     usage: RowUsage
     sensitivity: Sensitivity
@@ -190,21 +155,9 @@ class GroupLayout:
         """Number of colour channels, C."""
         return len(self.transform)
 
-    @property
-    def tier_of_rows(self) -> NDArray[np.uint8]:
-        """(N,) tier of each row."""
-        return (self.units % self.tiers).astype(np.uint8)
-
-    def tile_rows(self, tile: int) -> slice:
-        """Rows of a tile."""
-        return self._rows(tile * self.tiers, (tile + 1) * self.tiers)
-
-    def unit_rows(self, unit: int) -> slice:
-        """Rows of a unit."""
-        return self._rows(unit, unit + 1)
-
-    def _rows(self, first: int, stop: int) -> slice:
-        low, high = np.searchsorted(self.units, [first, stop])
+    def tier_rows(self, tier: int) -> slice:
+        """Rows of a tier."""
+        low, high = np.searchsorted(self.tiers, [tier, tier + 1])
         return slice(int(low), int(high))
 
     @property
@@ -223,13 +176,13 @@ class GroupLayout:
         weights = channel_weights(self.classes, self.sensitivity.by_attribute(), self.difference_steps, self.transform)
         return weights[STATE.slice("means").stop :]
 
-    def unit_steps(self, unit: int, layout: Layout = KEY) -> NDArray[np.float64]:
-        """(c,) steps of the channels of the picture of a unit at quality factor 1; that of a difference is a STATE."""
-        return layout.steps(self.difference_steps, self.colours) * self.factors[unit]
+    def tier_steps(self, tier: int, layout: Layout = KEY) -> NDArray[np.float64]:
+        """(c,) steps of the channels of the picture of a tier at quality factor 1; that of a difference is a STATE."""
+        return layout.steps(self.difference_steps, self.colours) * self.factors[tier]
 
     def row_steps(self) -> NDArray[np.float64]:
         """(7 + C, N) the same of every row."""
-        return np.outer(KEY.steps(self.key_steps, self.colours), np.array(self.factors)[self.units])
+        return np.outer(KEY.steps(self.key_steps, self.colours), np.array(self.factors)[self.tiers])
 
     def key_values(self) -> NDArray[np.float64]:
         """(7 + C, N) key channels."""
@@ -248,22 +201,21 @@ class GroupLayout:
 def lay_out(
     loaded: Repaired, survey: Survey, written: WrittenRows, settings: EncodeSettings, fps: Fraction
 ) -> GroupLayout:
-    """Order, units, steps and transforms of a group: `loaded` are its frames, of which some rows are `written`."""
+    """Order, tiers, steps and transforms of a group: `loaded` are its frames, of which some rows are `written`."""
     steps = settings.steps.scaled(settings.quality)
     canonical = mean_frame(loaded.frames).take(written.rows)
     score = survey.score(settings.usage)
     moved = survey.usage.moved if settings.usage == "max" else None  # it is a product of that measure alone
-    tiles = assign_tiles(canonical.means, settings.tiles).astype(np.uint16)
-    units = tiles * len(settings.tiers) + assign_tiers(score[written.rows], settings.tiers)
+    tiers = assign_tiers(score[written.rows], settings.tiers)
     sensitivity = survey.sensitivity.take(written.rows).means
     classes = classify_motion(sensitivity, canonical)
-    order = np.lexsort((grid_codes(canonical.means, classes, fit_grid(canonical.means, classes, steps.grid)), units))
+    order = np.lexsort((grid_codes(canonical.means, classes, fit_grid(canonical.means, classes, steps.grid)), tiers))
     moving = (loaded.frames[t].means[written.rows] for t in middle_frames(0, len(loaded.frames), MOTION_FRAMES))
     changes = ((means - canonical.means)[order].T for means in moving)
     classes[order] = share_class(classes[order], sensitivity[order], changes, steps.state.means)
     grid = fit_grid(canonical.means, classes, steps.grid)
     codes = grid_codes(canonical.means, classes, grid)
-    order = np.lexsort((codes, units))
+    order = np.lexsort((codes, tiers))
     rows = written.rows[order]
     transform = colour_transform(canonical.take(order), steps.key, steps.colours)
     layout = GroupLayout(
@@ -275,10 +227,8 @@ def lay_out(
         removal_error=written.error,
         rows=rows,
         key=canonical.take(order),
-        tiles=settings.tiles,
-        tiers=len(settings.tiers),
-        units=units[order],
-        factors=(1.0,) * (settings.tiles * len(settings.tiers)),
+        tiers=tiers[order],
+        factors=(1.0,) * len(settings.tiers),
         codes=codes[order],
         classes=classes[order],
         usage=RowUsage(score[rows], survey.usage.measure("hits")[rows], None if moved is None else moved[rows]),
@@ -289,8 +239,7 @@ def lay_out(
         transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
         renderer=survey.renderer,
     )
-    factors = tier_factors(layout.key_weights().sum(axis=0), layout.tier_of_rows, layout.tiers)
-    return replace(layout, factors=factors * layout.tiles)
+    return replace(layout, factors=tier_factors(layout.key_weights().sum(axis=0), layout.tiers, len(settings.tiers)))
 
 
 def tier_factors(weights: NDArray[np.float64], tiers: NDArray[np.integer], count: int) -> tuple[float, ...]:

@@ -294,19 +294,11 @@ def _manifest_bytes(m: Manifest, settings: EncodeSettings) -> int:
 
 def _widen(group: Group, settings: EncodeSettings) -> Group:
     levels, qualities = len(settings.levels), len(settings.key_factors)
-    tiles = [
-        replace(
-            tile,
-            tiers=[
-                replace(t, qualities=t.qualities * qualities, pictures=_others(t.pictures * qualities))
-                for t in tile.tiers
-            ],
-            levels=tile.levels * levels,
-        )
-        for tile in group.tiles
+    tiers = [
+        replace(t, qualities=t.qualities * qualities, pictures=_others(t.pictures * qualities)) for t in group.tiers
     ]
     segments = [replace(s, levels=_measured(s.levels[0], settings)) for s in group.segments]
-    return replace(group, tiles=tiles, segments=segments)
+    return replace(group, tiers=tiers, levels=group.levels * levels, segments=segments)
 
 
 def _others(files: list[FileEntry]) -> list[FileEntry]:
@@ -318,5 +310,4 @@ def _measured(level: SegmentLevel, settings: EncodeSettings) -> list[SegmentLeve
     """All levels, with figures of the usual length where the package will have them."""
     count = len(settings.key_factors) if settings.measure_pictures else 0
     like = replace(level, psnr=[44.44] * count, worst=[44.4] * count, ssim=[0.9999] * count, delta_e=[0.44] * count)
-    files = [_others([file] * len(settings.levels)) for file in level.files]  # tile x level
-    return [replace(like, files=list(of_level)) for of_level in zip(*files, strict=True)]
+    return [replace(like, file=file) for file in _others([level.file] * len(settings.levels))]

@@ -17,7 +17,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import BETWEEN, DEFAULT_PRESET, KEY_QP, MOST_BETWEEN, PRESETS, STATE_QP
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.references import fault_of
-from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, MAX_TILES, Region, World
+from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.beside import MEASURES
 
 
@@ -111,11 +111,6 @@ class EncodeSettings:
         default=",".join(level.words for level in DEFAULT_LEVELS),
     )
     tiers: tuple[float, ...] = setting(DEFAULT_TIERS, "share of the Gaussians in each key tier, summing to 1")
-    tiles: int = setting(
-        1,
-        "parts of space that each group is cut into; viewers fetch and decode them apart from each other: for wide "
-        "scenes, of which a picture shows a part",
-    )
     shares: Shares = computed_setting(
         tuple,
         "(factor on the steps, share of the updates to withhold), ascending; calibration finds them",
@@ -228,7 +223,6 @@ class EncodeSettings:
                 all(f > 0 for f in (self.quality, *self.key_factors, *(level.factor for level in self.levels))),
                 "expected positive step factors",
             ),
-            (1 <= self.tiles <= MAX_TILES, f"expected 1 to {MAX_TILES} tiles, got {self.tiles}"),
             (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
             (
                 self.group_frames is None or self.group_frames >= 1,

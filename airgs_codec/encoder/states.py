@@ -1,6 +1,6 @@
 """All frames -> the states of every level: which rows it carries, its samples and escapes, its streams.
 
-T frames and N rows of a group, n rows of a tile in a level, P planes, S segments. Neither the differences of all
+T frames and N rows of a group, n rows of a level, P planes, S segments. Neither the differences of all
 frames to the canonical space nor the samples of all levels may fit into memory: both wait in a scratch folder.
 """
 
@@ -38,7 +38,7 @@ class CodedStates:
     """The states of one group."""
 
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
-    levels: tuple[tuple[CodedLevel, ...], ...]  # level x tile
+    levels: tuple[CodedLevel, ...]
     left_out: tuple[LeftOut, ...]
 
 
@@ -72,18 +72,14 @@ def code_states(
             base = bases[quality].part(written)
             values = StateValues.write(file, frames, layout.rows[written], base, layout.state_steps)
         steps = STATE.steps(layout.state_steps, layout.colours) * level.factor
-        tiles = []
-        for tile in range(layout.tiles):
-            part = layout.tile_rows(tile)
-            rows = part.start + np.flatnonzero((depths[part] != STATIC) & (depths[part] >= number))
-            fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
-            alpha = bases[quality].opacity[rows].astype(np.float64)
-            places = np.searchsorted(written, rows)
-            weigh = functools.partial(_weigh, layout, rows, level.factor)
-            samples = scratch / f"{number} {tile}"
-            coder = LevelCoder(values, places, alpha, steps, weigh, fetched, samples, clock, codec)
-            tiles.append(coder.code(omitted))
-        levels.append(tuple(tiles))
+        rows = np.flatnonzero((depths != STATIC) & (depths >= number))
+        fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
+        alpha = bases[quality].opacity[rows].astype(np.float64)
+        places = np.searchsorted(written, rows)
+        weigh = functools.partial(_weigh, layout, rows, level.factor)
+        samples = scratch / f"level {number}"
+        coder = LevelCoder(values, places, alpha, steps, weigh, fetched, samples, clock, codec)
+        levels.append(coder.code(omitted))
     return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
 
 
@@ -99,7 +95,7 @@ class RankedStates:
         """(N,) deepest level that carries a row; STATIC: none."""
         tiers = [settings.tiers_of(level) for level in settings.levels]
         pruned = [level.pruned for level in settings.levels]
-        return assign_depths(self.score, self.moving, pruned, layout.tier_of_rows, tiers)
+        return assign_depths(self.score, self.moving, pruned, layout.tiers, tiers)
 
 
 def rank_states(layout: GroupLayout, values: StateValues, base: Canonical, settings: EncodeSettings) -> RankedStates:
@@ -142,8 +138,8 @@ def _fetched_frames(
 
 def encode_states(
     layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings
-) -> list[list[Representation]]:
-    """The pictures of every level, level x tile, a closed GOP for each segment that is fetched."""
+) -> list[Representation]:
+    """The pictures of every level, a closed GOP for each segment that is fetched."""
     codec = state_codec(settings.preset, settings.between)
 
     def encode(level: CodedLevel) -> Representation:
@@ -152,13 +148,11 @@ def encode_states(
         size = AtlasPictures.of(level.samples, level.atlas).size
         return encode_checked(_level_gops(layout, level, level.samples, clock.frame_ticks), size, clock, codec)
 
-    tasks = [functools.partial(encode, tile) for level in states.levels for tile in level]
-    coded = iter(encode_parallel(tasks, settings.threads))
-    return [[next(coded) for _ in level] for level in states.levels]
+    return encode_parallel([functools.partial(encode, level) for level in states.levels], settings.threads)
 
 
 def _level_gops(layout: GroupLayout, level: CodedLevel, samples: StoredSamples, ticks: int) -> Iterator[ClosedGop]:
-    """The segments of a tile in a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
+    """The segments of a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
     for (start, stop), escaped, line in zip(layout.segments, level.escapes, level.lines, strict=True):
         if escaped is not None:
             shown = samples.part(start - layout.span.start, stop - layout.span.start)

@@ -1,4 +1,4 @@
-"""Coded groups, and sound -> files of the package and their tables. K key units (tiers of tiles), L levels, P tiles."""
+"""Coded groups, and sound -> files of the package and their tables."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from airgs_codec.package.layout import (
     key_sidecar_path,
     sound_path,
     state_media_path,
-    tile_folder,
 )
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.tables import (
@@ -37,7 +36,6 @@ from airgs_codec.package.tables import (
     FileEntry,
     Group,
     GroupTier,
-    GroupTile,
     Segment,
     SegmentLevel,
     file_entry,
@@ -51,24 +49,14 @@ class CodedGroup:
     layout: GroupLayout
     keys: CodedKeys
     states: CodedStates
-    key_pictures: Sequence[Sequence[Representation]]  # K x qualities
-    state_pictures: Sequence[Sequence[Representation]]  # L x P
-    boxes: Sequence[tuple[list[float], list[float]]]  # of each tile two corners
+    key_pictures: Sequence[Sequence[Representation]]  # key tier x key quality
+    state_pictures: Sequence[Representation]  # of each level
     first_segment: int  # how many segments the groups before it have
 
     @property
     def number(self) -> int:
         """The group in paths: it counts from 1."""
         return self.layout.span.index + 1
-
-    def place(self, unit: int) -> tuple[str, int]:
-        """The folder of the tile and the tier of a unit."""
-        tile, tier = divmod(unit, self.layout.tiers)
-        return self.folder(tile), tier
-
-    def folder(self, tile: int) -> str:
-        """The folder of a tile."""
-        return tile_folder(tile, self.layout.tiles)
 
 
 Files = Mapping[str, FileEntry]  # by path
@@ -81,29 +69,27 @@ def finish_group(group: CodedGroup) -> tuple[Group, dict[str, bytes]]:
 
 
 def _key_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of the files of every unit that has rows."""
+    """Path and bytes of the files of every key tier that has rows."""
     layout, keys = group.layout, group.keys
-    for unit, pictures in enumerate(group.key_pictures):
-        rows, place = layout.unit_rows(unit), group.place(unit)
+    for t, pictures in enumerate(group.key_pictures):
+        rows = layout.tier_rows(t)
         if rows.start == rows.stop:
             continue
-        sidecar = key_sidecar(layout, unit, group.states.depths)
-        yield key_sidecar_path(*place, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
-        for q, (atlas, representation) in enumerate(zip(keys.units[unit], pictures, strict=True)):
+        sidecar = key_sidecar(layout, t, group.states.depths)
+        yield key_sidecar_path(t, group.number), pack_key_sidecar(sidecar, layout.grid, keys.coarser[-1])
+        for q, (atlas, representation) in enumerate(zip(keys.tiers[t], pictures, strict=True)):
             if not atlas.atlas.rows:
                 continue
-            yield key_media_path(*place, q, group.number), representation.gops[0].media(atlas.detail)
+            yield key_media_path(t, q, group.number), representation.gops[0].media(atlas.detail)
 
 
 def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of every segment of a tile that is fetched."""
-    for j, (levels, pictures) in enumerate(zip(group.states.levels, group.state_pictures, strict=True)):
-        for p, (level, representation) in enumerate(zip(levels, pictures, strict=True)):
-            gops = iter(representation.gops)
-            for place, escapes in enumerate(level.escapes, group.first_segment):
-                if escapes is not None:
-                    path = state_media_path(group.folder(p), j, place + 1)
-                    yield path, next(gops).media(escapes)
+    """Path and bytes of every segment that is fetched."""
+    for j, (level, representation) in enumerate(zip(group.states.levels, group.state_pictures, strict=True)):
+        gops = iter(representation.gops)
+        for place, escapes in enumerate(level.escapes, group.first_segment):
+            if escapes is not None:
+                yield state_media_path(j, place + 1), next(gops).media(escapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +134,6 @@ def build_manifest(about: Provenance, clock: Clock, shared: Files, groups: Group
             for j, level in enumerate(settings.levels)
         ],
         tiers=len(settings.tiers),
-        tiles=settings.tiles,
         sound=None,
         init=shared[INIT_NAME],
         groups=groups,
@@ -171,6 +156,7 @@ def add_sound(m: Manifest, track: SoundTrack) -> tuple[Manifest, dict[str, bytes
 
 def _group_table(group: CodedGroup, files: Files) -> Group:
     layout, states = group.layout, group.states
+    levels = zip(states.levels, group.state_pictures, strict=True)
     return Group(
         start=layout.span.start,
         stop=layout.span.stop,
@@ -181,7 +167,8 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         key_steps=layout.key_steps,
         state_steps=layout.state_steps,
         colour_transform=tables.pack_matrix(layout.transform),
-        tiles=[_tile_table(group, files, tile) for tile in range(layout.tiles)],
+        tiers=[_tier_table(group, files, t) for t in range(len(layout.factors))],
+        levels=[_bounded(level.atlas, level.error if of.gops else None, of, STATE) for level, of in levels],
         segments=_segment_tables(group, files),
         left_out=[*group.keys.left_out, *states.left_out],
         repairs=list(layout.notes),
@@ -189,22 +176,13 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
     )
 
 
-def _tile_table(group: CodedGroup, files: Files, tile: int) -> GroupTile:
-    tiers = group.layout.tiers
-    found = [(parts[tile], of[tile]) for parts, of in zip(group.states.levels, group.state_pictures, strict=True)]
-    levels = [_bounded(part.atlas, part.error if of.gops else None, of, STATE) for part, of in found]
-    units = range(tile * tiers, (tile + 1) * tiers)
-    return GroupTile(*group.boxes[tile], [_unit_table(group, files, unit) for unit in units], levels)
-
-
-def _unit_table(group: CodedGroup, files: Files, unit: int) -> GroupTier:
-    parts, pictures, layout = group.keys.units[unit], group.key_pictures[unit], group.layout
-    place = group.place(unit)
-    channels, rows = KEY if layout.keeps is None else STATE, layout.unit_rows(unit)
+def _tier_table(group: CodedGroup, files: Files, t: int) -> GroupTier:
+    parts, pictures, layout = group.keys.tiers[t], group.key_pictures[t], group.layout
+    channels, rows = KEY if layout.keeps is None else STATE, layout.tier_rows(t)
     atlases = [_bounded(part.atlas, part.error, shown, channels) for part, shown in zip(parts, pictures, strict=True)]
-    media = [files.get(key_media_path(*place, q, group.number), NO_FILE) for q in range(len(parts))]
-    sidecar = files.get(key_sidecar_path(*place, group.number), NO_FILE)
-    return GroupTier(rows.stop - rows.start, layout.factors[unit], sidecar, atlases, media)
+    media = [files.get(key_media_path(t, q, group.number), NO_FILE) for q in range(len(parts))]
+    sidecar = files.get(key_sidecar_path(t, group.number), NO_FILE)
+    return GroupTier(rows.stop - rows.start, layout.factors[t], sidecar, atlases, media)
 
 
 def _bounded(
@@ -216,15 +194,13 @@ def _bounded(
 
 
 def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
-    gops = [[iter(representation.gops) for representation in of_level] for of_level in group.state_pictures]
+    gops = [iter(representation.gops) for representation in group.state_pictures]
 
     def level(j: int, number: int) -> SegmentLevel:
-        found = [
-            files.get(state_media_path(group.folder(tile), j, number), NO_FILE) for tile in range(group.layout.tiles)
-        ]
-        sizes = [next(gops[j][tile]).picture_bytes if file.bytes else [] for tile, file in enumerate(found)]
-        lines = [group.states.levels[j][tile].lines[number - 1 - group.first_segment] for tile in range(len(found))]
-        return SegmentLevel(found, sizes, [], [], [], [], [line is not None for line in lines] if any(lines) else None)
+        file = files.get(state_media_path(j, number), NO_FILE)
+        sizes = next(gops[j]).picture_bytes if file.bytes else []
+        line = group.states.levels[j].lines[number - 1 - group.first_segment]
+        return SegmentLevel(file, sizes, [], [], [], [], True if line else None)
 
     return [
         Segment(*span, [level(j, index + 1) for j in range(len(gops))])

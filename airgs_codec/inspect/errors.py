@@ -20,7 +20,7 @@ from airgs_codec.coding.quantize import scale_codes
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, key_units
 from airgs_codec.decoder.states import decode_pictures, state_units
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import STATE, Layout, key_layout, tile_folder
+from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import STATIC, Group
 from airgs_codec.scene.frames import turn_least
@@ -86,7 +86,7 @@ def _match(
         segment = m.segment_at(number)
         decoded += decode_segment(package, segment, base, 0, [number - m.segments[segment].start])
     scale = float(np.median(base.motion_units)) * group.state_steps.means
-    promised, still = _promised(group, base, m.tiers), base.depths == STATIC
+    promised, still = _promised(group, base), base.depths == STATIC
     features = _features([frames[pick] for pick in picks], group, scale)
     rows = np.empty(len(still), np.intp)
     rows[~still] = _nearest(features, _features(decoded, group, scale)[~still], promised[~still])
@@ -108,16 +108,17 @@ def _nearest(
     return np.asarray(np.take_along_axis(near, kept.argmax(1)[:, None], axis=1)[:, 0])
 
 
-def _promised(group: Group, base: Canonical, tiers: int) -> NDArray[np.float64]:
+def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
     """(N, 19) what each feature may err by: of rows with states in the top level, of others in their key.
 
     Colours have it from all C channels; a key that is no difference promises nothing of means.
     """
     steps, still = group.state_steps, base.depths == STATIC
     rows, first = [], 0
-    for k, unit in enumerate(group.units):
-        part = slice(first, first := first + unit.count)
-        level, key = group.tiles[k // tiers].levels[0].max_error, unit.qualities[0].max_error
+    level = group.levels[0].max_error
+    for tier in group.tiers:
+        part = slice(first, first := first + tier.count)
+        key = tier.qualities[0].max_error
         key = [np.inf] * (len(level) - len(key)) + key
         rows.append(np.where(still[part, None], key, level))
     units = [*(getattr(steps, run.attribute) for run in STATE.runs), 1.0]
@@ -152,15 +153,13 @@ def _keys(
             values, drawn = frame_channels(original, kept, group.difference_steps)
             known = sure & drawn  # others differ by nothing
         first = 0
-        for k, unit in enumerate(group.units):
-            part = slice(first, first + unit.count)
-            first += unit.count
-            if unit.count:
-                coded = scale_codes(decode_key(package, index, k, q)[0], key_units(package, index, k, q))
+        for t, tier in enumerate(group.tiers):
+            part = slice(first, first := first + tier.count)
+            if tier.count:
+                coded = scale_codes(decode_key(package, index, t, q)[0], key_units(package, index, t, q))
                 errors = np.abs(values[:, part] - (coded if coded.size else 0))
-                tile, tier = divmod(k, m.tiers)
-                where = f"group {index} key {tile_folder(tile, m.tiles)}T{tier} {quality.id}"
-                yield from _measured(where, layout, unit.qualities[q].max_error, errors, known[part])
+                where = f"group {index} key T{t} {quality.id}"
+                yield from _measured(where, layout, tier.qualities[q].max_error, errors, known[part])
 
 
 def _states(
@@ -176,22 +175,18 @@ def _states(
             base = decode_canonical(package, index, quality)
             values = state_channels(originals, base, group.state_steps)
         rows = np.flatnonzero((base.depths >= j) & (base.depths != STATIC))
-        first = 0
-        for number, tile in enumerate(group.tiles):
-            own = rows[first : first + tile.levels[j].rows]
-            first += len(own)
-            worst = np.zeros((len(steps), len(own)))
-            sent = [s for s in m.segments_of(index) if m.state_files(s, j, [number])]
-            for s in sent:
-                segment = m.segments[s]
-                frames, units = range(segment.stop - segment.start), state_units(package, s, j)
-                for t, state in enumerate(decode_pictures(package, s, j, frames, number)):
-                    decoded = state.values(slice(None), units)
-                    shown = [_shown(v, base, own) for v in (values[segment.start - group.start + t][:, own], decoded)]
-                    worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
-            if sent:
-                where = f"group {index} state {tile_folder(number, m.tiles)}{level.id}"
-                yield from _measured(where, STATE, tile.levels[j].max_error, worst, sure[own])
+        worst = np.zeros((len(steps), len(rows)))
+        sent = [s for s in m.segments_of(index) if m.state_files(s, j)]
+        for s in sent:
+            segment = m.segments[s]
+            frames, units = range(segment.stop - segment.start), state_units(package, s, j)
+            for t, state in enumerate(decode_pictures(package, s, j, frames)):
+                decoded = state.values(slice(None), units)
+                shown = [_shown(v, base, rows) for v in (values[segment.start - group.start + t][:, rows], decoded)]
+                worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
+        if sent:
+            where = f"group {index} state {level.id}"
+            yield from _measured(where, STATE, group.levels[j].max_error, worst, sure[rows])
 
 
 def _shown(channels: NDArray[np.floating], base: Canonical, rows: NDArray[np.intp]) -> NDArray[np.floating]:

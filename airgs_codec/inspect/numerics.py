@@ -1,7 +1,7 @@
 """Which stiff or extreme properties a package touches, and what holds for the rows that have them.
 
 Looked at are the canonical spaces in Q0 and the states of L0, after decoding; bounds are `max_error` of these atlases
-(FORMAT.md, section 4) and what float32 and half floats round. N rows of a group, n of a unit or tile.
+(FORMAT.md, section 4) and what float32 and half floats round. N rows of a group, n of a key tier or level.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def format_numerics(found: list[Touched]) -> str:
 def _group(package: Package, number: int) -> Iterator[Touched]:
     """All that a group touches."""
     group, base = package.manifest.groups[number], decode_canonical(package, number, 0)
-    errors = _bounds([unit.qualities[0] for unit in group.units], key_layout(group))
+    errors = _bounds([tier.qualities[0] for tier in group.tiers], key_layout(group))
     found = [*_sizes(base, errors), *_places(base, group), *_looks(base, errors), *_repairs(group)]
     if len(base.means):
         found += [*_key_codes(package, number, errors), *_motion(package, number)]
@@ -165,11 +165,11 @@ def _key_codes(package: Package, number: int, errors: dict[str, float]) -> Itera
     group = m.groups[number]
     layout = key_layout(group)
     ranges, past = np.zeros(layout.width(m.colour_channels)), _Past.none(layout)
-    for k, unit in enumerate(group.units):
-        codes = decode_key(package, number, k, 0)[0] if unit.count else np.empty(0, np.int32)
+    for t, tier in enumerate(group.tiers):
+        codes = decode_key(package, number, t, 0)[0] if tier.count else np.empty(0, np.int32)
         if codes.size:
-            ranges = np.maximum(ranges, np.ptp(codes.astype(np.float64), axis=1) * key_units(package, number, k, 0))
-            past = past.with_rows(layout, np.abs(codes - np.array(unit.qualities[0].centres)[:, None]))
+            ranges = np.maximum(ranges, np.ptp(codes.astype(np.float64), axis=1) * key_units(package, number, t, 0))
+            past = past.with_rows(layout, np.abs(codes - np.array(tier.qualities[0].centres)[:, None]))
     for name in layout.attributes:
         wide, error = float(ranges[layout.slice(name)].max()), errors[name]
         if group.keeps is None and wide > 0 and error >= COARSE * wide:
@@ -181,19 +181,17 @@ def _key_codes(package: Package, number: int, errors: dict[str, float]) -> Itera
 def _motion(package: Package, number: int) -> Iterator[_Found]:
     """Changes of states that take escapes."""
     m = package.manifest
-    group, past = m.groups[number], _Past.none(STATE)
-    for tile, entry in enumerate(group.tiles):
-        centres, worst = np.array(entry.levels[0].centres)[:, None], np.zeros((1, 1), np.int64)
-        for s in m.segments_of(number):
-            if m.state_files(s, 0, [tile]):
-                frames = m.segments[s].stop - m.segments[s].start
-                for shown in decode_pictures(package, s, 0, range(frames), tile):
-                    worst = np.maximum(worst, np.abs(shown.codes() - centres))
-                slopes = decode_slopes(package, s, 0, tile)
-                worst = worst if slopes is None else np.maximum(worst, np.abs(slopes))
-        past = past.with_rows(STATE, worst)
-    unit = float(motion_units(np.array([group.grid.finest], np.int16))[0])
-    error = _bounds([tile.levels[0] for tile in group.tiles], STATE)["means"]
+    group, worst = m.groups[number], np.zeros((1, 1), np.int64)
+    atlas = group.levels[0]
+    for s in m.segments_of(number):
+        if m.state_files(s, 0):
+            frames = m.segments[s].stop - m.segments[s].start
+            for shown in decode_pictures(package, s, 0, range(frames)):
+                worst = np.maximum(worst, np.abs(shown.codes() - np.array(atlas.centres)[:, None]))
+            slopes = decode_slopes(package, s, 0)
+            worst = worst if slopes is None else np.maximum(worst, np.abs(slopes))
+    past, unit = _Past.none(STATE).with_rows(STATE, worst), motion_units(np.array([group.grid.finest], np.int16))[0]
+    error = _bounds([atlas], STATE)["means"]
     yield from past.found("motion past 8 bits", f"; means bounded by {error:.3g} motion units (finest {unit:.3g})")
 
 

@@ -68,7 +68,7 @@ def _picture_bytes(m: Manifest, level: int) -> NDArray[np.float64]:
     """(F,) H.264 bytes of each frame of a level; 0 where a segment has no files."""
     sizes = np.zeros(m.frames)
     for segment in m.segments:
-        if pictures := segment.levels[level].picture_bytes:
+        if pictures := segment.levels[level].frame_bytes:
             sizes[segment.start : segment.stop] = pictures
     return sizes
 
@@ -77,6 +77,6 @@ def _key_bytes(m: Manifest) -> NDArray[np.float64]:
     """(F,) bytes of the keys in Q0, spread over the frames of their group."""
     sizes = np.zeros(m.frames)
     for g, group in enumerate(m.groups):
-        total = sum(m.bytes_of(m.key_files(g, k, 0)) for k in range(m.units))
+        total = sum(m.bytes_of(m.key_files(g, t, 0)) for t in range(m.tiers))
         sizes[group.start : group.stop] = total / (group.stop - group.start)
     return sizes

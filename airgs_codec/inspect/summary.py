@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.sound import LAYOUTS
-from airgs_codec.package.layout import KEY, STATE, Layout, tile_folder
+from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Manifest, on_ladder, pooled_quality
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.package.tables import Atlas, LeftOut, Views, World
@@ -40,17 +40,8 @@ class GroupSummary:
 
 
 @dataclass(frozen=True, slots=True)
-class TileSummary:
-    """One tile, over all groups."""
-
-    id: str
-    gaussians: tuple[int, int]  # fewest and most rows of a group
-    bytes_per_frame: float  # of the top rung
-
-
-@dataclass(frozen=True, slots=True)
 class KeySummary:
-    """One key tier of all tiles in one key quality, over all groups."""
+    """One key tier in one key quality, over all groups."""
 
     tier: str
     quality: str
@@ -114,7 +105,6 @@ class Summary:
     background: tuple[float, ...]  # r, g, b of [0, 1]; empty: black
     views: Views
     groups: tuple[GroupSummary, ...]
-    tiles: tuple[TileSummary, ...]
     keys: tuple[KeySummary, ...]
     levels: tuple[LevelSummary, ...]
     rungs: tuple[RungSummary, ...]  # key quality by key quality
@@ -144,7 +134,6 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         background=tuple(m.region.background or ()),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
-        tiles=tuple(_tile(m, tile) for tile in range(m.tiles)),
         keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),
         levels=tuple(_level(m, j) for j in levels),
         rungs=ladder([_rung(m, q, j, manifest_bytes) for q in qualities for j in levels]),
@@ -167,26 +156,18 @@ def _group(m: Manifest, index: int) -> GroupSummary:
     return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, g.keeps)
 
 
-def _tile(m: Manifest, tile: int) -> TileSummary:
-    counts = [sum(tier.count for tier in group.tiles[tile].tiers) for group in m.groups]
-    keys = [path for g in range(len(m.groups)) for k in m.units_of(0, [tile]) for path in m.key_files(g, k, 0)]
-    states = [path for s in range(len(m.segments)) for path in m.state_files(s, 0, [tile])]
-    return TileSummary(f"P{tile + 1}", (min(counts), max(counts)), m.bytes_of(keys + states) / m.frames)
-
-
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:
-    counts = [sum(tile.tiers[tier].count for tile in group.tiles) for group in m.groups]
-    units = range(tier, m.units, m.tiers)
-    total = sum(m.bytes_of(m.key_files(g, unit, quality)) for g in range(len(m.groups)) for unit in units)
+    counts = [group.tiers[tier].count for group in m.groups]
+    total = sum(m.bytes_of(m.key_files(g, tier, quality)) for g in range(len(m.groups)))
     entry = m.qualities[quality]
     return KeySummary(f"T{tier}", entry.id, entry.factor, (min(counts), max(counts)), total / m.frames)
 
 
 def _level(m: Manifest, index: int) -> LevelSummary:
     level = m.levels[index]
-    rows = [sum(tile.levels[index].rows for tile in group.tiles) for group in m.groups]
+    rows = [group.levels[index].rows for group in m.groups]
     total = sum(m.bytes_of(m.state_files(i, index)) for i in range(len(m.segments)))
-    errors = np.array([tile.levels[index].max_error for group in m.groups for tile in group.tiles]).max(axis=0).tolist()
+    errors = np.array([group.levels[index].max_error for group in m.groups]).max(axis=0).tolist()
     return LevelSummary(
         id=level.id,
         pruned=level.pruned,
@@ -240,14 +221,14 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
 
     State pictures are H.264 alone; key pictures count with the detail of positions, their escapes and boxes.
     """
-    tiers = [group.units[unit] for group in m.groups for unit in m.units_of(level)]
+    tiers = [tier for group in m.groups for tier in group.tiers[: m.levels[level].tiers]]
     states = [segment.levels[level] for segment in m.segments]
-    pictures = sum(sum(state.picture_bytes) for state in states)
+    pictures = sum(sum(state.frame_bytes) for state in states)
     return {
         "key pictures": sum(tier.pictures[quality].bytes for tier in tiers),
         "key sidecars": sum(tier.sidecar.bytes for tier in tiers),
         "state pictures": pictures,
-        "escapes and boxes": sum(state.bytes for state in states) - pictures,
+        "escapes and boxes": sum(state.file.bytes for state in states) - pictures,
         **({"sound": sum(group.sound.bytes for group in m.groups if group.sound)} if m.sound else {}),
         "manifests": manifest_bytes,
     }
@@ -256,7 +237,7 @@ def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) ->
 def describe_left_out(m: Manifest) -> list[str]:
     """One line each; what concerns more than FEW groups alike is one line."""
     lines = [*_decisions(m), *_constant(m)]
-    quiet = sum(not s.levels[0].bytes for s in m.segments)
+    quiet = sum(not s.levels[0].file.bytes for s in m.segments)
     if quiet:
         lines.append(f"{quiet} state segments: nothing moves in them by more than half a step")
     if m.sh_degree == 0:
@@ -290,14 +271,11 @@ def _constant(m: Manifest) -> Iterator[str]:
     """Tiers without rows, and channels without a plane in the top rung."""
     groups: dict[str, list[int]] = {}
     for i, group in enumerate(m.groups):
-        tiles = [(tile_folder(number, m.tiles), tile) for number, tile in enumerate(group.tiles)]
-        tiers = [(f"{folder}T{t}", tier) for folder, tile in tiles for t, tier in enumerate(tile.tiers)]
-        for name, tier in tiers:
+        for t, tier in enumerate(group.tiers):
             if not tier.count:
-                groups.setdefault(f"key tier {name}: it has no rows", []).append(i)
-        keys = [(f"key {name} Q0", tier.qualities[0], KEY) for name, tier in tiers]
-        states = [(f"state {folder}L0", tile.levels[0], STATE) for folder, tile in tiles]
-        for name, atlas, layout in (*keys, *states):
+                groups.setdefault(f"key tier T{t}: it has no rows", []).append(i)
+        keys = [(f"key T{t} Q0", tier.qualities[0], KEY) for t, tier in enumerate(group.tiers)]
+        for name, atlas, layout in (*keys, ("state L0", group.levels[0], STATE)):
             if text := _without_plane(atlas, layout):
                 groups.setdefault(f"planes of {name}: {text} (constant within half a step)", []).append(i)
     for text, where in groups.items():

@@ -41,7 +41,6 @@ def format_summary(s: Summary) -> str:
         "",
         *_groups(s),
         "",
-        *([*_tiles(s), ""] if len(s.tiles) > 1 else []),
         *_keys(s),
         "",
         "levels, without keys; PSNR, that of the worst picture, SSIM and ΔE (mean CIEDE2000) with every key in Q0:",
@@ -103,11 +102,6 @@ def _groups(s: Summary) -> list[str]:
     if len(rows) > MOST_GROUPS:
         rows = [*rows[: MOST_GROUPS - 2], ["…"] * 6, rows[-1]]
     return table(["group", "frames", "Gaussians", "keeps", "static", "segments"], rows)
-
-
-def _tiles(s: Summary) -> list[str]:
-    rows = [[tile.id, span(*tile.gaussians), _kilobytes(tile.bytes_per_frame)] for tile in s.tiles]
-    return table(["tile", "Gaussians", "kB/frame of the top rung"], rows)
 
 
 def _keys(s: Summary) -> list[str]:
@@ -183,23 +177,23 @@ def format_attributes(package: Package) -> str:
 def _of_keys(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for g, group in enumerate(m.groups):
-        for k, unit in enumerate(group.units):
-            yield "means", unit.sidecar.bytes
-            for media in m.key_files(g, k, 0)[1:]:
-                detail = 0 if group.keeps else 3 * m.qualities[-1].coarser * unit.count / 8
-                fine = min(detail, unit.pictures[0].bytes)
+        for t, tier in enumerate(group.tiers):
+            yield "means", tier.sidecar.bytes
+            for media in m.key_files(g, t, 0)[1:]:
+                detail = 0 if group.keeps else 3 * m.qualities[-1].coarser * tier.count / 8
+                fine = min(detail, tier.pictures[0].bytes)
                 yield "means", fine
-                samples = _samples(package, media, unit.qualities[0])
-                yield from _shares(unit.pictures[0].bytes - fine, unit.qualities[0], samples, key_layout(group))
+                samples = _samples(package, media, tier.qualities[0])
+                yield from _shares(tier.pictures[0].bytes - fine, tier.qualities[0], samples, key_layout(group))
 
 
 def _of_states(package: Package) -> Iterator[tuple[str, float]]:
     m = package.manifest
     for s, segment in enumerate(m.segments):
-        for number, tile in enumerate(m.groups[m.group_of(s)].tiles):
-            for media in m.state_files(s, 0, [number]):
-                samples = _samples(package, media, tile.levels[0], segment.levels[0].lined(number))
-                yield from _shares(sum(segment.levels[0].frame_bytes[number]), tile.levels[0], samples, STATE)
+        atlas, level = m.groups[m.group_of(s)].levels[0], segment.levels[0]
+        for media in m.state_files(s, 0):
+            samples = _samples(package, media, atlas, bool(level.line))
+            yield from _shares(sum(level.frame_bytes), atlas, samples, STATE)
 
 
 def _samples(package: Package, media: str, atlas: Atlas, lined: bool = False) -> Iterator[NDArray[np.int16]]:

@@ -50,7 +50,7 @@ def validate_files(files: Place) -> list[Finding]:
     """Everything that is wrong with the package of these files: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
-    key unit and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
+    key tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
     try:
@@ -138,10 +138,9 @@ def _check_measures(package: Package) -> Iterator[Finding]:
     """The H.264 bytes of the frames of a segment are no more than the file that holds them."""
     for s, segment in enumerate(package.manifest.segments):
         for j, level in enumerate(segment.levels):
-            for p, (file, sizes) in enumerate(zip(level.files, level.frame_bytes, strict=True)):
-                if sum(sizes) > file.bytes:
-                    detail = f"frame_bytes add up to {sum(sizes)}, the file has {file.bytes}"
-                    yield Finding("size_mismatch", f"segment {s} L{j} tile {p + 1}", detail)
+            if (total := sum(level.frame_bytes)) > level.file.bytes:
+                detail = f"frame_bytes add up to {total}, the file has {level.file.bytes}"
+                yield Finding("size_mismatch", f"segment {s} L{j}", detail)
 
 
 def _check_decoding(package: Package) -> Iterator[Finding]:
@@ -164,23 +163,21 @@ def _decode_key(package: Package, group: int, quality: int) -> None:
     with np.errstate(all="ignore"):  # _expect_finite says it better
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
-    for k, unit in enumerate(package.manifest.groups[group].units):
-        for media in package.manifest.key_files(group, k, quality)[1:]:
-            _expect_pictures(package, media, unit.qualities[quality], 1)
+    for t, tier in enumerate(package.manifest.groups[group].tiers):
+        for media in package.manifest.key_files(group, t, quality)[1:]:
+            _expect_pictures(package, media, tier.qualities[quality], 1)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
-    segment = package.manifest.segments[index]
-    files = package.manifest.state_files(index, level)
+    m = package.manifest
+    segment = m.segments[index]
     length = segment.stop - segment.start
-    if files:
-        group = package.manifest.groups[package.manifest.group_of(index)]
+    for media in m.state_files(index, level):
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
-                _expect_finite(frame, files[0])
-        for number, tile in enumerate(group.tiles):
-            for media in package.manifest.state_files(index, level, [number]):
-                _expect_pictures(package, media, tile.levels[level], length, segment.levels[level].lined(number))
+                _expect_finite(frame, media)
+        atlas = m.groups[m.group_of(index)].levels[level]
+        _expect_pictures(package, media, atlas, length, bool(segment.levels[level].line))
 
 
 def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, lined: bool = False) -> None:

@@ -35,11 +35,10 @@ MEDIA_TYPES = {  # by how the name of a file ends
 }
 
 _ORDINAL, _NUMBER = r"(0|[1-9]\d?)", r"([1-9]\d{0,6})"
-_TILE = r"(?:P([1-9]\d?)/)?"
 PATTERNS = {  # how a path is built -> what `locate` calls it
-    rf"key/{_TILE}T{_ORDINAL}/{_NUMBER}\.bin": "sidecar",
-    rf"key/{_TILE}T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "key",
-    rf"state/{_TILE}L{_ORDINAL}/{_NUMBER}\.m4s": "state",
+    rf"key/T{_ORDINAL}/{_NUMBER}\.bin": "sidecar",
+    rf"key/T{_ORDINAL}/Q{_ORDINAL}/{_NUMBER}\.m4s": "key",
+    rf"state/L{_ORDINAL}/{_NUMBER}\.m4s": "state",
     rf"sound/{_NUMBER}\.m4a": "sound",
     rf"group/{_NUMBER}\.json\.gz": "group",
     rf"index/([1-9])/{_NUMBER}\.json": "page",
@@ -52,7 +51,7 @@ RETAINED = 1 << 14  # paths whose place is known: more than a session looks at a
 class FileKind(StrEnum):
     """What a file of a package carries; the values are the names in reports."""
 
-    KEY = "key"  # the picture of a key unit with its detail
+    KEY = "key"  # the picture of a key tier with its detail
     STATE = "state"  # the pictures of a state segment with its escapes
     SIDECARS = "sidecars"  # positions
     SOUND = "sound"
@@ -74,13 +73,10 @@ def file_kind(path: str) -> FileKind:
 
 @lru_cache(RETAINED)
 def locate(path: str) -> tuple[str, tuple[int, ...]]:
-    """Return what a path names, as in `PATTERNS`, and the numbers in it; "" for any other path.
-
-    The first number of sidecars, keys and states is that of the tile, 0 in a package that has one.
-    """
+    """Return what a path names, as in `PATTERNS`, and the numbers in it; "" for any other path."""
     for pattern, what in PATTERNS.items():
         if match := re.fullmatch(pattern, path, re.ASCII):
-            return what, tuple(int(number or 0) for number in match.groups())
+            return what, tuple(map(int, match.groups()))
     return "", ()
 
 
@@ -89,24 +85,19 @@ def belongs(path: str) -> bool:
     return path in (JSON_NAME, MPD_NAME, INIT_NAME, SOUND_INIT_NAME, POSTER_NAME) or locate(path)[0] != ""
 
 
-def tile_folder(tile: int, tiles: int) -> str:
-    """The folder in paths of a tile, counted from 0, with a slash; the only tile of a package has none."""
-    return f"P{tile + 1}/" if tiles > 1 else ""
+def key_sidecar_path(tier: int, number: int) -> str:
+    """Sidecar of a key tier, the same for all its qualities."""
+    return f"key/T{tier}/{number}.bin"
 
 
-def key_sidecar_path(folder: str, tier: int, number: int) -> str:
-    """Sidecar of a key unit, the same for all its qualities; `folder` is that of its tile."""
-    return f"key/{folder}T{tier}/{number}.bin"
+def key_media_path(tier: int, quality: int, number: int | str) -> str:
+    """Picture of a key tier with its detail; `number` may be the placeholder of a template."""
+    return f"key/T{tier}/Q{quality}/{number}.m4s"
 
 
-def key_media_path(folder: str, tier: int, quality: int, number: int | str) -> str:
-    """Picture of a key unit with its detail; `number` may be the placeholder of a template."""
-    return f"key/{folder}T{tier}/Q{quality}/{number}.m4s"
-
-
-def state_media_path(folder: str, level: int, number: int | str) -> str:
-    """Pictures of a state segment of a tile with its escapes; `number` may be the placeholder of a template."""
-    return f"state/{folder}L{level}/{number}.m4s"
+def state_media_path(level: int, number: int | str) -> str:
+    """Pictures of a state segment with its escapes; `number` may be the placeholder of a template."""
+    return f"state/L{level}/{number}.m4s"
 
 
 def sound_path(number: int | str) -> str:

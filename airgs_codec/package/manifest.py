@@ -1,7 +1,6 @@
 """A package's tables as one value: the root and its groups, whose tables are read when they are asked for.
 
-P tiles, T key tiers of each, Q key qualities, L levels. A unit is a key tier of a tile, number tile * T + tier. Groups,
-segments, tiles, units, qualities and levels are counted from 0; groups, segments and tiles in paths from 1.
+Groups, segments, key tiers, qualities and levels are counted from 0; groups and segments in paths from 1.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from airgs_codec.package.layout import (
     locate,
     sound_path,
     state_media_path,
-    tile_folder,
 )
 from airgs_codec.package.parse import build_index, pack_group
 from airgs_codec.package.references import check_base
@@ -127,16 +125,10 @@ class Manifest(Header):
         stops = [segment.stop for segment in self.groups[group].segments]
         return self.segments_of(group)[next(i for i, stop in enumerate(stops) if frame < stop)]
 
-    def units_of(self, level: int, tiles: Iterable[int] | None = None) -> list[int]:
-        """The key units that viewers of a level fetch of some tiles, by default of all."""
-        tiers = range(self.levels[level].tiers)
-        return [tile * self.tiers + tier for tile in (range(self.tiles) if tiles is None else tiles) for tier in tiers]
-
-    def key_files(self, group: int, unit: int, quality: int) -> list[str]:
-        """Sidecar and picture of one key unit; no picture of an atlas without rows, nothing of a unit without."""
-        tile, tier = divmod(unit, self.tiers)
-        entry, folder = self.groups[group].tiles[tile].tiers[tier], tile_folder(tile, self.tiles)
-        files = [key_sidecar_path(folder, tier, group + 1), key_media_path(folder, tier, quality, group + 1)]
+    def key_files(self, group: int, tier: int, quality: int) -> list[str]:
+        """Sidecar and picture of one key tier; no picture of an atlas without rows, nothing of a tier without."""
+        entry = self.groups[group].tiers[tier]
+        files = [key_sidecar_path(tier, group + 1), key_media_path(tier, quality, group + 1)]
         return files[: (entry.count > 0) + (entry.count > 0 and entry.qualities[quality].rows > 0)]
 
     def base_of(self, group: int) -> int | None:
@@ -151,14 +143,10 @@ class Manifest(Header):
         check_base(table, self.groups[table.keeps - 1], group_path(group + 1))
         return table.keeps - 1
 
-    def state_files(self, segment: int, level: int, tiles: Iterable[int] | None = None) -> list[str]:
-        """The files of one state segment of some tiles, by default of all; none of a tile with nothing to fetch."""
-        files = self.segments[segment].levels[level].files
-        return [
-            state_media_path(tile_folder(tile, self.tiles), level, segment + 1)
-            for tile in (range(self.tiles) if tiles is None else tiles)
-            if files[tile].bytes
-        ]
+    def state_files(self, segment: int, level: int) -> list[str]:
+        """The file of one state segment; none where there is nothing to fetch."""
+        there = self.segments[segment].levels[level].file.bytes > 0
+        return [state_media_path(level, segment + 1)] if there else []
 
     def sound_files(self, group: int) -> list[str]:
         """The sound of a group; none where there is nothing to fetch."""
@@ -167,8 +155,8 @@ class Manifest(Header):
 
     def group_files(self, group: int) -> list[str]:
         """Every file that the table of a group lists."""
-        units, qualities, levels = range(self.units), range(len(self.qualities)), range(len(self.levels))
-        keys = [path for k in units for q in qualities for path in self.key_files(group, k, q)]
+        tiers, qualities, levels = range(self.tiers), range(len(self.qualities)), range(len(self.levels))
+        keys = [path for t in tiers for q in qualities for path in self.key_files(group, t, q)]
         states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
         return sorted({*self.sound_files(group), *keys, *states})
 
@@ -199,19 +187,13 @@ class Manifest(Header):
         return found
 
     def _entry(self, path: str) -> FileEntry | None:
-        what, numbers = locate(path)
-        if what in ("sidecar", "key", "state"):
-            tile, numbers = numbers[0], numbers[1:]
-            if (tile > 0) != (self.tiles > 1):
-                return None
-            tile = max(0, tile - 1)
-        match what, numbers:
+        match locate(path):
             case "sidecar", [tier, number]:
-                return self.groups[number - 1].tiles[tile].tiers[tier].sidecar
+                return self.groups[number - 1].tiers[tier].sidecar
             case "key", [tier, quality, number]:
-                return self.groups[number - 1].tiles[tile].tiers[tier].pictures[quality]
+                return self.groups[number - 1].tiers[tier].pictures[quality]
             case "state", [level, number]:
-                return self.segments[number - 1].levels[level].files[tile]
+                return self.segments[number - 1].levels[level].file
             case "sound", [number]:
                 return self.groups[number - 1].sound
             case "group", [number]:
@@ -233,9 +215,9 @@ class Manifest(Header):
 
     def rung_files(self, quality: int, level: int, groups: Sequence[int] | None = None) -> list[str]:
         """Every file a viewer of one rung fetches of some groups, by default of all, without tables."""
-        units, groups = self.units_of(level), range(len(self.groups)) if groups is None else groups
+        tiers, groups = range(self.levels[level].tiers), range(len(self.groups)) if groups is None else groups
         sound = [path for g in groups for path in self.sound_files(g)]
-        keys = [path for g in groups for k in units for path in self.key_files(g, k, quality)]
+        keys = [path for g in groups for t in tiers for path in self.key_files(g, t, quality)]
         return sound + keys + [path for g in groups for s in self.segments_of(g) for path in self.state_files(s, level)]
 
 

@@ -1,14 +1,14 @@
 """manifest.mpd: a valid DASH MPD over the package's files, one Period. Advisory; airgs.json is normative.
 
-One AdaptationSet for the state of each tile (its Representations are the levels), one for each of its key tiers
-(the key qualities) and one for the sound, whose timeline is that of the groups: packets meet it to 20 ms.
-The shape was chosen by what ffmpeg and dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline,
-SupplementalProperty only, relative addresses, one init segment for all. The SegmentTemplate stands in the
-AdaptationSet where the timelines of its Representations are equal; otherwise each has its own, and the set has none
-(video.js would play the files of both). Runs of equal segments are one S, so that the MPD does not grow with a regular
-sequence. DASH players stop at a gap in a timeline, and count files from its beginning: where nothing of a level moves,
-and the tables have no file, a still file of one grey picture takes its place, which only DASH players fetch. Key tiers
-without a picture in a group leave gaps. `mpd_check` reads an MPD back and refuses others.
+One AdaptationSet for the state (its Representations are the levels), one for each key tier (the key qualities) and one
+for the sound, whose timeline is that of the groups: packets meet it to 20 ms. The shape was chosen by what ffmpeg and
+dash.js read: SegmentTemplate with $Number$ and an explicit SegmentTimeline, SupplementalProperty only, relative
+addresses, one init segment for all. The SegmentTemplate stands in the AdaptationSet where the timelines of its
+Representations are equal; otherwise each has its own, and the set has none (video.js would play the files of both).
+Runs of equal segments are one S, so that the MPD does not grow with a regular sequence. DASH players stop at a gap in a
+timeline, and count files from its beginning: where nothing of a level moves, and the tables have no file, a still file
+of one grey picture takes its place, which only DASH players fetch. Key tiers without a picture in a group leave gaps.
+`mpd_check` reads an MPD back and refuses others.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ from airgs_codec.package.layout import (
     key_media_path,
     sound_path,
     state_media_path,
-    tile_folder,
 )
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.tables import Group, Header, Segment
@@ -134,15 +133,11 @@ class Streams:
     def __init__(self, m: Header) -> None:
         """`m`: the package, whose groups are added one by one."""
         self._header = m
-        self._states: list[list[_Stream]] = []  # tile x level
-        self._keys: list[list[_Stream]] = []  # unit x quality
-        for folder in (tile_folder(tile, m.tiles) for tile in range(m.tiles)):
-            self._states.append(
-                [_Stream(f"{folder}L{j}", state_media_path(folder, j, NUMBER)) for j in range(len(m.levels))]
-            )
-            for t in range(m.tiers):
-                names = [(f"{folder}T{t}/Q{q}", key_media_path(folder, t, q, NUMBER)) for q in range(len(m.qualities))]
-                self._keys.append([_Stream(*name) for name in names])
+        self._states = [_Stream(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
+        self._keys = [
+            [_Stream(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
+            for t in range(m.tiers)
+        ]
         self._sound = _Stream(SOUND, sound_path(NUMBER), SOUND_INIT_NAME)
         self._groups = self._segments = 0  # so far
         self.longest = 0  # frames of a group
@@ -159,34 +154,27 @@ class Streams:
         """The next group; gives its still files by their paths."""
         m = self._header
         self._groups += 1
-        for row, tier in zip(self._keys, group.units, strict=True):
+        for row, tier in zip(self._keys, group.tiers, strict=True):
             for stream, picture in zip(row, tier.pictures, strict=True):
                 stream.add(m, self._groups, group, picture.bytes)
         self._sound.add(m, self._groups, group, group.sound.bytes if group.sound else 0)
         stills: dict[str, bytes] = {}
         for segment in group.segments:
             self._segments += 1
-            for p, row in enumerate(self._states):
-                for stream, level in zip(row, segment.levels, strict=True):
-                    size = level.files[p].bytes
-                    if not size and stream.timeline:
-                        ticks = m.frame_ticks
-                        data = still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
-                        stills[stream.media.replace(NUMBER, str(self._segments))], size = data, len(data)
-                    stream.add(m, self._segments, segment, size)
+            for stream, level in zip(self._states, segment.levels, strict=True):
+                size = level.file.bytes
+                if not size and stream.timeline:
+                    ticks = m.frame_ticks
+                    data = still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
+                    stills[stream.media.replace(NUMBER, str(self._segments))], size = data, len(data)
+                stream.add(m, self._segments, segment, size)
         self.longest = max(self.longest, group.stop - group.start)
         return stills
 
     def sets(self) -> list[AdaptationSet]:
-        """Of each tile the state, then each key tier, then the sound, as far as they have files."""
-        sets: list[tuple[str, int, list[_Stream]]] = []
-        tiers = self._header.tiers
-        for tile, states in enumerate(self._states):
-            where = f";tile={tile + 1}" if len(self._states) > 1 else ""
-            sets.append((f"state{where}", 10, states))
-            keys = self._keys[tile * tiers : (tile + 1) * tiers]
-            sets += [(f"key;tier={t}{where}", 1, row) for t, row in enumerate(keys)]
-        sets.append((SOUND, 1, [self._sound]))
+        """The state, then each key tier, then the sound, as far as they have files."""
+        keys = [(f"key;tier={t}", 1, row) for t, row in enumerate(self._keys)]
+        sets = [("state", 10, self._states), *keys, (SOUND, 1, [self._sound])]
         listed = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
         return [AdaptationSet(role, priority, row) for role, priority, row in listed if row]
 

@@ -46,7 +46,7 @@ def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
     for name in sorted(set(got) ^ set(wanted)):
         raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and the tables")
     if {frozenset(row) for row in found if row} != {frozenset(row) for row in expected}:
-        wanted_sets = "an AdaptationSet for the state of each tile, for each key tier and for the sound"
+        wanted_sets = "an AdaptationSet for the state, for each key tier and for the sound"
         raise FormatError("mpd_mismatch", MPD_NAME, f"expected {wanted_sets}")
 
 

@@ -1,6 +1,6 @@
 """Checks of tables that no single field can tell: counts, spans, and fields that refer to each other.
 
-Each check relies on those before it. P tiles, T tiers of each, Q key qualities, L levels.
+Each check relies on those before it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,6 @@ from airgs_codec.package.tables import (
     Atlas,
     FileEntry,
     Group,
-    GroupTier,
-    GroupTile,
     Header,
     Region,
     Root,
@@ -78,8 +76,10 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
     _check_shapes(m, group, where)
     _check_bounds(where, _group_bounds(m, group))
     _check_sound(m, group, f"{where}.sound")
-    for name, tier in _units(group):
-        _check_tier(f"{where}.{name}", tier)
+    for t, tier in enumerate(group.tiers):
+        _check_file(f"{where}.tiers[{t}].sidecar", tier.sidecar, tier.count > 0)
+        for q, picture in enumerate(tier.pictures):
+            _check_file(f"{where}.tiers[{t}].pictures[{q}]", picture, tier.qualities[q].rows > 0)
     stop = group.start
     for s, segment in enumerate(group.segments):
         if segment.start != stop or not stop < segment.stop <= group.stop:
@@ -109,19 +109,12 @@ def check_base(group: Group, base: Group, where: str) -> None:
     if base.keeps is not None:
         raise _bad(f"{where}.keeps", f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}")
     if _laid_out(group) != _laid_out(base):
-        raise _bad(f"{where}.keeps", f"expected a group of equal units, grid, key_steps and colours, got {group.keeps}")
+        raise _bad(f"{where}.keeps", f"expected a group of equal tiers, grid, key_steps and colours, got {group.keeps}")
 
 
 def _laid_out(group: Group) -> tuple[object, ...]:
     """All that is equal in a group and its base."""
-    return group.grid, group.key_steps, group.colour_transform, [(unit.count, unit.factor) for unit in group.units]
-
-
-def _units(group: Group) -> Iterator[tuple[str, GroupTier]]:
-    """Where each key unit stands in a table, and what is there."""
-    for p, tile in enumerate(group.tiles):
-        for t, tier in enumerate(tile.tiers):
-            yield f"tiles[{p}].tiers[{t}]", tier
+    return group.grid, group.key_steps, group.colour_transform, [(tier.count, tier.factor) for tier in group.tiers]
 
 
 def check_region(region: Region, where: str) -> None:
@@ -207,13 +200,10 @@ def _root_bounds(m: Header) -> Iterator[Bound]:
 def _check_shapes(m: Header, group: Group, where: str) -> None:
     """Lists that must be of the same length."""
     qualities, levels = len(m.qualities), len(m.levels)
-    shapes = [("tiles", len(group.tiles), m.tiles)]
-    for p, tile in enumerate(group.tiles):
-        shapes.append((f"tiles[{p}].tiers", len(tile.tiers), m.tiers))
-        shapes.append((f"tiles[{p}].levels", len(tile.levels), levels))
-    for name, tier in _units(group):
-        shapes.append((f"{name}.qualities", len(tier.qualities), qualities))
-        shapes.append((f"{name}.pictures", len(tier.pictures), qualities))
+    shapes = [("tiers", len(group.tiers), m.tiers), ("levels", len(group.levels), levels)]
+    for t, tier in enumerate(group.tiers):
+        shapes.append((f"tiers[{t}].qualities", len(tier.qualities), qualities))
+        shapes.append((f"tiers[{t}].pictures", len(tier.pictures), qualities))
     shapes += [(f"segments[{s}].levels", len(segment.levels), levels) for s, segment in enumerate(group.segments)]
     for name, got, expected in shapes:
         if got != expected:
@@ -223,31 +213,21 @@ def _check_shapes(m: Header, group: Group, where: str) -> None:
 def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     fewest = m.levels[-1].tiers
     yield "static", group.static, 0, group.count
-    yield "sum of tier counts", sum(tier.count for tier in group.units), group.count, group.count
-    first = sum(tier.count for tile in group.tiles for tier in tile.tiers[:fewest])
+    yield "sum of tier counts", sum(tier.count for tier in group.tiers), group.count, group.count
+    first = sum(tier.count for tier in group.tiers[:fewest])
     yield f"rows of the first {fewest} tiers", first, 1, group.count
     layout = key_layout(group)
     if group.keeps is not None:
         yield "grid.step", group.difference_steps.means, 1 / MOST_NUMBER, MOST_NUMBER
-    for name, tier in _units(group):
+    for t, tier in enumerate(group.tiers):
         for q, atlas in enumerate(tier.qualities):
-            where, same = f"{name}.qualities[{q}]", group.keeps is not None and not atlas.rows
+            where, same = f"tiers[{t}].qualities[{q}]", group.keeps is not None and not atlas.rows
             yield f"{where}.rows", atlas.rows, 0 if same else tier.count, tier.count
             yield f"len({where}.planes)", len(atlas.planes), min(1, atlas.rows), layout.width(m.colour_channels)
             yield from _atlas_bounds(where, atlas, layout, m.colour_channels)
-    for p, tile in enumerate(group.tiles):
-        yield from _tile_bounds(m, tile, f"tiles[{p}]")
-    for j in range(len(m.levels)):
-        yield f"rows of levels[{j}]", sum(tile.levels[j].rows for tile in group.tiles), 0, group.count - group.static
-
-
-def _tile_bounds(m: Header, tile: GroupTile, where: str) -> Iterator[Bound]:
-    for axis, (low, high) in enumerate(zip(tile.low, tile.high, strict=True)):
-        yield f"{where}.high[{axis}]", high, low, MOST_NUMBER
-    rows = sum(tier.count for tier in tile.tiers)
-    for j, atlas in enumerate(tile.levels):
-        yield f"{where}.levels[{j}].rows", atlas.rows, 0, rows
-        yield from _atlas_bounds(f"{where}.levels[{j}]", atlas, STATE, m.colour_channels)
+    for j, atlas in enumerate(group.levels):
+        yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
+        yield from _atlas_bounds(f"levels[{j}]", atlas, STATE, m.colour_channels)
 
 
 def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Iterator[Bound]:
@@ -269,34 +249,21 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
         yield f"{where} pages", atlas.pages, 1, MAX_PAGES
 
 
-def _check_tier(where: str, tier: GroupTier) -> None:
-    _check_file(f"{where}.sidecar", tier.sidecar, tier.count > 0)
-    for q, entry in enumerate(tier.pictures):
-        _check_file(f"{where}.pictures[{q}]", entry, tier.qualities[q].rows > 0)
-
-
 def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:
     """A segment says as much of each level as there is to say."""
     measured = len(m.qualities) if m.measured else 0
     for j, level in enumerate(segment.levels):
-        here = f"{where}.levels[{j}]"
-        counts: list[tuple[str, int, int]] = [
-            ("files", len(level.files), m.tiles),
-            ("frame_bytes", len(level.frame_bytes), m.tiles),
+        here, fetched = f"{where}.levels[{j}]", level.file.bytes > 0
+        _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
+        counts = [
+            ("frame_bytes", len(level.frame_bytes), segment.stop - segment.start if fetched else 0),
             ("psnr", len(level.psnr), measured),
             ("worst", len(level.worst), measured),
             ("ssim", len(level.ssim), measured),
             ("delta_e", len(level.delta_e), measured),
         ]
-        for p, (tile, file, sizes) in enumerate(zip(group.tiles, level.files, level.frame_bytes, strict=False)):
-            fetched = file.bytes > 0
-            _check_file(f"{here}.files[{p}]", file, fetched and bool(tile.levels[j].planes))
-            counts.append((f"frame_bytes[{p}]", len(sizes), segment.stop - segment.start if fetched else 0))
-        if level.lines is not None:
-            counts.append(("lines", len(level.lines), m.tiles))
         for name, got, expected in counts:
             if got != expected:
                 raise _bad(f"{here}.{name}", f"expected {expected} values, got {got}")
-        for p, (lined, sizes) in enumerate(zip(level.lines or (), level.frame_bytes, strict=False)):
-            if lined and len(sizes) < 2:
-                raise _bad(f"{here}.lines[{p}]", f"expected at least 2 frames, got {len(sizes)}")
+        if level.line and len(level.frame_bytes) < 2:
+            raise _bad(f"{here}.line", f"expected at least 2 frames, got {len(level.frame_bytes)}")

@@ -1,6 +1,6 @@
 """The tables of a package as frozen values: airgs.json (the root), the pages of its index, and a table a group.
 
-P tiles, T key tiers of each, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What
+T key tiers, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What
 a field may hold beside its type is a constraint in its annotation; `parse` reads the JSON back and refuses everything
 else. `manifest` is a package's tables as one value.
 """
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.scene.gaussians import SH_REST
 
-VERSION = 5
+VERSION = 6
 
 MAX_COUNT = 1 << 24  # Gaussians a group
 MAX_FRAMES = 100_000_000  # 38 days at 30 frames a second
@@ -34,7 +34,6 @@ MAX_PAGES = 128
 MAX_FILE_BYTES = 1 << 31
 MAX_POSTER_BYTES = 20_000
 MAX_CHOICES = 64  # tiers, qualities, levels
-MAX_TILES = 64
 MAX_PLACES = 64
 MAX_BITS = 21  # of a grid index
 MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape add up within int32
@@ -208,7 +207,7 @@ class Level:
     id: str
     pruned: Share  # of the moving rows
     factor: Factor
-    tiers: int  # key tiers of a tile that its viewers fetch; rows of later tiers have no state in it
+    tiers: int  # key tiers that its viewers fetch; rows of later tiers have no state in it
     quality: Annotated[int, Range(0, MAX_CHOICES - 1)]  # key quality that its states correct: its rung of the ladder
 
 
@@ -287,7 +286,7 @@ def plane_height(rows: int, plane_width: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class GroupTier:
-    """A unit: one key tier of one tile of one group."""
+    """A key tier of one group."""
 
     count: Count  # rows; a tier without rows has no files
     factor: Factor  # on the key steps, beside that of the key quality
@@ -297,40 +296,16 @@ class GroupTier:
 
 
 @dataclass(frozen=True, slots=True)
-class GroupTile:
-    """The rows of one group in one part of space, which are fetched and decoded apart from all others."""
-
-    low: Point  # corner of a box of nearly all their means in all frames, world units
-    high: Point  # the opposite one
-    tiers: list[GroupTier]
-    levels: list[Atlas]  # of the states
-
-
-@dataclass(frozen=True, slots=True)
 class SegmentLevel:
     """One level of one segment."""
 
-    files: list[FileEntry]  # of each tile; none: nothing to fetch, the canonical space is shown
-    frame_bytes: list[list[PictureBytes]]  # of each tile: H.264 bytes of each frame, the first with the slopes
+    file: FileEntry  # none: nothing to fetch, the canonical space is shown
+    frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, the first with the slopes; empty without a file
     psnr: list[Decibels]  # for each key quality; empty: not measured
     worst: list[Decibels]  # PSNR of the worst picture, for each key quality
     ssim: list[Annotated[float, Range(-1, 1)]]  # for each key quality
     delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
-    lines: list[bool] | None = None  # of each tile, whether its file begins with slopes; None: no file does
-
-    def lined(self, tile: int) -> bool:
-        """Whether the file of a tile begins with slopes."""
-        return self.lines is not None and self.lines[tile]
-
-    @property
-    def bytes(self) -> int:
-        """Length of the files of all tiles."""
-        return sum(file.bytes for file in self.files)
-
-    @property
-    def picture_bytes(self) -> list[int]:
-        """H.264 bytes of each frame, of all tiles together; empty where no tile has a file."""
-        return [sum(sizes) for sizes in zip(*filter(None, self.frame_bytes), strict=True)]
+    line: bool | None = None  # whether its file begins with slopes; None, and no such field: it does not
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,24 +333,20 @@ class Group:
 
     start: FrameNumber
     stop: FrameNumber
-    count: Annotated[int, Range(1, MAX_COUNT)]  # rows written, over all units
+    count: Annotated[int, Range(1, MAX_COUNT)]  # rows written, over all tiers
     static: Count  # rows of `count` that no level carries
     unused: Count  # Gaussians no view uses: not written
     grid: Grid
     key_steps: KeySteps
     state_steps: StateSteps
     colour_transform: str  # base64 of C x C little-endian int16, in 1 / TRANSFORM_UNITS; row k makes channel k
-    tiles: list[GroupTile]
+    tiers: list[GroupTier]
+    levels: list[Atlas]  # of the states
     segments: Annotated[list[Segment], Length(1, MAX_FRAMES)]
     left_out: list[LeftOut]
     repairs: list[str]  # what was repaired in the input before coding
     keeps: Annotated[int, Range(1, MAX_FRAMES)] | None = None  # an earlier group, from 1, that keys are differences to
     sound: FileEntry | None = None  # of its frames; None in a package without sound
-
-    @property
-    def units(self) -> list[GroupTier]:
-        """The key tiers of the first tile, then those of the next."""
-        return [tier for tile in self.tiles for tier in tile.tiers]
 
     @property
     def difference_steps(self) -> StateSteps:
@@ -421,8 +392,7 @@ class Header:
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]
-    tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers of a tile
-    tiles: Annotated[int, Range(1, MAX_TILES)]  # parts of space
+    tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers
     sound: Sound | None  # None, and no such field in airgs.json: there is none
 
     @property
@@ -444,11 +414,6 @@ class Header:
     def colour_channels(self) -> int:
         """Colour channels C of an atlas: three DC, then SH rest."""
         return 3 * (1 + SH_REST[self.sh_degree])
-
-    @property
-    def units(self) -> int:
-        """Key tiers of all tiles together."""
-        return self.tiles * self.tiers
 
     @property
     def measured(self) -> bool:

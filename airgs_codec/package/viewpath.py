@@ -41,7 +41,7 @@ LENS = ("width", "height", "fx", "fy", "cx", "cy", "near")  # what cameras have 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A walk that goes on as often as need be. `at` is what a viewer sees (`play.sight.View`)."""
+    """A walk that goes on as often as need be."""
 
     region: Region
     tour: list[Place]
@@ -49,10 +49,6 @@ class Path:
     lens: dict[str, Any]  # of the cameras, where it is not the region's
     unreached: int  # stops that it does not come by: the way there leads through the content, or out of the region
     kept: bool = False  # inside of the region, all the time
-
-    def at(self, seconds: float) -> Camera:
-        """The view after so many seconds."""
-        return self.cameras(np.array([seconds]))[0]
 
     def cameras(self, times: NDArray[np.float64]) -> list[Camera]:
         """The view at each of some seconds."""

@@ -8,10 +8,10 @@ is the integral of the trace. Any player that shows its slots at those deadlines
 its linear relaxation, is no less than what the player reached. Slots need not be fetched in order: deadlines and
 releases ascend together, and then the order of deadlines is as good as any.
 
-Where the keys of a group are differences to another one, the base, the key units of the base are fetched for it as
-well, but for those that an earlier slot of the same loop over the sequence had.
+Where the keys of a group are differences to another one, the base, the keys of the base are fetched for it as well,
+but for those that an earlier slot of the same loop over the sequence had.
 
-S slots, R rungs, Q key qualities, K key units. Sizes are kB inside the programme, or larger units where segments are
+S slots, R rungs, Q key qualities, K key tiers. Sizes are kB inside the programme, or larger units where segments are
 gigabytes, so that its numbers are of one order.
 """
 
@@ -28,11 +28,11 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import csr_array
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.offers import NONE, SegmentOffer, Unit, Units
+from airgs_codec.play.offers import NONE, Key, Keys, SegmentOffer
 
 ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must not make a session impossible
 LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one
-_Key = tuple[int, int]  # key quality, number of a key unit
+_Key = tuple[int, int]  # key quality and tier
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
 
 
@@ -49,13 +49,13 @@ class Slot:
 class Horizon:
     """What is to be chosen: slots in the order in which they are shown.
 
-    `decoded` are key units that need not be fetched in the loop of the first slot. `idle_bytes` is what the link could
+    `decoded` are keys that need not be fetched in the loop of the first slot. `idle_bytes` is what the link could
     have carried while it waits for the next request, per slot after the first: 0 for a player that sends its next
     request a round trip before the last batch ends, and in a bound.
     """
 
     slots: tuple[Slot, ...]
-    decoded: Units = NONE
+    decoded: Keys = NONE
     idle_bytes: float = 0.0
 
 
@@ -102,12 +102,12 @@ class _Programme:
         self._horizon = horizon
         self._offers = [slot.offer for slot in horizon.slots]
         first = self._offers[0]
-        own = sorted({unit.unit[1:] for rung in first.rungs for unit in rung.units if unit.unit[0] == first.group})
-        self._column = {key: column for column, key in enumerate(own)}  # of (quality, number of a unit)
+        own = sorted({of.key[1:] for rung in first.rungs for of in rung.keys if of.key[0] == first.group})
+        self._column = {key: column for column, key in enumerate(own)}  # of (quality, tier)
         self.rungs = len(first.rungs)
         self._groups = [(offer.group, offer.base) for offer in self._offers]
         self._loops = np.cumsum([0, *(b.segment <= a.segment for a, b in itertools.pairwise(self._offers))])
-        self._bytes = {u.unit: u.bytes for offer in self._offers for rung in offer.rungs for u in rung.units}
+        self._bytes = {of.key: of.bytes for offer in self._offers for rung in offer.rungs for of in rung.keys}
         kinds = 1 if all(base is None for _, base in self._groups) else 2
         largest = max(float(rung.state_bytes) for offer in self._offers for rung in offer.rungs)
         self.unit = max(1e3, largest / LARGEST)  # bytes
@@ -118,20 +118,20 @@ class _Programme:
         return k * self._width + rung
 
     def _key(self, k: int, of: int, key: _Key) -> int:
-        """The share of a key unit that is decoded, of the slot's group (0) or its base (1)."""
+        """The share of a key that is decoded, of the slot's group (0) or its base (1)."""
         return k * self._width + self.rungs + of * len(self._column) + self._column[key]
 
     def _carried(self, k: int) -> int:
         return (k + 1) * self._width - 1
 
     def _keys(self, k: int) -> Iterator[tuple[int, int, _Key]]:
-        """All key units that a slot may need: 0 of its group or 1 of its base, the group, and which."""
+        """All keys that a slot may need: 0 of its group or 1 of its base, the group, and which."""
         for of, group in enumerate(self._groups[k]):
             if group is not None:
                 yield from ((of, group, key) for key in self._column)
 
     def _before(self, k: int, of: int, key: _Key) -> int | None:
-        """The share of the same key unit in the last slot before that may need it; None: it is not decoded before."""
+        """The share of the same key in the last slot before that may need it; None: it is not decoded before."""
         if of == 0:
             return self._key(k - 1, of, key) if k and not self._offers[k].starts_group else None
         group = self._groups[k][of]
@@ -166,14 +166,14 @@ class _Programme:
         """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
         slot = self._horizon.slots[k]
         constraints.add([(self._share(k, rung), 1.0) for rung in range(self.rungs)], 1.0, 1.0)
-        users: dict[Unit, Terms] = defaultdict(list)  # minus the share of every rung that needs a key
+        users: dict[Key, Terms] = defaultdict(list)  # minus the share of every rung that needs a key
         for number, rung in enumerate(slot.offer.rungs):
-            for unit in rung.units:
-                users[unit.unit].append((self._share(k, number), -1.0))
+            for needed in rung.keys:
+                users[needed.key].append((self._share(k, number), -1.0))
         for of, group, key in self._keys(k):
-            share, before, needed = self._key(k, of, key), self._before(k, of, key), users[group, *key]
-            if needed:
-                constraints.add([(share, 1.0), *needed], 0.0, np.inf)
+            share, before, using = self._key(k, of, key), self._before(k, of, key), users[group, *key]
+            if using:
+                constraints.add([(share, 1.0), *using], 0.0, np.inf)
             if before is not None:
                 constraints.add([(share, 1.0), (before, -1.0)], 0.0, np.inf)
         done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]

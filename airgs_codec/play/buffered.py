@@ -1,18 +1,16 @@
-"""What is made of the time that a player waits: better rungs of what is buffered, or tiles that it lacks.
+"""What is made of the time that a player waits: better rungs of what is buffered.
 
 When nothing more fits the buffer, a buffered segment may be replaced by a better rung (with it better keys of its
-group) as long as it will be there in time. By view, what buffered segments lack is fetched instead, before anything
-else, in the rung of its segment, or, where that would come after the segment is over, in the smallest one.
+group) as long as it will be there in time.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from airgs_codec.play.downloader import Arrived, BatchKind, Fetching, Replaced, Request, Steps, TileReady
-from airgs_codec.play.fetch_plan import LOOK_S, FetchPlan
+from airgs_codec.play.downloader import Arrived, BatchKind, Fetching, Replaced, Request, Steps
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision, Option
 from airgs_codec.play.offers import Batch
@@ -26,28 +24,16 @@ REPLACE_GAIN_DB = 0.5  # least gain that a replacement must bring
 class Buffered:
     """What a session has buffered, to be made better."""
 
-    plan: FetchPlan
     fetcher: Fetcher
     playout: Playout
-    idle_s: float = 0.0  # when nothing was to be fetched the last time
-    no_use: set[tuple[int, int]] = field(default_factory=set)  # position and tile of repairs that came to nothing
 
     def wait(self, until_s: float) -> Steps:
         """Spend the time until the next request, or all that is left, on what is buffered."""
-        f = self.fetcher
-        if self.plan.all_at_once:
-            while f.now_s < until_s and (yield from self._replace_best()):
-                pass
-            return
-        end_s = min(until_s, self.playout.scheduled_end_s)
-        while f.now_s < end_s:
-            if not (yield from self.repair()):
-                f.now_s = self.idle_s = min(end_s, f.now_s + LOOK_S)
+        while self.fetcher.now_s < until_s and (yield from self._replace_best()):
+            pass
 
     def use_keys(self, request: Request) -> None:
         """Show what is buffered of a group with its best keys, where they are decoded in time."""
-        if not self.plan.all_at_once:
-            return  # what is buffered is shown as it was fetched
         f = self.fetcher
         loop, here = f.loop(request.position), f.offer(request.position)
         quality, ready_s = here.rungs[request.rung].quality, f.now_s + f.settings.decode_frame_s
@@ -55,7 +41,7 @@ class Buffered:
             if slot.start_s < ready_s or offer.group != here.group or f.loop(slot.position) != loop:
                 continue
             better = offer.with_keys(slot.rung, quality)
-            if better < slot.rung and f.units.shows(loop, offer, better):
+            if better < slot.rung and f.keys.shows(loop, offer, better):
                 slot.rung = better
 
     def _replace_best(self) -> Fetching[bool]:
@@ -89,7 +75,7 @@ class Buffered:
             if not f.now_s < slot.start_s < math.inf:
                 continue
             here = offer.rungs[slot.rung]
-            for option in f.units.options(f.loop(slot.position), offer):
+            for option in f.keys.options(f.loop(slot.position), offer):
                 gain = option.quality - here.psnr
                 if gain < REPLACE_GAIN_DB:
                     continue
@@ -104,39 +90,3 @@ class Buffered:
         """Return what it takes to show another rung of a buffered segment: with the same level, only its keys."""
         offer, batch = self.fetcher.offer(slot.position), self.fetcher.missing(slot.position, rung)
         return Batch(batch.keys) if offer.rungs[rung].level == offer.rungs[slot.rung].level else batch
-
-    def repair(self) -> Fetching[bool]:
-        """Fetch the tile that is lacking most; False: none is that could be had in time."""
-        f = self.fetcher
-        latency_s = f.latency_s(self.idle_s)
-        for slot, tile in self.plan.lacking(self.playout, f.sent_s(latency_s)):
-            option = None if (slot.position, tile) in self.no_use else self._repairing(slot, tile, latency_s)
-            if option is not None:
-                yield from self._fetch_lacking(slot, tile, option, latency_s)
-                return True
-        return False
-
-    def _repairing(self, slot: Slot, tile: int, latency_s: float) -> Option | None:
-        """A tile in the rung of its segment, or else in the smallest one; None where both would come too late."""
-        f = self.fetcher
-        rate_bps = f.throughput_bps(f.sent_s(latency_s)) or math.inf
-        at_s = f.now_s + latency_s + f.settings.decode_frame_s
-        options = f.usable_options(slot.position, frozenset({tile}))
-        wanted = [option for option in options if option.index == slot.rung]
-        wanted += sorted(options, key=lambda option: option.size_bytes)[:1]
-        return next((option for option in wanted if at_s + 8 * option.size_bytes / rate_bps < slot.end_s), None)
-
-    def _fetch_lacking(self, slot: Slot, tile: int, option: Option, latency_s: float) -> Steps:
-        f, end_s = self.fetcher, slot.end_s
-        batch = f.missing(slot.position, option.index, frozenset({tile}))
-        if batch.files:
-            sent_s = f.sent_s(latency_s)
-            request = Request(BatchKind.REPAIR, slot.position, option.index, batch, sent_s, latency_s)
-            arrival = yield from f.receive(request, lambda partial: partial.at_s + partial.left_s > end_s)
-            decision = Decision(option.index, True, f"tile {tile + 1} is lacking", option.size_bytes)
-            yield Arrived(arrival, decision, 0.0, f.throughput_bps(sent_s))
-            if not arrival.complete:
-                self.no_use.add((slot.position, tile))
-                return
-        slot.tiles[tile] = option.index
-        yield TileReady(slot.position, tile, option.index, f.now_s + f.settings.decode_frame_s)

@@ -27,7 +27,6 @@ class BatchKind(StrEnum):
     GROUP = "group"  # the next segment, with keys of its group
     STATE = "state"  # the next segment, whose keys are decoded
     REPLACEMENT = "replacement"  # a better rung of a buffered segment
-    REPAIR = "repair"  # a tile that a buffered segment, or the one on the screen, lacks
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,16 +94,6 @@ class Replaced:
 
 
 @dataclass(frozen=True, slots=True)
-class TileReady:
-    """A tile of a segment can be shown, of a player that fetches by view."""
-
-    position: int
-    tile: int
-    rung: int
-    ready_s: float  # when it had arrived and was decoded
-
-
-@dataclass(frozen=True, slots=True)
 class Lost:
     """No rung of a segment can be had."""
 
@@ -134,7 +123,7 @@ class Shown:
     psnr: float | None  # dB; None: lost or not measured
 
 
-Event = Arrived | Replaced | TileReady | Lost | Cut | Shown
+Event = Arrived | Replaced | Lost | Cut | Shown
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What a player asks for and what comes of it: tables, decoded units, and what is learned of the link on the way."""
+"""What a player asks for and what comes of it: tables, decoded keys, and what is learned of the link on the way."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from airgs_codec.play.downloader import (
     Steps,
     Wanted,
 )
-from airgs_codec.play.fetch_plan import Part
 from airgs_codec.play.ladder import Decision, Option
-from airgs_codec.play.offers import NONE, Batch, Offers, SegmentOffer, Unit, Units
+from airgs_codec.play.offers import NONE, Batch, Key, Keys, Offers, SegmentOffer
 from airgs_codec.play.policies.state import Download, Policy, estimate_throughput
 from airgs_codec.play.settings import SessionSettings
 
@@ -100,19 +99,19 @@ class TableStore:
 
 
 @dataclass(slots=True, eq=False)
-class UnitStore:
-    """The key units that are decoded, by loop: a group that is played again is fetched again."""
+class KeyStore:
+    """The keys that are decoded, by loop: a group that is played again is fetched again."""
 
-    _units: dict[int, set[Unit]] = field(default_factory=dict)
+    _keys: dict[int, set[Key]] = field(default_factory=dict)
     _options: dict[tuple[int, int], dict[SegmentOffer, tuple[Option, ...]]] = field(default_factory=dict)  # by root
 
-    def decoded(self, loop: int) -> Units:
-        """The units of a loop."""
-        return self._units.get(loop, NONE)
+    def decoded(self, loop: int) -> Keys:
+        """The keys of a loop."""
+        return self._keys.get(loop, NONE)
 
     def shows(self, loop: int, offer: SegmentOffer, rung: int) -> bool:
-        """Whether all units of a rung of a segment are decoded."""
-        return all(unit.unit in self.decoded(loop) for unit in offer.rungs[rung].units)
+        """Whether all keys of a rung of a segment are decoded."""
+        return all(of.key in self.decoded(loop) for of in offer.rungs[rung].keys)
 
     def missing(self, loop: int, offer: SegmentOffer, rung: int) -> Batch:
         """The files that a rung of a segment still needs."""
@@ -128,19 +127,19 @@ class UnitStore:
     def forget(self, loop: int, before: SegmentOffer) -> None:
         """What comes before a segment is not played again in a loop."""
         there = (before.root, before.group)
-        self._units[loop] = {unit for unit in self.decoded(loop) if unit[0] in there or unit[0] > before.group}
+        self._keys[loop] = {key for key in self.decoded(loop) if key[0] in there or key[0] > before.group}
         self._options = {key: known for key, known in self._options.items() if key >= (loop, before.root)}
 
     def add(self, loop: int, offer: SegmentOffer, arrival: Arrival) -> None:
-        """Decode what arrived for a rung of a segment, of all tiles: a unit counts once its files are there.
+        """Decode what arrived for a rung of a segment: a key counts once its files are there.
 
         Sound that cannot be had is silence: it counts as there.
         """
         silent = {path for path in arrival.refused if file_kind(path) is FileKind.SOUND}
-        arrived, units = silent.union(arrival.usable), self._units.setdefault(loop, set())
-        new = {unit.unit for unit in offer.rungs[arrival.request.rung].units if arrived.issuperset(unit.files)}
-        if not new <= units:
-            units |= new
+        arrived, keys = silent.union(arrival.usable), self._keys.setdefault(loop, set())
+        new = {of.key for of in offer.rungs[arrival.request.rung].keys if arrived.issuperset(of.files)}
+        if not new <= keys:
+            keys |= new
             self._options.pop((loop, offer.root), None)
 
 
@@ -153,7 +152,7 @@ class Fetcher:
     policy: Policy
     settings: SessionSettings
     tables: TableStore = field(init=False)
-    units: UnitStore = field(default_factory=UnitStore)
+    keys: KeyStore = field(default_factory=KeyStore)
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
     first: Download = NOTHING  # the fastest of tables and poster, the wait for its first byte included
@@ -166,20 +165,20 @@ class Fetcher:
     def forget(self, position: int, before: SegmentOffer) -> None:
         """What comes before a position, whose offer is given, is not played again."""
         self.tables.forget(before)
-        self.units.forget(self.loop(position), before)
+        self.keys.forget(self.loop(position), before)
 
     def loop(self, position: int) -> int:
         """The loop over the sequence that a position is in."""
         return self.offers.place(position)[0]
 
-    def offer(self, position: int, part: Part = None) -> SegmentOffer:
+    def offer(self, position: int) -> SegmentOffer:
         """The offer of the segment at a position, within the budget."""
-        return self.offers.offer(self.offers.place(position)[1], part, self.settings.budget)
+        return self.offers.offer(self.offers.place(position)[1], self.settings.budget)
 
-    def upcoming(self, positions: range, part: Part = None) -> Iterator[tuple[SegmentOffer, Units]]:
+    def upcoming(self, positions: range) -> Iterator[tuple[SegmentOffer, Keys]]:
         """Offers of positions while tables are there, each with what is decoded in its loop."""
-        for loop, offer in self.offers.upcoming(positions, part, self.settings.budget):
-            yield offer, self.units.decoded(loop)
+        for loop, offer in self.offers.upcoming(positions, self.settings.budget):
+            yield offer, self.keys.decoded(loop)
 
     def wanted_tables(self, positions: range) -> tuple[str, ...]:
         """Tables that a policy needs to choose at the first of some positions, and that can be had."""
@@ -205,7 +204,7 @@ class Fetcher:
             self.first = max(self.first, Download(arrival.bytes, took_s), key=lambda d: d.bytes / d.seconds)
         else:
             self.downloads = [*self.downloads[1 - REMEMBERED :], (arrival.at_s, Download(arrival.bytes, took_s))]
-            self.units.add(self.loop(request.position), self.offer(request.position), arrival)
+            self.keys.add(self.loop(request.position), self.offer(request.position), arrival)
         return arrival
 
     @property
@@ -230,28 +229,23 @@ class Fetcher:
         """The estimate when a request is sent."""
         return estimate_throughput(self.history(sent_s))
 
-    def missing(self, position: int, rung: int, part: Part = None) -> Batch:
+    def missing(self, position: int, rung: int) -> Batch:
         """The files that a rung of the segment at a position still needs."""
-        return self.units.missing(self.loop(position), self.offer(position, part), rung)
+        return self.keys.missing(self.loop(position), self.offer(position), rung)
 
-    def options(self, position: int, part: Part = None) -> tuple[Option, ...]:
+    def options(self, position: int) -> tuple[Option, ...]:
         """Every rung of the segment at a position that is allowed."""
-        return self.units.options(self.loop(position), self.offer(position, part))
+        return self.keys.options(self.loop(position), self.offer(position))
 
     def usable(self, batch: Batch) -> bool:
         """Whether no file of a batch was found missing or corrupt."""
         return self.unusable.isdisjoint(batch.files)
 
-    def usable_options(self, position: int, part: Part = None) -> tuple[Option, ...]:
-        """The rungs of the segment at a position that can be had."""
-        options = self.options(position, part)
-        if not self.unusable:
-            return options
-        return tuple(p for p in options if self.usable(self.missing(position, p.index, part)))
-
-    def choices(self, position: int, part: Part = None) -> tuple[Option, ...]:
-        """The rungs that can be had and are smaller than what was given up."""
-        options = self.usable_options(position, part)
+    def choices(self, position: int) -> tuple[Option, ...]:
+        """The rungs of the segment at a position that can be had and are smaller than what was given up."""
+        options = self.options(position)
+        if self.unusable:
+            options = tuple(p for p in options if self.usable(self.missing(position, p.index)))
         return tuple(p for p in options if self.given_up[0] != position or p.size_bytes < self.given_up[1])
 
     def give_up(self, deadline_s: float, size: int, smallest: int) -> GiveUp | None:

@@ -22,7 +22,7 @@ from airgs_codec.package.layout import FileKind
 from airgs_codec.play.downloader import BatchKind, Shown
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.playout import TileFigures, screen_ticks
+from airgs_codec.play.playout import screen_ticks
 from airgs_codec.play.policies.state import STALL_DB
 from airgs_codec.play.trace import Link
 
@@ -91,7 +91,6 @@ class SessionMetrics:
     trace_end: str | None  # what follows the trace's last second
     trace_ended: bool | None  # whether the session was longer than the trace
     rtt_s: float | None
-    tiles: TileFigures | None = None  # None where all of the scene was fetched
 
     def as_dict(self) -> dict[str, Any]:
         """All figures by name, as plain values."""
@@ -102,7 +101,7 @@ def frame_times(fetches: Sequence[Fetch], shown: Sequence[Shown]) -> NDArray[np.
     """Seconds that every frame shown was on its way: its share of the batches that brought what was shown."""
     spans: dict[int, tuple[float, float]] = {}
     for f in fetches:
-        if f.shown and f.kind is not BatchKind.REPAIR:
+        if f.shown:
             first_s = f.request_s if f.kind is BatchKind.REPLACEMENT else spans.get(f.position, (f.request_s,))[0]
             spans[f.position] = first_s, f.arrival_s
     took = {position: last_s - first_s for position, (first_s, last_s) in spans.items()}

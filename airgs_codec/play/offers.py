@@ -1,8 +1,8 @@
 """What a package offers a viewer: for each segment one frozen value, which players, policies, bounds and studies read.
 
-R rungs. A rung is a key quality with a level; rungs are numbered quality by quality. A unit is a key tier of a tile in
-a key quality, which is fetched and decoded once for its group. A position is a segment of a session, which may play the
-sequence several times. Wire bytes are those of files with `header_bytes` for each.
+R rungs. A rung is a key quality with a level; rungs are numbered quality by quality. A key is a key tier of a group in
+a key quality, which is fetched and decoded once. A position is a segment of a session, which may play the sequence
+several times. Wire bytes are those of files with `header_bytes` for each.
 """
 
 from __future__ import annotations
@@ -20,19 +20,17 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.package.tables import GroupTile, SegmentLevel
+from airgs_codec.package.tables import SegmentLevel
 from airgs_codec.play.ladder import Option, saved_shares
-from airgs_codec.play.sight import Boxes
 
 SESSION_S = 30.0  # of play
 HEADER_BYTES = 350  # HTTP response headers a file
 RETAINED = 4096  # offers, and sizes of files, that are not made again
 OVER_BUDGET = 1 << 50  # bytes of a rung that shows too many Gaussians: more than any link carries
 
-Unit = tuple[int, int, int]  # group, key quality, number of the key tier: tile * tiers + tier
-Units = AbstractSet[Unit]
-NONE: Units = frozenset()
-Tiles = frozenset[int]
+Key = tuple[int, int, int]  # group, key quality, key tier
+Keys = AbstractSet[Key]
+NONE: Keys = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +43,15 @@ class Batch:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All paths: key units in their order, then the state segment, then tables for what comes next."""
+        """All paths: keys in their order, then the state segment, then tables for what comes next."""
         return self.keys + self.state + self.tables
 
 
 @dataclass(frozen=True, slots=True)
-class UnitOffer:
-    """A key unit, or the sound of a group, whose number is that behind all key units and whose quality is 0."""
+class KeyOffer:
+    """A key, or the sound of a group, whose tier is the one behind all key tiers and whose quality is 0."""
 
-    unit: Unit
+    key: Key
     files: tuple[str, ...]  # none where it has no rows
     bytes: int  # on the wire
 
@@ -69,14 +67,14 @@ class RungOffer:
     gaussians: int  # that a picture shows
     allowed: bool  # whether the budget has as many
     saved: float  # share of the first level's state that its level saves
-    units: tuple[UnitOffer, ...]  # sound, then of every key tier that of the group and that of the base, if any
+    keys: tuple[KeyOffer, ...]  # sound, then of every key tier that of the group and that of the base, if any
     state: tuple[str, ...]  # files
     state_bytes: int  # on the wire
 
 
 @dataclass(frozen=True, eq=False)
 class SegmentOffer:
-    """A segment, of all tiles or some; quality and numbers of Gaussians are always those of all."""
+    """A segment."""
 
     segment: int  # in the package
     start: int  # frame
@@ -85,7 +83,6 @@ class SegmentOffer:
     group: int
     base: int | None  # the group that the keys of the group are differences to
     starts_group: bool
-    tiles: Sequence[GroupTile]  # all of the group
     rungs: tuple[RungOffer, ...]
 
     @property
@@ -99,34 +96,29 @@ class SegmentOffer:
         return np.array([rung.psnr for rung in self.rungs])
 
     @cached_property
-    def boxes(self) -> Boxes:
-        """The boxes of all tiles."""
-        return Boxes.of_tiles(self.tiles)
-
-    @cached_property
     def levels(self) -> tuple[Option, ...]:
         """The levels by the bytes of their states and their quality with the finest keys."""
         finest = [rung for rung in self.rungs if rung.quality == 0]
         return tuple(Option(rung.level, rung.state_bytes, rung.psnr, rung.saved) for rung in finest)
 
-    def sizes(self, decoded: Units) -> list[int]:
-        """(R,) wire bytes of the state and of the units that are not decoded; OVER_BUDGET where it is not allowed."""
+    def sizes(self, decoded: Keys) -> list[int]:
+        """(R,) wire bytes of the state and of the keys that are not decoded; OVER_BUDGET where it is not allowed."""
         return [
-            rung.state_bytes + sum(unit.bytes for unit in rung.units if unit.unit not in decoded)
+            rung.state_bytes + sum(offer.bytes for offer in rung.keys if offer.key not in decoded)
             if rung.allowed
             else OVER_BUDGET
             for rung in self.rungs
         ]
 
-    def options(self, decoded: Units) -> tuple[Option, ...]:
+    def options(self, decoded: Keys) -> tuple[Option, ...]:
         """Every rung that is allowed, by number."""
         sizes = self.sizes(decoded)
         return tuple(Option(r, sizes[r], o.psnr, o.saved) for r, o in enumerate(self.rungs) if o.allowed)
 
-    def missing(self, rung: int, decoded: Units) -> Batch:
+    def missing(self, rung: int, decoded: Keys) -> Batch:
         """The files that a rung needs beside what is decoded."""
         offer = self.rungs[rung]
-        keys = tuple(path for unit in offer.units if unit.unit not in decoded for path in unit.files)
+        keys = tuple(path for of in offer.keys if of.key not in decoded for path in of.files)
         return Batch(keys, offer.state)
 
     def with_keys(self, rung: int, quality: int) -> int:
@@ -134,10 +126,10 @@ class SegmentOffer:
         level = self.rungs[rung].level
         return next(r for r, other in enumerate(self.rungs) if (other.quality, other.level) == (quality, level))
 
-    def bytes_after(self, before: SegmentOffer, known: Units) -> NDArray[np.int64]:
+    def bytes_after(self, before: SegmentOffer, known: Keys) -> NDArray[np.int64]:
         """(R or 1, R) wire bytes of every rung by the rung of the segment before; one row where that does not matter.
 
-        At the start of a group, units that are `known` need not be fetched.
+        At the start of a group, keys that are `known` need not be fetched.
         """
         if not self.starts_group:
             return self._within_group
@@ -145,16 +137,16 @@ class SegmentOffer:
             return self._from_scratch
         if self.base not in (before.group, before.base):
             return np.array([self.sizes(known)])
-        return np.array([self.sizes(known | units) for units in before._units])
+        return np.array([self.sizes(known | keys) for keys in before._keys])
 
     @cached_property
-    def _units(self) -> list[frozenset[Unit]]:
-        """The units of every rung."""
-        return [frozenset(unit.unit for unit in rung.units) for rung in self.rungs]
+    def _keys(self) -> list[frozenset[Key]]:
+        """The keys of every rung."""
+        return [frozenset(offer.key for offer in rung.keys) for rung in self.rungs]
 
     @cached_property
     def _within_group(self) -> NDArray[np.int64]:
-        return np.array([self.sizes(units) for units in self._units])
+        return np.array([self.sizes(keys) for keys in self._keys])
 
     @cached_property
     def _from_scratch(self) -> NDArray[np.int64]:
@@ -182,7 +174,7 @@ class Offers:
         self.live = live  # more groups may come in this session
         self._made = lru_cache(RETAINED)(self._make)
         self._sizes = lru_cache(RETAINED)(lambda path: self.manifest.entry(path).bytes)
-        self._group_units = lru_cache(RETAINED)(self._make_units)
+        self._group_keys = lru_cache(RETAINED)(self._make_keys)
 
     @staticmethod
     def of(package: Package) -> Offers:
@@ -195,48 +187,43 @@ class Offers:
         self.segments = len(manifest.segments)
         self.fps = float(manifest.fps)
 
-    def offer(self, segment: int, tiles: Tiles | None = None, budget: int | None = None) -> SegmentOffer:
-        """The offer of a segment: of some tiles, or of all; no more Gaussians than the budget are allowed.
+    def offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
+        """The offer of a segment; no more Gaussians than the budget are allowed.
 
         Raises FormatError where its tables cannot be had.
         """
-        return self._made(segment, tiles, budget)
+        return self._made(segment, budget)
 
-    def _make(self, segment: int, tiles: Tiles | None, budget: int | None) -> SegmentOffer:
+    def _make(self, segment: int, budget: int | None) -> SegmentOffer:
         m = self.manifest
         group, found = m.group_of(segment), m.segments[segment]
         base, table = m.base_of(group), m.groups[group]
-        order = None if tiles is None else sorted(tiles)
-        states = [tuple(m.state_files(segment, j, order)) for j in range(len(m.levels))]
+        states = [tuple(m.state_files(segment, j)) for j in range(len(m.levels))]
         sizes = [self._wire(path for path in files) for files in states]
-        saved, counts = saved_shares(sizes), [unit.count for unit in table.units]
+        saved, counts = saved_shares(sizes), [tier.count for tier in table.tiers]
         rungs = []
         for q, j in self.rungs:
-            rows, level = sum(counts[k] for k in m.units_of(j)), found.levels[j]
+            rows, level = sum(counts[: m.levels[j].tiers]), found.levels[j]
             allowed = budget is None or rows <= budget
-            units = self._group_units(group, base, tiles, (q, j))
+            keys = self._group_keys(group, base, q, m.levels[j].tiers)
             quality = _measure(level, "psnr", q, 0.0), _measure(level, "delta_e", q, np.nan)
-            rungs.append(RungOffer(q, j, *quality, rows, allowed, saved[j], units, states[j], sizes[j]))
+            rungs.append(RungOffer(q, j, *quality, rows, allowed, saved[j], keys, states[j], sizes[j]))
         starts_group = segment == m.segments_of(group)[0]
         seconds = (found.stop - found.start) / self.fps
-        return SegmentOffer(
-            segment, found.start, found.stop, seconds, group, base, starts_group, table.tiles, tuple(rungs)
-        )
+        return SegmentOffer(segment, found.start, found.stop, seconds, group, base, starts_group, tuple(rungs))
 
-    def _make_units(
-        self, group: int, base: int | None, tiles: Tiles | None, rung: tuple[int, int]
-    ) -> tuple[UnitOffer, ...]:
-        """The sound of a group and the key units of a rung in it, in the order of fetching."""
-        m, (quality, level) = self.manifest, rung
-        units: list[UnitOffer] = []
+    def _make_keys(self, group: int, base: int | None, quality: int, tiers: int) -> tuple[KeyOffer, ...]:
+        """The sound of a group and its first key tiers in a quality, in the order of fetching."""
+        m = self.manifest
+        keys: list[KeyOffer] = []
         if m.sound:
             sound = m.sound_files(group)
-            units.append(UnitOffer((group, 0, m.units), tuple(sound), self._wire(sound)))
-        for number in m.units_of(level, None if tiles is None else sorted(tiles)):
+            keys.append(KeyOffer((group, 0, m.tiers), tuple(sound), self._wire(sound)))
+        for tier in range(tiers):
             for g in [group] if base is None else [group, base]:
-                files = m.key_files(g, number, quality)
-                units.append(UnitOffer((g, quality, number), tuple(files), self._wire(files)))
-        return tuple(units)
+                files = m.key_files(g, tier, quality)
+                keys.append(KeyOffer((g, quality, tier), tuple(files), self._wire(files)))
+        return tuple(keys)
 
     @property
     def rungs(self) -> list[tuple[int, int]]:
@@ -285,14 +272,12 @@ class Offers:
         """How often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
         return 1 if self.live else wanted or max(1, round(SESSION_S / self.duration_s))
 
-    def upcoming(
-        self, positions: range, tiles: Tiles | None = None, budget: int | None = None
-    ) -> Iterator[tuple[int, SegmentOffer]]:
+    def upcoming(self, positions: range, budget: int | None = None) -> Iterator[tuple[int, SegmentOffer]]:
         """(loop, offer) of positions, up to the first one whose tables cannot be had."""
         for position in positions:
             loop, segment = self.place(position)
             try:
-                offer = self.offer(segment, tiles, budget)
+                offer = self.offer(segment, budget)
             except FormatError:
                 return
             yield loop, offer

@@ -1,10 +1,9 @@
 """A player: requests, arrivals, choices and what is on the screen, as a stream of events. `run` starts one.
 
-One batch passes at a time: those key units of the chosen rung that are not decoded, in tier order, then the state
-segment. The plan says which tiles it is of; where a download is given up, the tiles that are still to come may have
-another rung than those that came. A download that would come too late is abandoned when a smaller one would come
-sooner; whole key files that have arrived are decoded. A segment none of whose rungs can be had is lost: the last
-picture stands for its time, and the session goes on.
+One batch passes at a time: those keys of the chosen rung that are not decoded, in tier order, then the state segment. A
+download that would come too late is abandoned when a smaller one would come sooner; whole key files that have arrived
+are decoded. A segment none of whose rungs can be had is lost: the last picture stands for its time, and the session
+goes on.
 
 What a batch offers stands in the table of its group: those of the first segments that the policy looks at are fetched
 before the first batch, later ones with the batch before. A segment whose table cannot be had is lost. Rungs that show
@@ -38,17 +37,14 @@ from airgs_codec.play.downloader import (
     Request,
     Shown,
     Steps,
-    TileReady,
     answer,
 )
-from airgs_codec.play.fetch_plan import FetchPlan, Part
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import Playout, Slot
 from airgs_codec.play.policies.state import PlayerState, Policy, budget_bytes, estimate_throughput
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.sight import View
 
 POLL_S = 1.0  # airgs.json of a growing package is fetched no more often
 LONGEST_POLL_S = 4.0  # and, where it has not changed, no less often, or a group's length if that is longer
@@ -57,26 +53,18 @@ MOST_LOST = 1000  # segments in a row
 
 
 def run(
-    offers: Offers,
-    downloader: Downloader,
-    policy: Policy,
-    settings: SessionSettings | None = None,
-    view: View | None = None,
+    offers: Offers, downloader: Downloader, policy: Policy, settings: SessionSettings | None = None
 ) -> Iterator[Event]:
-    """Play a package from the first request to the last picture; with a `view`, by tiles.
+    """Play a package from the first request to the last picture.
 
     Raises ConfigError where the policy needs quality that was not measured and where all rungs of the first segment are
     over the budget, TransportError when the link fails.
     """
-    return answer(play_steps(offers, downloader, policy, settings, view), downloader)
+    return answer(play_steps(offers, downloader, policy, settings), downloader)
 
 
 def play_steps(
-    offers: Offers,
-    connection: Connection,
-    policy: Policy,
-    settings: SessionSettings | None = None,
-    view: View | None = None,
+    offers: Offers, connection: Connection, policy: Policy, settings: SessionSettings | None = None
 ) -> Steps:
     """The same as steps of a player that fetches nothing itself: whoever runs it sends the arrival of every `Wanted`,
     and None after every event, so that many players can share one thread.
@@ -87,17 +75,14 @@ def play_steps(
         raise ConfigError(
             f"policy {policy.name}: the package has no measured quality, encode it without --measure-pictures 0"
         )
-    plan = FetchPlan(view if offers.manifest.tiles > 1 else None)
     rules = settings or SessionSettings()
-    rules = rules if plan.all_at_once else rules.by_view()
-    return Player(plan, Fetcher(offers, connection, policy, rules), Playout(rules, not plan.all_at_once)).play()
+    return Player(Fetcher(offers, connection, policy, rules), Playout(rules)).play()
 
 
 @dataclass(slots=True, eq=False)
 class Player:
     """State of one session."""
 
-    plan: FetchPlan
     fetcher: Fetcher
     playout: Playout
     end: int = 0  # positions, so far where the package grows
@@ -106,7 +91,7 @@ class Player:
     buffered: Buffered = field(init=False)
 
     def __post_init__(self) -> None:
-        self.buffered = Buffered(self.plan, self.fetcher, self.playout)
+        self.buffered = Buffered(self.fetcher, self.playout)
 
     def play(self) -> Steps:
         """All events of the session, in the order in which they happen."""
@@ -170,94 +155,54 @@ class Player:
     def _fetch_next(self, position: int, earliest_s: float, latency_s: float) -> Steps:
         """Fetch the next segment, and put it on the timeline."""
         f = self.fetcher
-        came: dict[Part, int] = {}
         rung: int | None = None
         if f.tables.has(position):
-            offer = f.offer(position)
-            parts = self.plan.early(offer, self.playout, f.sent_s(latency_s))
-            came = yield from self._fetch_parts(position, parts, earliest_s, latency_s)
-            if came:  # the worst of them
-                rung = min(came.values(), key=lambda r: (offer.rungs[r].psnr, -r))
-            elif not parts:  # no tile has rows: an empty scene is shown, for which nothing is fetched
-                state = self._state(position, frozenset(), latency_s)
-                rung = f.policy.decide(state).index if state.options else None
+            while (state := self._state(position, latency_s)).options:
+                decision = f.policy.decide(state)
+                if (yield from self._fetch(state, decision)):
+                    rung = decision.index
+                    break
+                latency_s = f.connection.rtt_s
         ready_s = f.now_s + f.settings.decode_frame_s
         self.lost = self.lost + 1 if rung is None else 0
         if rung is None:
             yield Lost(position, f.now_s)
             slot = Slot(position, f.offers.seconds_at(position), f.now_s)
         else:
-            tiles = {tile: of_part for part, of_part in came.items() for tile in part or ()}
-            slot = Slot(position, offer.seconds, ready_s, offer, rung, tiles=tiles)
+            offer = f.offer(position)
+            slot = Slot(position, offer.seconds, ready_s, offer, rung)
         self.playout.enqueue(slot, position == self.end - 1 and not f.offers.live)
-        for tile, of_tile in slot.tiles.items():
-            yield TileReady(position, tile, of_tile, ready_s)
 
-    def _fetch_parts(
-        self, position: int, wanted: list[Part], earliest_s: float, latency_s: float
-    ) -> Fetching[dict[Part, int]]:
-        """Fetch parts of the next segment one after another: those that came, each with its rung.
-
-        A part that cannot be had in any rung is left out. Where no rung is left that all of them can be had in, the
-        next one has a rung for itself.
-        """
-        f = self.fetcher
-        came: dict[Part, int] = {}
-        decision: Decision | None = None
-        while left := [part for part in wanted if part not in came and self._can_be_had(position, part)]:
-            if (yield from self.buffered.repair()):
-                latency_s = f.latency_s(earliest_s)
-                continue
-            state = self._state(position, _together(left), latency_s)
-            if not state.options:
-                left = left[:1]
-                state = self._state(position, left[0], latency_s)
-            if not state.options:
-                wanted = [part for part in wanted if part not in left]
-                continue
-            if decision is None or decision.index not in {option.index for option in state.options}:
-                decision = f.policy.decide(state)
-            if (yield from self._fetch_part(state, decision, left, latency_s)):
-                came[left[0]] = decision.index
-            else:
-                decision = None
-            latency_s = f.connection.rtt_s if self.plan.all_at_once else f.latency_s(earliest_s)
-        return came
-
-    def _can_be_had(self, position: int, part: Part) -> bool:
-        return not self.fetcher.unusable or bool(self.fetcher.usable_options(position, part))
-
-    def _fetch_part(self, state: PlayerState, decision: Decision, left: list[Part], latency_s: float) -> Fetching[bool]:
-        """Fetch the first of the parts that are left; False: it was abandoned or broken."""
+    def _fetch(self, state: PlayerState, decision: Decision) -> Fetching[bool]:
+        """Fetch what was decided; False: it was abandoned or broken."""
         f, position, rung = self.fetcher, state.position, decision.index
         ahead = f.wanted_tables(range(position + 1, self.end)) if position else ()  # nothing delays the first picture
-        batch = replace(f.missing(position, rung, left[0]), tables=ahead)
+        batch = replace(f.missing(position, rung), tables=ahead)
         if not batch.files:  # nothing moves: the canonical space is decoded
             return True
         kind = BatchKind.GROUP if batch.keys else BatchKind.STATE
-        request = Request(kind, position, rung, batch, f.sent_s(latency_s), latency_s)
-        rest = next(o.size_bytes for o in f.options(position, _together(left)) if o.index == rung)
-        give_up = f.give_up(state.deadline_s, rest, min(o.size_bytes for o in state.options))
+        request = Request(kind, position, rung, batch, f.sent_s(state.request_latency_s), state.request_latency_s)
+        size = next(o.size_bytes for o in state.options if o.index == rung)
+        give_up = f.give_up(state.deadline_s, size, min(o.size_bytes for o in state.options))
         arrival = yield from f.receive(request, give_up)
         self.buffered.use_keys(request)
         yield Arrived(arrival, decision, budget_bytes(state), estimate_throughput(state.history))
         if arrival.abandoned:
-            f.given_up = position, rest
+            f.given_up = position, size
         return arrival.complete
 
-    def _state(self, position: int, part: Part, latency_s: float) -> PlayerState:
-        """Return what is known before a part of a segment is requested."""
+    def _state(self, position: int, latency_s: float) -> PlayerState:
+        """Return what is known before a segment is requested."""
         f, last = self.fetcher, self.playout.last
-        offer, loop = f.offer(position, part), f.loop(position)
         return PlayerState(
             position=position,
-            offer=offer,
-            upcoming=partial(f.upcoming, range(position, self.end), part),
-            decoded=f.units.decoded(loop),
-            options=f.choices(position, part),
+            offer=f.offer(position),
+            upcoming=partial(f.upcoming, range(position, self.end)),
+            decoded=f.keys.decoded(f.loop(position)),
+            options=f.choices(position),
             now_s=f.now_s,
             deadline_s=self.playout.deadline_s(f.now_s),
-            buffer_limit_s=self.playout.limit_s(offer.seconds),
+            buffer_limit_s=f.settings.buffer_s,
             request_latency_s=latency_s,
             shown_quality=last.psnr if last else None,
             pipelined=f.pipelines,
@@ -279,8 +224,3 @@ class Player:
                 stall_s=slot.stall_s,
                 psnr=slot.psnr if offers.manifest.measured else None,
             )
-
-
-def _together(parts: list[Part]) -> Part:
-    """All tiles of some parts."""
-    return None if None in parts else frozenset[int]().union(*(part for part in parts if part is not None))

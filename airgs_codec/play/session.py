@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
@@ -32,7 +32,6 @@ from airgs_codec.play.downloader import (
     Replaced,
     Shown,
     SimulatedDownloader,
-    TileReady,
 )
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.metrics import (
@@ -44,11 +43,10 @@ from airgs_codec.play.metrics import (
 )
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
-from airgs_codec.play.playout import TilesShown, screen_ticks, tile_of
+from airgs_codec.play.playout import screen_ticks
 from airgs_codec.play.policies.named import DEFAULT_POLICY, Choose, make_policy
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.sight import View
 from airgs_codec.play.trace import Link, Trace
 
 
@@ -65,7 +63,6 @@ class SessionLog:
     bytes_by_kind: Mapping[FileKind, int]  # of files that were of use, without headers
     lost: tuple[str, ...]  # what could not be had, one line each
     retried: tuple[str, ...]  # what was asked for again, one line each
-    tiles: TilesShown | None = None  # None where all of the scene was fetched
 
     @staticmethod
     def of(
@@ -74,31 +71,27 @@ class SessionLog:
         policy: str,
         settings: SessionSettings,
         link: Link | None = None,
-        view: View | None = None,
     ) -> SessionLog:
-        """The log of a player's events; with a `view`, of one that fetched by it."""
+        """The log of a player's events."""
         fold = _Fold(offers)
         for event in events:
             fold.add(event)
-        shown = tuple(fold.shown)
         return SessionLog(
             offers=offers,
             settings=settings,
             policy=policy,
             link=link,
             fetches=tuple(fold.fetch(number) for number in range(len(fold.arrived))),
-            shown=shown,
+            shown=tuple(fold.shown),
             bytes_by_kind=dict(fold.bytes_by_kind),
             lost=tuple(fold.lost),
             retried=tuple(fold.retried),
-            tiles=TilesShown(offers, view, shown, tuple(fold.ready), dict(fold.bytes_by_tile)) if view else None,
         )
 
     @cached_property
     def metrics(self) -> SessionMetrics:
         """Figures of the session."""
-        figures = session_metrics(self.offers, self.link, self.fetches, self.shown, self.bytes_by_kind)
-        return figures if self.tiles is None else replace(figures, tiles=self.tiles.figures)
+        return session_metrics(self.offers, self.link, self.fetches, self.shown, self.bytes_by_kind)
 
     @property
     def events(self) -> list[dict[str, Any]]:
@@ -140,19 +133,14 @@ def play(
     policy: Policy | Choose | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
     link: Link | None = None,
-    view: View | None = None,
 ) -> SessionLog:
     """Play a package from wherever the downloader fetches it; `link` is what a simulated one is of.
 
-    With a `view`, tiles are fetched by it, where the package has more than one. `policy` is what `make_policy` takes.
-    Raises ConfigError for an unknown policy, one that needs what is not known and one that decides for what there is
-    not, TransportError when the link fails.
+    `policy` is what `make_policy` takes. Raises ConfigError for an unknown policy, one that needs what is not known and
+    one that decides for what there is not, TransportError when the link fails.
     """
-    rule = make_policy(policy, offers, link)
-    seen = view if offers.manifest.tiles > 1 else None
-    rules = _rules(settings)
-    rules = rules if seen is None else rules.by_view()
-    return SessionLog.of(run(offers, downloader, rule, rules, seen), offers, rule.name, rules, link, seen)
+    rule, rules = make_policy(policy, offers, link), _rules(settings)
+    return SessionLog.of(run(offers, downloader, rule, rules), offers, rule.name, rules, link)
 
 
 def simulate(
@@ -161,9 +149,8 @@ def simulate(
     policy: Policy | Choose | str = DEFAULT_POLICY,
     settings: SessionSettings | None = None,
     faults: Mapping[str, FormatError] | None = None,
-    view: View | None = None,
 ) -> SessionLog:
-    """Play a package over a trace, with the trace's own round trip, or over a link; with a `view`, by tiles.
+    """Play a package over a trace, with the trace's own round trip, or over a link.
 
     A package may be given by its path, a trace as `Trace.open` takes it. `policy`: one of the names that `make_policy`
     takes, a function from PlayerState to Decision, or a Policy; `faults`: files that cannot be used, as `find_faults`
@@ -179,7 +166,7 @@ def simulate(
     link = trace
     rules = _rules(settings)
     offers.check_budget(range(offers.segments), rules.budget)
-    return play(offers, SimulatedDownloader(link, offers, faults or {}), policy, rules, link, view)
+    return play(offers, SimulatedDownloader(link, offers, faults or {}), policy, rules, link)
 
 
 def _rules(settings: SessionSettings | None) -> SessionSettings:
@@ -189,11 +176,10 @@ def _rules(settings: SessionSettings | None) -> SessionSettings:
 def session_bound(log: SessionLog, integer: bool = False) -> float | None:
     """Upper bound on the mean PSNR (dB) of any player that shows each segment when this one did; see `bound`.
 
-    None when segments were lost, where tiles were fetched by view, and over a real connection, whose capacity is not
-    known.
+    None when segments were lost, and over a real connection, whose capacity is not known.
     """
     link = log.link
-    if link is None or log.tiles is not None or any(shown.rung is None for shown in log.shown):
+    if link is None or any(shown.rung is None for shown in log.shown):
         return None
     slots = []
     manifest_s = log.fetches[0].arrival_s
@@ -225,8 +211,6 @@ class _Fold:
     on_timeline: set[int] = field(default_factory=set)  # batches, by their place in `arrived`
     replaced_bytes: Counter[int] = field(default_factory=Counter)  # state that a batch brought in vain
     state_source: dict[int, int] = field(default_factory=dict)  # position -> the batch that brought its state
-    ready: list[TileReady] = field(default_factory=list)
-    bytes_by_tile: Counter[int] = field(default_factory=Counter)  # of keys and states that were of use
 
     def add(self, event: Event) -> None:
         """Take in the next event."""
@@ -234,8 +218,6 @@ class _Fold:
             self._arrived(event)
         elif isinstance(event, Replaced):
             self._replaced(event)
-        elif isinstance(event, TileReady):
-            self.ready.append(event)
         elif isinstance(event, Lost):
             start, stop = self.offers.span(self.offers.place(event.position)[1])
             frames = f"frames {start}-{stop - 1}"
@@ -250,12 +232,8 @@ class _Fold:
         self.arrived.append(event)
         for path in arrival.usable:
             self.bytes_by_kind[file_kind(path)] += self.offers.file_bytes(path)
-            if (tile := tile_of(path)) is not None:
-                self.bytes_by_tile[tile] += self.offers.file_bytes(path)
         self.lost += [f"{path} at {arrival.at_s:.2f} s: {why.detail}" for path, why in arrival.refused.items()]
         self.retried += [f"{retry.path} before {arrival.at_s:.2f} s: {retry.why}" for retry in arrival.retries]
-        if arrival.complete and arrival.request.kind is BatchKind.REPAIR:
-            self.on_timeline.add(number)
         if arrival.complete and arrival.request.kind in (BatchKind.GROUP, BatchKind.STATE):
             self.on_timeline.add(number)
             self.state_source[arrival.request.position] = number

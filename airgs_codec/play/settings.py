@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError
@@ -25,15 +25,10 @@ class SessionSettings:
     )
     loops: int | None = setting(None, "times the sequence is played; by default about 30 s of play")
     budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group; by default any number")
-    view_buffer_s: float = setting(
-        1.0, "most media time ahead of the playhead where tiles are fetched by view; two segments always fit"
-    )
 
     def __post_init__(self) -> None:
         if not 0 < self.buffer_s < math.inf:
             raise ConfigError(f"buffer: expected more than 0 s, got {self.buffer_s:g}")
-        if not 0 < self.view_buffer_s < math.inf:
-            raise ConfigError(f"buffer by view: expected more than 0 s, got {self.view_buffer_s:g}")
         for name, value in (("start-up", self.startup_s), ("resume", self.resume_s)):
             if not 0 <= value < math.inf:
                 raise ConfigError(f"{name}: expected 0 s or more, got {value:g}")
@@ -43,7 +38,3 @@ class SessionSettings:
             raise ConfigError(f"budget: expected at least 1 Gaussian, got {self.budget}")
         if self.loops is not None and self.loops < 1:
             raise ConfigError(f"loops: expected at least 1, got {self.loops}")
-
-    def by_view(self) -> SessionSettings:
-        """The rules where tiles are fetched by view."""
-        return replace(self, buffer_s=min(self.buffer_s, self.view_buffer_s))

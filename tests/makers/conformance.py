@@ -70,10 +70,6 @@ PACKAGES = {
     ),
     "placed": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), world=world_from((0, 0, 1), 0.01))),
     "white": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), region=replace(BALL, background=[1.0, 1.0, 1.0]))),
-    "tiled": (
-        room_frames(24, 4),
-        replace(SETTINGS, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2, tiles=3),
-    ),
     "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
 }
 

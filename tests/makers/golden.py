@@ -43,7 +43,6 @@ def main() -> None:
             replace(coarse, levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
         ),
         "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True)),
-        "tiles": (room_frames(ROWS // 2, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True, tiles=3)),
     }
     for name, (cut, settings) in cases.items():
         encode_bare(cut, GOLDEN / name, settings, fps=24, keyframes=[0, 2])

@@ -3,7 +3,7 @@
     python -m tests.makers.refusals
 
 A case is a package of manifests/valid with changes: `moving`, or `paged` for what concerns a page, `kept` for
-differences, `tiled` for tiles. Its name begins with the reason; where a reader finds it is what `validate` says. How
+differences. Its name begins with the reason; where a reader finds it is what `validate` says. How
 cases are written is told in manifests/invalid/README.md.
 """
 
@@ -47,7 +47,6 @@ from tests.support.paths import INVALID
 from tests.support.refusals import Case, base_files, findings
 
 KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
-TILE_PICTURE = "key/P2/T0/Q0/1.m4s"
 KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
 NONE = {"bytes": 0, "sha256": ""}
 NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
@@ -58,16 +57,14 @@ def without_moving_rows(files: Files) -> Files:
     root = parse_root(files[JSON_NAME])
     group, coarsest = parse_table(files[TABLE]), root.qualities[-1].coarser
     grid = Grid(**group["grid"])
-    sidecar = unpack_key_sidecar(
-        files[KEY_SIDECAR], group["tiles"][0]["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR
-    )
+    sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
     return files | {KEY_SIDECAR: pack_key_sidecar(still, grid, coarsest)}
 
 
 def kept_sidecar(files: Files) -> Files:
     """Give all rows of the second group, which keeps those of the first, the depth 255."""
-    count = parse_table(files[KEPT_TABLE])["tiles"][0]["tiers"][0]["count"]
+    count = parse_table(files[KEPT_TABLE])["tiers"][0]["count"]
     return files | {KEPT_SIDECAR: encode_columns([(np.full(count, 256), 1)])}
 
 
@@ -164,25 +161,22 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-page-level": (raised,),
     "bad_value-page-short": (shortened,),
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
-    "bad_value-lines": in_table(set_value(("segments", 0, "levels", 0, "lines"), [True, True], TABLE)),
-    "bad_value-lines-none": in_table(
-        set_value(("segments", 0, "levels", 0, "files", 0), NONE, TABLE),
-        set_value(("segments", 0, "levels", 0, "frame_bytes", 0), [], TABLE),
+    "wrong_type-line": in_table(set_value(("segments", 0, "levels", 0, "line"), 1, TABLE)),
+    "bad_value-line-none": in_table(
+        set_value(("segments", 0, "levels", 0, "file"), NONE, TABLE),
+        set_value(("segments", 0, "levels", 0, "frame_bytes"), [], TABLE),
         remove_file("state/L0/1.m4s"),
     ),
-    "bad_picture-lines": (
-        drop_value(("segments", 0, "levels", 0, "lines"), TABLE),
+    "bad_picture-line": (
+        drop_value(("segments", 0, "levels", 0, "line"), TABLE),
         rewrite("state/L0/1.m4s", lambda b: with_columns(b, b"")),
         honest,
     ),
-    "bad_sidecar-lines": in_table(drop_value(("segments", 0, "levels", 0, "lines"), TABLE)),
-    "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 0, "lines"), [True], TABLE)),
-    "bad_value-tiles": (set_value(("tiles",), 2),),
-    "bad_value-tile-levels": in_table(set_value(("tiles", 1, "levels"), [], TABLE)),
-    "bad_value-tile-box": in_table(set_value(("tiles", 1, "low"), [0, 1e9, 0], TABLE)),
-    "bad_value-tile-files": in_table(set_value(("segments", 0, "levels", 0, "files"), [], TABLE)),
-    "missing_file-tile": (remove_file(TILE_PICTURE),),
-    "foreign_file-tile": (add_file(KEY_PICTURE, b"a tile has a folder\n"),),
+    "bad_sidecar-line": in_table(drop_value(("segments", 0, "levels", 0, "line"), TABLE)),
+    "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 0, "line"), True, TABLE)),
+    "bad_value-tiers": (set_value(("tiers",), 3),),
+    "bad_value-levels": in_table(set_value(("levels",), [], TABLE)),
+    "bad_value-frame-bytes": in_table(set_value(("segments", 0, "levels", 0, "frame_bytes"), [], TABLE)),
     "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
     "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
@@ -191,14 +185,14 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-keeps-steps": in_table(set_value(("key_steps", "opacity"), 0.5, KEPT_TABLE)),
     "bad_value-keeps-transform": in_table(set_value(("colour_transform",), "AAAAAAAAAAAAAAAAAAAAAAAA", KEPT_TABLE)),
     "bad_value-keeps-finest": in_table(set_value(("grid", "finest"), 148, KEPT_TABLE)),
-    "bad_value-keeps-factor": in_table(set_value(("tiles", 0, "tiers", 0, "factor"), 2.5, KEPT_TABLE)),
-    "bad_value-keeps-rows": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "rows"), 1, KEPT_TABLE)),
-    "missing_entry-keeps": in_table(set_value(("tiles", 0, "tiers", 0, "pictures", 0), NONE, KEPT_TABLE)),
+    "bad_value-keeps-factor": in_table(set_value(("tiers", 0, "factor"), 2.5, KEPT_TABLE)),
+    "bad_value-keeps-rows": in_table(set_value(("tiers", 0, "qualities", 0, "rows"), 1, KEPT_TABLE)),
+    "missing_entry-keeps": in_table(set_value(("tiers", 0, "pictures", 0), NONE, KEPT_TABLE)),
     "bad_sidecar-kept": (kept_sidecar, honest),
     "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEY_SIDECAR]}, honest),
     "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
     "missing_entry": in_table(
-        set_value(("tiles", 0, "tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
+        set_value(("tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
     ),
     "missing_file": (remove_file(KEY_PICTURE),),
     "missing_file-group": (remove_file(TABLE),),
@@ -222,8 +216,8 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + fragment_of(b)), honest),
     "bad_picture-checksum": (rewrite(KEY_PICTURE, with_other_luma), honest),
     "bad_picture-no-checksum": (rewrite(KEY_PICTURE, fragment_of), honest),
-    "bad_value-picture-width": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
-    "bad_picture-size": in_table(set_value(("tiles", 0, "tiers", 0, "qualities", 0, "height"), 4096, TABLE)),
+    "bad_value-picture-width": in_table(set_value(("tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
+    "bad_picture-size": in_table(set_value(("tiers", 0, "qualities", 0, "height"), 4096, TABLE)),
     "doctype": (edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
     "bad_mpd": (edit_text(MPD_NAME, "</MPD>", ""),),
     "foreign_url": (edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
@@ -236,9 +230,9 @@ def source_of(name: str) -> str:
     """The valid package that a broken one is made of."""
     if "sound" in name:
         return "sound"
-    if "-lines" in name:
+    if "-line" in name:
         return "lined"
-    return "tiled" if "-tile" in name else "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
+    return "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
 
 
 def changes(name: str) -> dict[str, dict[str, Any] | None]:

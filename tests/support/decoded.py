@@ -19,7 +19,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, line_times, plane_starts, row_places
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
-from airgs_codec.decoder.decode import Part, decode_canonical, decode_frames
+from airgs_codec.decoder.decode import decode_canonical, decode_frames
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas
@@ -68,12 +68,7 @@ def write_decoded(
         json.loads(gzip.decompress((folder / f"group/{g + 1}.json.gz").read_bytes())) for g in range(len(m.groups))
     ]
     for group in groups:
-        for atlas in [
-            a
-            for tile in group["tiles"]
-            for row in (tile["levels"], *(t["qualities"] for t in tile["tiers"]))
-            for a in row
-        ]:
+        for atlas in [a for row in (group["levels"], *(t["qualities"] for t in group["tiers"])) for a in row]:
             atlas["height"] = _page_height(Atlas(**atlas), pages)
     table = {
         "root": json.loads((folder / "airgs.json").read_bytes()),
@@ -104,7 +99,7 @@ class _Writer:
         """Groups -> segments -> frames."""
         m = self.package.manifest
         level, quality = self.rung.level, self.rung.quality
-        frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, part=Part(self.tiers))
+        frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
         shown = [self._shown(frame.gaussians, cameras) for frame in frames]
         groups = []
         for g in range(len(m.groups)):
@@ -122,12 +117,12 @@ class _Writer:
 
     def _canonical(self, group: int) -> Json:
         base = decode_canonical(self.package, group, self.rung.quality, self.tiers)
-        units = self.package.manifest.groups[group].units[: self.tiers]  # packages of one tile
+        tiers = self.package.manifest.groups[group].tiers[: self.tiers]
         return {
             "means": self.blob.add(base.means.astype(np.float32)),
             "units": self.blob.add(base.motion_units),
             "depths": self.blob.add(base.depths),
-            "parts": [self._tier(group, t) | {"tier": t} for t, unit in enumerate(units) if unit.count],
+            "parts": [self._tier(group, t) | {"tier": t} for t, tier in enumerate(tiers) if tier.count],
         }
 
     def _tier(self, group: int, tier: int) -> Json:
@@ -144,9 +139,9 @@ class _Writer:
         table, coarsest = m.groups[group], m.qualities[-1].coarser
         if not pictures:
             return None
-        (media,), unit, differs = pictures, table.units[tier], table.keeps is not None
-        shared = unpack_key_sidecar(self.package.read(sidecar), unit.count, table.grid, coarsest, sidecar, differs)
-        atlas = unit.qualities[quality]
+        (media,), entry, differs = pictures, table.tiers[tier], table.keeps is not None
+        shared = unpack_key_sidecar(self.package.read(sidecar), entry.count, table.grid, coarsest, sidecar, differs)
+        atlas = entry.qualities[quality]
         columns, shown = open_segment(self.package.read(media), media, atlas.pages)
         reader = ColumnReader(columns, media)
         read_detail(reader, shared, table.grid, coarsest if differs else m.qualities[quality].coarser, coarsest)
@@ -158,8 +153,8 @@ class _Writer:
         m, level = self.package.manifest, self.rung.level
         out = []
         for media in m.state_files(index, level):
-            span, atlas = m.segments[index], m.groups[m.group_of(index)].tiles[0].levels[level]
-            lined, frames = span.levels[level].lined(0), span.stop - span.start
+            span, atlas = m.segments[index], m.groups[m.group_of(index)].levels[level]
+            lined, frames = bool(span.levels[level].line), span.stop - span.start
             columns, pictures = open_segment(self.package.read(media), media, atlas.pages)
             shape = frames, len(atlas.planes), atlas.rows
             rising, jumps = escapes.unpack_segment(columns, shape, lined, media)

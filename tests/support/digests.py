@@ -8,7 +8,6 @@ import numpy as np
 
 from airgs_codec.decoder.decode import decode_key
 from airgs_codec.decoder.states import decode_pictures, decode_slopes
-from airgs_codec.package.layout import tile_folder
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 
@@ -19,25 +18,25 @@ def digest(codes: np.ndarray) -> str:
 
 
 def digests(package: Package) -> dict[str, str]:
-    """Digest of the codes of every key unit and every frame of every state segment."""
+    """Digest of the codes of every key tier and every frame of every state segment."""
     m = package.manifest
     out = {}
     for g, group in enumerate(m.groups):
-        for k, unit in enumerate(group.units):
-            name = f"group {g} {tile_folder(k // m.tiers, m.tiles)}T{k % m.tiers}"
-            for q in range(len(m.qualities) if unit.count else 0):
-                codes, sidecar = decode_key(package, g, k, q)
+        for t, tier in enumerate(group.tiers):
+            name = f"group {g} T{t}"
+            for q in range(len(m.qualities) if tier.count else 0):
+                codes, sidecar = decode_key(package, g, t, q)
                 out[f"{name} Q{q}"] = digest(codes)
                 out[f"{name} Q{q} means"] = sha256(sidecar.codes.astype("<u8").tobytes()).hexdigest()
                 out[f"{name} depths"] = sha256(sidecar.depths.tobytes()).hexdigest()
     for s, segment in enumerate(m.segments):
-        for j, p in np.ndindex(len(m.levels), m.tiles):
-            if m.state_files(s, j, [p]):
-                name = f"segment {s} {tile_folder(p, m.tiles)}L{j}"
-                slopes = decode_slopes(package, s, j, p)
+        for j in range(len(m.levels)):
+            if m.state_files(s, j):
+                name = f"segment {s} L{j}"
+                slopes = decode_slopes(package, s, j)
                 if slopes is not None:
                     out[f"{name} slopes"] = digest(slopes)
-                for f, shown in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start), p)):
+                for f, shown in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start))):
                     out[f"{name} frame {f}"] = digest(shown.codes())
     return out
 
@@ -48,5 +47,6 @@ def lined_files(m: Manifest) -> list[str]:
         path
         for s, segment in enumerate(m.segments)
         for j, level in enumerate(segment.levels)
-        for path in m.state_files(s, j, [tile for tile in range(m.tiles) if level.lined(tile)])
+        if level.line
+        for path in m.state_files(s, j)
     ]

@@ -39,8 +39,8 @@ def with_segments(m: Manifest, segments: Sequence[mf.Segment]) -> Manifest:
     return replace(m, groups=in_groups(groups))
 
 
-def units(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
-    """Key units (group, key quality, tier): so many tiers of each key quality, from the first on."""
+def keys(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
+    """Keys (group, key quality, tier): so many tiers of each key quality, from the first on."""
     return frozenset((group, quality, tier) for quality, count in enumerate(tiers) for tier in range(count))
 
 
@@ -66,15 +66,15 @@ def tiny_manifest(
     def level(j: int, frames: int) -> mf.SegmentLevel:
         size = state_bytes[j]
         return mf.SegmentLevel(
-            [mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE],
-            [[size // frames] * frames if size else []],
+            mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE,
+            [size // frames] * frames if size else [],
             list(psnr[j]) if psnr else [],
             [value - 2 for value in psnr[j]] if psnr else [],
             [0.9] * qualities if psnr else [],
             [0.5 + j] * qualities if psnr else [],
         )
 
-    units = [
+    key_tiers = [
         mf.GroupTier(
             10, 1.0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
         )
@@ -91,7 +91,8 @@ def tiny_manifest(
             key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
             state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
             colour_transform="",
-            tiles=[mf.GroupTile([0.0] * 3, [1.0] * 3, units, [atlas] * levels)],
+            tiers=key_tiers,
+            levels=[atlas] * levels,
             segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
             left_out=[],
             repairs=[],
@@ -117,13 +118,7 @@ def tiny_manifest(
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         tiers=tiers,
-        tiles=1,
         sound=None,
         init=mf.FileEntry(50, HASH),
         groups=in_groups(tables, table_bytes),
     )
-
-
-def with_tiers(group: mf.Group, tiers: Sequence[mf.GroupTier]) -> mf.Group:
-    """A group of one tile with other key tiers."""
-    return replace(group, tiles=[replace(group.tiles[0], tiers=list(tiers))])

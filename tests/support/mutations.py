@@ -25,7 +25,6 @@ from airgs_codec.package.layout import (
     page_path,
     sound_path,
     state_media_path,
-    tile_folder,
 )
 from airgs_codec.package.tables import PAGE, digest
 
@@ -177,18 +176,15 @@ def honest(files: Files) -> Files:
 
 def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]:
     """Path and entry of every file of a group, whose first segment has the number `segment`."""
-    count = len(table["tiles"])
     if "sound" in table:
         yield sound_path(number), table["sound"]
-    for p, tile in enumerate(table["tiles"]):
-        for t, tier in enumerate(tile["tiers"]):
-            yield key_sidecar_path(tile_folder(p, count), t, number), tier["sidecar"]
-            for q, entry in enumerate(tier["pictures"]):
-                yield key_media_path(tile_folder(p, count), t, q, number), entry
+    for t, tier in enumerate(table["tiers"]):
+        yield key_sidecar_path(t, number), tier["sidecar"]
+        for q, entry in enumerate(tier["pictures"]):
+            yield key_media_path(t, q, number), entry
     for s, part in enumerate(table["segments"], segment):
         for j, level in enumerate(part["levels"]):
-            for p, entry in enumerate(level["files"]):
-                yield state_media_path(tile_folder(p, count), j, s), entry
+            yield state_media_path(j, s), level["file"]
 
 
 def reindexed(files: Files) -> Files:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from airgs_codec.play.ladder import saved_shares
-from airgs_codec.play.offers import NONE, RungOffer, SegmentOffer, UnitOffer, Units
+from airgs_codec.play.offers import NONE, KeyOffer, Keys, RungOffer, SegmentOffer
 
 Numbers = Mapping[str, Any]
 
@@ -26,7 +26,7 @@ class NumberOffers:
         """The segment that is played at a position."""
         return self.segments[position % len(self.segments)]
 
-    def upcoming(self, position: int, end: int, decoded: Units) -> Iterator[tuple[SegmentOffer, Units]]:
+    def upcoming(self, position: int, end: int, decoded: Keys) -> Iterator[tuple[SegmentOffer, Keys]]:
         """The segments from a position on, each with what of `decoded`, in the loop of that position, is of use."""
         for p in range(position, end):
             same = p // len(self.segments) == position // len(self.segments)
@@ -47,7 +47,7 @@ def _segment(numbers: Numbers, number: int, tiers: list[int]) -> SegmentOffer:
             gaussians=0,
             allowed=True,
             saved=saved[j],
-            units=tuple(UnitOffer((group, q, tier), (), keys[q][tier]) for tier in range(tiers[j])),
+            keys=tuple(KeyOffer((group, q, tier), (), keys[q][tier]) for tier in range(tiers[j])),
             state=(),
             state_bytes=s["state_bytes"][j],
         )
@@ -55,4 +55,4 @@ def _segment(numbers: Numbers, number: int, tiers: list[int]) -> SegmentOffer:
         for j in range(len(tiers))
     ]
     starts = number == 0 or numbers["segments"][number - 1]["group"] != group
-    return SegmentOffer(number, 0, 0, float(s["seconds"]), group, None, starts, (), tuple(rungs))
+    return SegmentOffer(number, 0, 0, float(s["seconds"]), group, None, starts, tuple(rungs))

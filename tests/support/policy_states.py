@@ -8,7 +8,7 @@ from typing import Any
 
 from airgs_codec.play.policies.named import ADAPTIVE
 from airgs_codec.play.policies.state import Download, PlayerState
-from tests.support.manifests import units
+from tests.support.manifests import keys
 from tests.support.offers import NumberOffers
 
 State = Mapping[str, Any]
@@ -17,7 +17,7 @@ State = Mapping[str, Any]
 def player_state(offers: NumberOffers, state: State) -> PlayerState:
     """What a policy is asked with."""
     position, offer = state["position"], offers.at(state["position"])
-    decoded = units(*state["decoded"], group=offer.group)
+    decoded = keys(*state["decoded"], group=offer.group)
     return PlayerState(
         position=position,
         offer=offer,

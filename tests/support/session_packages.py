@@ -37,12 +37,12 @@ def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
 def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
     return ({"keeps": group.keeps} if group.keeps else {}) | {
         "table": table_bytes,
-        "sidecars": [tier.sidecar.bytes for tier in group.units],
-        "pictures": [[file.bytes for file in tier.pictures] for tier in group.units],
+        "sidecars": [tier.sidecar.bytes for tier in group.tiers],
+        "pictures": [[file.bytes for file in tier.pictures] for tier in group.tiers],
         "segments": [
             {
                 "frames": segment.stop - segment.start,
-                "bytes": [level.bytes for level in segment.levels],
+                "bytes": [level.file.bytes for level in segment.levels],
                 "psnr": [list(level.psnr) for level in segment.levels],
             }
             for segment in group.segments
@@ -77,23 +77,22 @@ def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
     start = span[0]
     for numbers in part["segments"]:
         levels = [
-            replace(some.segments[0].levels[0], files=[_file(size)], psnr=psnr)
+            replace(some.segments[0].levels[0], file=_file(size), psnr=psnr)
             for size, psnr in zip(numbers["bytes"], numbers["psnr"], strict=True)
         ]
         segments.append(mf.Segment(start, start + numbers["frames"], levels))
         start += numbers["frames"]
     tiers = [
         replace(
-            some.units[0],
+            some.tiers[0],
             count=ROWS * (sidecar > 0),
             sidecar=_file(sidecar),
-            qualities=[replace(some.units[0].qualities[0], rows=ROWS * (size > 0)) for size in pictures],
+            qualities=[replace(some.tiers[0].qualities[0], rows=ROWS * (size > 0)) for size in pictures],
             pictures=[_file(size) for size in pictures],
         )
         for sidecar, pictures in zip(part["sidecars"], part["pictures"], strict=True)
     ]
-    tiles = [replace(some.tiles[0], tiers=tiers)]
-    group = replace(some, start=span[0], stop=span[1], tiles=tiles, segments=segments, keeps=part.get("keeps"))
+    group = replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=part.get("keeps"))
     return replace(group, sound=_file(part["sound"]) if "sound" in part else None)
 
 

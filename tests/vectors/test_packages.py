@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.channels import colours
-from airgs_codec.decoder.decode import Part, decode_frames
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package import package as opening
 from airgs_codec.package.index import GroupIndex
@@ -31,7 +31,7 @@ def label(case):
 
 def show(case):
     """The frame of a case."""
-    rung = {"level": case["level"], "key_quality": case["quality"], "part": Part(case["tiers"])}
+    rung = {"level": case["level"], "key_quality": case["quality"], "tiers": case["tiers"]}
     return next(decode_frames(package(case), case["frame"], case["frame"] + 1, **rung)).gaussians
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision, Ladder, Option
-from airgs_codec.play.offers import SegmentOffer, Units
+from airgs_codec.play.offers import Keys, SegmentOffer
 
 SAFETY = 0.9  # share of the estimated throughput that is spent
 HALF_LIVES_S = (3.0, 8.0)  # of the two throughput averages; the smaller one counts (as in dash.js)
@@ -26,7 +26,7 @@ class Download:
     seconds: float  # from the first byte to the last
 
 
-Coming = tuple[SegmentOffer, Units]  # of this segment and each after it, while tables are there: what is decoded for it
+Coming = tuple[SegmentOffer, Keys]  # of this segment and each after it, while tables are there: what is decoded for it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,9 +34,9 @@ class PlayerState:
     """What is known when a segment is to be requested."""
 
     position: int  # of the segment in the session
-    offer: SegmentOffer  # of what is to be fetched of it: all tiles or some
+    offer: SegmentOffer
     upcoming: Callable[[], Iterator[Coming]]
-    decoded: Units  # in this loop over the sequence
+    decoded: Keys  # in this loop over the sequence
     options: tuple[Option, ...]  # every rung that can be had, with its wire bytes
     now_s: float
     deadline_s: float  # when it must arrive to be shown in time; in the past when the player waits

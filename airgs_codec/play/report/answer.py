@@ -115,8 +115,6 @@ def _wrong(log: SessionLog, stalls: Sequence[Stall], viewer: Viewer | None) -> l
         told.append(f"{r.lost_frames} frames were lost.")
     if r.wasted > MUCH_WASTE:
         told.append(f"{100 * r.wasted:.0f} % of the bytes served nothing.")
-    if r.tiles is not None and r.tiles.missing_s > 0:
-        told.append(f"A tile in sight was lacking for {r.tiles.missing_s:.1f} s.")
     if viewer is not None and viewer.outside:
         told.append(f"The viewer was {viewer.words}: there the package promises nothing.")
     return told

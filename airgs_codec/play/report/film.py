@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,62 +22,32 @@ from airgs_codec.play.session import SessionLog
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
     """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
-    In a lost segment the last Gaussians stay; None before the first that could be shown. Where tiles were fetched by
-    view, there are those that had come by then; a scene whose tiles have no rows has no Gaussians.
+    In a lost segment the last Gaussians stay; None before the first that could be shown.
     """
-    shown_at = -1
-    parts: dict[tuple[int, ...], list[Gaussians]] = {}  # of the segment shown: rung and tiles -> frames
+    decoded_at = -1
+    frames: list[Gaussians] = []
     last: Gaussians | None = None
-    for tick, (entry, frame) in enumerate(log.screen_ticks):
+    for entry, frame in log.screen_ticks:
         s = log.shown[entry]
-        if entry != shown_at:
-            parts = {}
-        shown_at = entry
         if s.rung is not None:
-            found = [_frames(package, log, entry, part, parts)[frame] for part in _parts(log, tick, entry)]
-            last = _joined(found, package.manifest.sh_degree)
+            if entry != decoded_at:
+                decoded_at, frames = entry, _segment(package, s.segment, log.offers.rungs[s.rung])
+            last = frames[frame]
         yield last, entry
 
 
-def _parts(log: SessionLog, tick: int, entry: int) -> list[tuple[int, ...]]:
-    """Return what is on the screen at a display tick: rungs, each with the tiles in it; without tiles: all."""
-    if log.tiles is None:
-        return [(log.shown[entry].rung or 0,)]
-    there = log.tiles.there(entry, float(log.tiles.tick_times[tick]))
-    return [(rung, *sorted(t for t in there if there[t] == rung)) for rung in sorted(set(there.values()))]
-
-
-def _joined(parts: Sequence[Gaussians], degree: int) -> Gaussians:
-    """All rows of a picture; no parts are no rows."""
-    if parts:
-        return parts[0] if len(parts) == 1 else join_rows(parts)
-    shapes = ((0, 3), (0, 4), (0, 3), (0,), (0, 3), (0, SH_REST[degree], 3))
-    return Gaussians(*(np.zeros(shape, np.float32) for shape in shapes))
-
-
-def _frames(
-    package: Package, log: SessionLog, entry: int, part: tuple[int, ...], known: dict[tuple[int, ...], list[Gaussians]]
-) -> list[Gaussians]:
-    if part not in known:
-        rung, *tiles = part
-        known[part] = _segment(package, log.shown[entry].segment, log.offers.rungs[rung], tiles or None)
-    return known[part]
-
-
-def _segment(
-    package: Package, index: int, rung: tuple[int, int], tiles: Sequence[int] | None = None
-) -> list[Gaussians]:
+def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussians]:
     m, (quality, level) = package.manifest, rung
     segment = m.segments[index]
-    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers, tiles)
-    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start), tiles))
+    base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
+    return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
 def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
@@ -195,12 +165,11 @@ def still(package: Package, log: SessionLog, camera: Camera, renderer: Renderer 
         return label(_black(camera), "nothing could be shown")
     entry = min(entries, key=lambda e: _goodness(log.shown[e]))
     worst = log.shown[entry]
-    tick = next(tick for tick, (at, _) in enumerate(log.screen_ticks) if at == entry)
-    parts = [_frames(package, log, entry, part, {})[0] for part in _parts(log, tick, entry)]
+    shown = _segment(package, worst.segment, c.rungs[worst.rung or 0])[0]
     text = f"worst shown: {c.names[worst.rung or 0]}" + ("" if worst.psnr is None else f"  {worst.psnr:.1f} dB")
     frames, best = _best(package, c, worst.segment)
     beside = label(to_bytes(renderer.render(frames[0], camera).rgb) if frames else _black(camera), best)
-    seen = to_bytes(renderer.render(_joined(parts, package.manifest.sh_degree), camera).rgb)
+    seen = to_bytes(renderer.render(shown, camera).rgb)
     return np.concatenate([beside, label(seen, text)], axis=1)
 
 

@@ -49,7 +49,7 @@ class Viewer:
     def of(log: SessionLog, cameras: Sequence[Camera] = (), renderer: Renderer = CPU) -> Viewer:
         """The walk along `path_of(manifest, cameras)`."""
         path, ticks = path_of(log.offers.manifest, cameras), len(log.screen_ticks)
-        times = np.arange(ticks) / log.offers.fps if log.tiles is None else log.tiles.view_times
+        times = np.arange(ticks) / log.offers.fps
         shown = [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in path.cameras(times)]
         return Viewer(path.region, shown, departures(path.region, shown), path.unreached, renderer)
 

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import BLUE, GREEN, GREY, ORANGE, RED, Page, Picture, html_table, report_folder
+from airgs_codec._report import BLUE, GREEN, GREY, RED, Page, Picture, html_table, report_folder
 from airgs_codec.media.image import write_png
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
-from airgs_codec.play.playout import TileFigures
 from airgs_codec.play.report.answer import answer, rung_record
 from airgs_codec.play.report.map import Viewer, draw_walk
 from airgs_codec.play.session import SessionLog, session_bound
@@ -59,17 +58,14 @@ def place_record(log: SessionLog, viewer: Viewer | None) -> dict[str, Any]:
 
 
 def _pictures(log: SessionLog, viewer: Viewer | None, screen: NDArray[np.uint8] | None) -> list[Picture]:
-    """What was seen, the link, the quality; and tiles, or a walk that left the region."""
+    """What was seen, the link, the quality; and a walk that left the region."""
     rates = "The link and what was asked of it; red: the viewer waits."
     shown = "PSNR on the screen over time; red: the viewer waits."
     pictures = [Picture(rates, partial(_rates, log)), Picture(shown, partial(_psnr, log))]
     if screen is not None:
         words = "The worst segment that was shown: at the package's best rung, and as it was seen."
         pictures.insert(0, Picture(words, name="screen.png", panels=2, shape=screen.shape))
-    if log.tiles is not None:
-        words = "When each tile could be shown; orange: it came late, red: lacking in sight."
-        pictures.append(Picture(words, partial(plot_tiles, log)))
-    elif viewer is not None and viewer.outside:
+    if viewer is not None and viewer.outside:
         words = "The viewing region from above, in world units; red: where the walk left it."
         pictures.append(Picture(words, partial(draw_walk, viewer)))
     return pictures
@@ -119,32 +115,6 @@ def _psnr(log: SessionLog, axis: Any) -> None:
     _over_time(axis, log, "dB")
 
 
-def plot_tiles(log: SessionLog, axis: Any) -> None:
-    """A row for every tile: when it could be shown, from when it came late, and when it was lacking in sight."""
-    assert log.tiles is not None, "only of a session in which tiles were fetched by view"
-    fps, count = log.offers.fps, log.offers.manifest.tiles
-    for position, entry in enumerate(log.shown):
-        end_s = entry.start_s + entry.frames / fps
-        for event in log.tiles.came(position):
-            from_s, late = max(entry.start_s, event.ready_s), event.ready_s > entry.start_s
-            if from_s < end_s:
-                axis.plot([from_s, end_s], [event.tile] * 2, color=ORANGE if late else GREEN, linewidth=4)
-    ticks, tiles = np.nonzero(log.tiles.missing)
-    axis.plot(log.tiles.tick_times[ticks], tiles, "|", color=RED, ms=6)
-    axis.set_yticks(range(count), [str(tile + 1) for tile in range(count)], fontsize=8)
-    _over_time(axis, log, "tile")
-    axis.set_ylim(count - 0.5, -0.5)
-
-
-def tile_words(figures: TileFigures) -> str:
-    """Return what was fetched and what was lacking."""
-    sizes = ", ".join(f"{size / 1e3:.0f}" for size in figures.bytes)
-    return (
-        f"{100 * figures.fetched:.0f} % fetched, {figures.late} after their segment had begun; "
-        f"one in sight was lacking for {figures.missing_s:.2f} s; kB of each: {sizes}"
-    )
-
-
 def format_metrics(log: SessionLog, viewer: Viewer | None = None) -> str:
     """The figures as lines of text."""
     return "\n".join(f"{name:<22}{value}" for name, value in [*_readable(log), *_place_rows(log, viewer)])
@@ -187,8 +157,6 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
     if bound is not None:
         regret = f"regret {bound - log.mean_quality:.2f} dB"
         rows.append(("best possible", f"at most {bound:.2f} dB at the same moments, mean of segments: {regret}"))
-    if log.metrics.tiles is not None:
-        rows.append(("tiles", tile_words(log.metrics.tiles)))
     if log.lost:
         rows.append(("lost", f"{r['lost_frames']} frames; {some(log.lost)}"))
     if log.retried:

@@ -166,14 +166,14 @@ def _transform(t: Tables, group: int) -> list[list[float]]:
     return matrix
 
 
-def _key_rows(t: Tables, package: Package, unit: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
+def _key_rows(t: Tables, package: Package, key: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
     """The canonical value, the motion class and the depth of every row of a (group, tier, quality)."""
-    group, tier, quality = unit
+    group, tier, quality = key
     codes, sidecar = decode_key(package, group, tier, quality)
     named, depths, base = t.root["qualities"][quality], sidecar.depths.tolist(), t.base_of(group)
     grid = package.manifest.groups[group].grid
     table = t.groups[group]
-    factor = named["factor"] * table["tiles"][0]["tiers"][tier]["factor"]
+    factor = named["factor"] * table["tiers"][tier]["factor"]
     if base is not None:
         steps = table["key_steps"] | {"means": table["grid"]["step"] * 2.0 ** -table["grid"]["finest"]}
         change = Coding(steps, factor, t.root["key_gain"], _transform(t, group))

@@ -26,7 +26,6 @@ from airgs_codec.play.downloader import (
     Replaced,
     Request,
     SimulatedDownloader,
-    TileReady,
 )
 from airgs_codec.play.offers import NONE
 from airgs_codec.play.player import run
@@ -226,8 +225,6 @@ def row(event: Event) -> list[Any]:
             return [r.kind.value, r.position, r.rung, a.bytes, *times, *files]
         case Replaced():
             return ["replaced", event.position, event.before, event.after]
-        case TileReady():
-            return ["tile", event.position, event.tile, event.rung, plain(event.ready_s)]
         case Lost():
             return ["lost", event.position, plain(event.at_s)]
         case Cut():

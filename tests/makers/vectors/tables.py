@@ -64,12 +64,12 @@ class Tables:
 
     def sidecar(self, group: int, tier: int) -> str | None:
         """The sidecar of a key tier; None where it has no rows."""
-        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiles"][0]["tiers"][tier]["count"] else None
+        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
 
     def picture(self, group: int, tier: int, quality: int) -> str | None:
         """The picture of a key tier; None where it has none."""
-        unit = self.groups[group]["tiles"][0]["tiers"][tier]
-        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if unit["qualities"][quality]["rows"] else None
+        entry = self.groups[group]["tiers"][tier]
+        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if entry["qualities"][quality]["rows"] else None
 
     def base_of(self, group: int) -> int | None:
         """The group, counted from 0 as well, that its keys are differences to; None where they are none."""
@@ -78,7 +78,7 @@ class Tables:
 
     def state(self, group: int, segment: int, level: int) -> str | None:
         """The pictures of a segment of the group; None where there is nothing to fetch."""
-        found = self.groups[group]["segments"][segment]["levels"][level]["files"][0]["bytes"]
+        found = self.groups[group]["segments"][segment]["levels"][level]["file"]["bytes"]
         return f"state/L{level}/{self.segments_before(group) + segment + 1}.m4s" if found else None
 
     def first_files(self, frame: int, quality: int, level: int, tiers: int) -> list[str]:
