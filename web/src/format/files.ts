@@ -34,13 +34,6 @@ export interface KeyTier {
   changes: BaseChanges | null;
 }
 
-/** Which key tier, in which quality; all count from 0. */
-export interface KeyPlace {
-  group: number;
-  tier: number;
-  quality: number;
-}
-
 /** A key tier of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
  *
  * Throws FormatError (bad_sidecar, bad_picture, bad_value).
@@ -48,7 +41,7 @@ export interface KeyPlace {
 export function readKeyTier(
   root: Root,
   table: Group,
-  { group, tier, quality }: KeyPlace,
+  { group, tier, quality }: { group: number; tier: number; quality: number },
   sidecar: Uint8Array,
   media: Uint8Array | null,
 ): KeyTier {

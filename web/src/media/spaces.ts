@@ -71,14 +71,10 @@ function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: Ca
 
 const AXES = 3; // the first state channels: means
 
-/** A state file and the canonical space that it changes. */
-export interface StateFile {
-  /** Segment and group, counted from 0. */
+/** A state file and the canonical space that it changes, as far as `positions` have its tiers; segments count from 0. */
+export interface StateFile extends CanonicalName {
   segment: number;
-  group: number;
   level: number;
-  /** How many key tiers `positions` has. */
-  tiers: number;
   positions: Positions;
   bytes: Uint8Array;
   where: string;

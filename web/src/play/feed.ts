@@ -9,8 +9,7 @@ import type { Offers } from "./offers.ts";
 import { fixedPolicy, ROBUST_MPC } from "./policies/mpc.ts";
 import type { OTHERS } from "./policies/named.ts";
 import type { Policy } from "./policies/state.ts";
-import type { Shared } from "./session.ts";
-import { Session } from "./session.ts";
+import { Session, type Shared } from "./session.ts";
 
 /** Policies but for the default one are beside this script. */
 const MORE = "./airgs-more.js";

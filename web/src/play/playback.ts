@@ -9,12 +9,11 @@ import { Feed } from "./feed.ts";
 import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, Pipeline } from "./pipeline.ts";
-import { EARLY, Playout } from "./playout.ts";
+import { EARLY, Playout, sessionSettings } from "./playout.ts";
 import { wishedPolicy } from "./policies/mpc.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
-import { sessionSettings } from "./settings.ts";
 import type { Sound } from "./sound.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
@@ -107,7 +106,7 @@ export class Playback {
     const parts = { media, offers, stores, playout };
     this.playout = playout;
     this.#waits = new Waits(playout, () => this.sound?.leads ?? false);
-    this.#held = new Held({ offers, playout, statistics, wishes });
+    this.#held = new Held(offers, playout, statistics, wishes);
     this.rungs = new RungTotals(offers);
     this.#feed = new Feed({
       ...parts,
@@ -167,7 +166,7 @@ export class Playback {
   follow(): void {
     const now = nowS();
     const { paused, speed } = this.wishes;
-    if (speed !== this.playout.speed) {
+    if (speed !== this.playout.schedule.speed) {
       this.playout.setSpeed(now, speed);
       this.#held.restart();
     }

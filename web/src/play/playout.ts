@@ -1,16 +1,35 @@
-// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from.
+// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from; and
+// the rules of a player.
 //
 // The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
 // others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
 // those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
+import { SESSION } from "../generated/constants.ts";
 import type { Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
-import type { SessionSettings } from "./settings.ts";
 
 /** Seconds for which segments that were shown stay in the timeline. */
 const PAST_S = 60;
 /** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
 export const EARLY = 1e-6;
+
+/** Settings that cannot work, or a policy that does not exist. */
+export class ConfigError extends Error {
+  override name = "ConfigError";
+}
+
+type Rules = typeof SESSION;
+
+/** The rules of airgs_codec.play.settings, which says what each is. */
+export type SessionSettings = { [Name in keyof Rules]: Rules[Name] extends number ? number : boolean };
+
+/** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
+export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
+  const settings = { ...SESSION, ...given };
+  const { bufferS } = settings;
+  if (!(bufferS > 0 && bufferS < Infinity)) throw new ConfigError(`buffer: expected more than 0 s, got ${bufferS}`);
+  return settings;
+}
 
 /** A segment of the timeline. */
 export interface Slot {
@@ -32,7 +51,7 @@ export class Playout {
   /** Waits for media that has not come, and their seconds. */
   stalls = 0;
   stallS = 0;
-  private readonly schedule = new Schedule();
+  readonly schedule = new Schedule();
   private timeline: Slot[] = [];
   private firstWaiting = 0;
   private firstUnseen = 0; // of the timeline: those before it were given by `started`
@@ -60,24 +79,6 @@ export class Playout {
     const { decoder, display } = this.schedule.missedS;
     const frames = (seconds: number) => Math.floor(seconds * this.offers.fps + EARLY);
     return { decoder: frames(decoder), display: frames(display) };
-  }
-
-  get speed(): number {
-    return this.schedule.speed;
-  }
-
-  get held(): boolean {
-    return this.schedule.held;
-  }
-
-  /** The place that is due. */
-  placeAt(nowS: number): number {
-    return this.schedule.at(nowS);
-  }
-
-  /** The schedule is so many seconds further on; where they are negative, it stands still for them. */
-  shift(nowS: number, seconds: number): void {
-    this.schedule.shift(nowS, seconds);
   }
 
   /** Call when anything changes; the function that is returned ends that. */
@@ -196,7 +197,7 @@ export class Playout {
     const blocking = this.blocking(position);
     if (!blocking) return -Infinity;
     const place = blocking.slot.startAt + blocking.restS;
-    return this.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
+    return this.schedule.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
   }
 
   /** Append a segment that arrived, or is lost (rung null); playing begins or goes on when there is enough. */
@@ -287,7 +288,7 @@ export class Playout {
     const waiting = this.timeline.slice(this.firstWaiting);
     const dueAt = this.scheduledEndAt;
     let at = Math.max(dueAt, earliestAt, ...waiting.map((slot) => slot.readyAt));
-    if (this.firstWaiting) this.stall(waiting[0], (at - dueAt) / this.speed);
+    if (this.firstWaiting) this.stall(waiting[0], (at - dueAt) / this.schedule.speed);
     else at -= this.skipS;
     for (const slot of waiting) {
       slot.startAt = at;

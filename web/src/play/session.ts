@@ -32,9 +32,8 @@ import {
 } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
 import { type Batch, filesOf, type Offers } from "./offers.ts";
-import type { Playout, Slot } from "./playout.ts";
+import { ConfigError, type Playout, type SessionSettings, type Slot } from "./playout.ts";
 import { type Download, estimateThroughput, type PlayerState, type Policy } from "./policies/state.ts";
-import { ConfigError, type SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
 
 /** What fetches and shows share of a package. */
@@ -218,7 +217,7 @@ export class Session {
       requestLatencyS: latencyS,
       shownQuality: playout.last && slotQuality(offers, playout.last),
       history: this.history(this.sentS(latencyS)),
-      speed: playout.speed,
+      speed: playout.schedule.speed,
     };
   }
 

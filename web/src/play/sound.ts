@@ -83,11 +83,11 @@ export class Sound {
       this.#silence();
       return;
     }
-    const at = playout.placeAt(nowS);
+    const at = playout.schedule.at(nowS);
     for (const slot of playout.slots) {
       if (slot.startAt < at + AHEAD_S && slot.startAt + slot.seconds > at && !this.#pieces.has(slot)) this.#load(slot);
     }
-    if (playout.held || wishes.speed !== 1 || !calm) {
+    if (playout.schedule.held || wishes.speed !== 1 || !calm) {
       this.#silence();
       return;
     }
@@ -97,7 +97,7 @@ export class Sound {
       const off = heardS - this.#zeroS - at;
       const most = PULL * (nowS - this.#beforeS);
       if (Math.abs(off) > APART_S) this.#silence();
-      else playout.shift(nowS, Math.max(-most, Math.min(most, off)));
+      else playout.schedule.shift(nowS, Math.max(-most, Math.min(most, off)));
     }
     this.#beforeS = nowS;
     this.#zeroS ??= Math.round((heardS - at) * sampleRate) / sampleRate;
@@ -130,14 +130,14 @@ export class Sound {
   /** Drop what has passed, or is not due any more; all of it stops where the schedule stands still. */
   #trim(): void {
     const { playout } = this.playback;
-    const at = playout.placeAt(performance.now() / 1e3);
+    const at = playout.schedule.at(performance.now() / 1e3);
     const slots = new Set(playout.slots);
     for (const [slot, piece] of this.#pieces) {
       if (slots.has(slot) && slot.startAt + slot.seconds > at - AHEAD_S) continue;
       stop(piece);
       this.#pieces.delete(slot);
     }
-    if (playout.held) this.#silence();
+    if (playout.schedule.held) this.#silence();
   }
 
   #silence(): void {
