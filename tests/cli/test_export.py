@@ -19,7 +19,7 @@ from tests.support.page import FILES, put_page
 from tests.support.paths import VALID
 
 PACKAGE = VALID / "two-groups-sh1"
-SCRIPTS = ("airgs-player.js", "airgs-vr.js", "airgs-more.js", "airgs-sound.js", "airgs-tiles.js")
+SCRIPTS = ("airgs-player.js", "airgs-vr.js", "airgs-more.js", "airgs-sound.js")
 TOP = {"index.html", ".nojekyll", *SCRIPTS, "packages"}
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import LevelSettings
-from airgs_codec.package.layout import INIT_NAME, MPD_NAME, tile_folder
+from airgs_codec.package.layout import INIT_NAME, MPD_NAME
 from airgs_codec.package.mpd import LiveClock, still_files, write_mpd
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.sequence import open_sequence
@@ -40,12 +40,6 @@ def package(request):
     return open_package(GOLDEN / request.param)
 
 
-@pytest.fixture(scope="module", params=["fox", "fox-fine", "tiles"])
-def listed(request):
-    """The same, and a package of three tiles."""
-    return open_package(GOLDEN / request.param)
-
-
 def look(folder, player, mpd=None, **query):
     """What a player reports of the MPD in a folder, or of what `mpd` makes at each request.
 
@@ -64,15 +58,13 @@ def expected(m):
     """Representation -> its files with the seconds when they begin and end, from the tables."""
     streams = defaultdict(list)
     for number, segment in enumerate(m.segments):
-        for j, p in np.ndindex(len(m.levels), m.tiles):
-            name = f"{tile_folder(p, m.tiles)}L{j}"
-            still = f"state/{name}/{number + 1}.m4s"
-            files = m.state_files(number, j, [p]) or [still for path, _ in still_files(m) if path == still]
-            streams[name] += [(segment, path) for path in files]
+        for j in range(len(m.levels)):
+            still = f"state/L{j}/{number + 1}.m4s"
+            files = m.state_files(number, j) or [still for path, _ in still_files(m) if path == still]
+            streams[f"L{j}"] += [(segment, path) for path in files]
     for number, group in enumerate(m.groups):
-        for k, q in np.ndindex(m.units, len(m.qualities)):
-            name = f"{tile_folder(k // m.tiers, m.tiles)}T{k % m.tiers}/Q{q}"
-            streams[name] += [(group, path) for path in m.key_files(number, k, q)[1:]]
+        for k, q in np.ndindex(m.tiers, len(m.qualities)):
+            streams[f"T{k}/Q{q}"] += [(group, path) for path in m.key_files(number, k, q)[1:]]
     return {
         name: [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files]
         for name, files in streams.items()
@@ -84,11 +76,11 @@ def paths(urls):
     return [urlsplit(url).path.removeprefix("/package/") for url in urls]
 
 
-def test_shaka_finds_what_the_tables_say(listed):
-    report = look(listed.files.path, "shaka")
-    streams = expected(listed.manifest)
+def test_shaka_finds_what_the_tables_say(package):
+    report = look(package.files.path, "shaka")
+    streams = expected(package.manifest)
     assert not report["live"]
-    assert report["duration"] == pytest.approx(float(listed.manifest.frames / listed.manifest.fps), abs=TIGHT_S)
+    assert report["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
     assert {r["id"] for r in report["representations"]} == set(streams)
     sets = defaultdict(list)
     for r in report["representations"]:
@@ -98,15 +90,13 @@ def test_shaka_finds_what_the_tables_say(listed):
         assert {path for s in r["segments"] for path in paths(s["init"])} == {INIT_NAME}
         sets[r["set"]].append(r["id"])
     assert sorted(map(sorted, sets.values())) == sorted(map(sorted, sets_of(streams)))
-    assert all((listed.files.path / files[0][2]).is_file() for files in streams.values())
+    assert all((package.files.path / files[0][2]).is_file() for files in streams.values())
 
 
 def role_of(name):
-    """What the AdaptationSet of a Representation says of it: the state of a tile, or a tier of its key."""
-    tile = re.match(r"P(\d+)/", name)
-    where = f";tile={tile[1]}" if tile else ""
-    tier = re.search(r"T(\d+)/", name)
-    return f"key;tier={tier[1]}{where}" if tier else f"state{where}"
+    """What the AdaptationSet of a Representation says of it: the state, or a tier of the key."""
+    tier = re.match(r"T(\d+)/", name)
+    return f"key;tier={tier[1]}" if tier else "state"
 
 
 def sets_of(streams):
@@ -117,9 +107,9 @@ def sets_of(streams):
     return kinds.values()
 
 
-def test_dashjs_finds_the_sets_and_plays_the_state(listed):
-    report = look(listed.files.path, "dashjs")
-    streams = expected(listed.manifest)
+def test_dashjs_finds_the_sets_and_plays_the_state(package):
+    report = look(package.files.path, "dashjs")
+    streams = expected(package.manifest)
     roles = {tuple(s["role"]): sorted(s["representations"]) for s in report["sets"]}
     assert set(roles) == {(role_of(name),) for name in streams}
     assert sorted(roles.values()) == sorted(map(sorted, sets_of(streams)))

@@ -93,7 +93,7 @@ def test_what_a_browser_lacks_is_named(probed, what, words):
 
 
 FRAMES = FOX.manifest.segments[0].stop
-TIERS = sum(tier.count > 0 for tier in FOX.manifest.groups[0].units)
+TIERS = sum(tier.count > 0 for tier in FOX.manifest.groups[0].tiers)
 
 
 def test_every_picture_is_closed_whatever_happens(probed):

@@ -10,7 +10,7 @@ import pytest
 
 from airgs_codec.coding.atlas import picture_size
 from airgs_codec.coding.channels import colours
-from airgs_codec.decoder.decode import Part, decode_frames
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder import representation
 from airgs_codec.encoder.publish import encode
 from airgs_codec.media.h264 import open_segment
@@ -31,13 +31,11 @@ PACKAGES = (
     "golden/fox",
     "golden/fox-fine",
     "golden/room",
-    "golden/tiles",
     "valid/kept",
     "valid/lined",
     "valid/moving",
     "valid/one-gaussian",
     "valid/paged",
-    "valid/tiled",
     "valid/two-groups-sh1",
 )
 FOX = open_package(GOLDEN / "fox")
@@ -71,8 +69,7 @@ def package(name):
 
 def frames_of(p, rung):
     """Float32 of means, quaternions, log-scales, alpha and colours of every frame."""
-    level, quality, part = rung["level"], rung["key_quality"], Part(tiers=rung["tiers"])
-    for frame in decode_frames(p, 0, p.manifest.frames, level=level, key_quality=quality, part=part):
+    for frame in decode_frames(p, 0, p.manifest.frames, **rung):
         g = frame.gaussians
         alpha = 1 / (1 + np.exp(-g.opacity_logits.astype(np.float64)))
         parts = (g.means, g.quaternions, g.log_scales, alpha, colours(g.sh_dc, g.sh_rest))
@@ -115,21 +112,20 @@ def frames(encoded):
         "frames",
         {"url": "encoded/still", "quality": 1, "level": 0, "tiers": 2, "expected": "/expected/still"},
     )
-    for name in READ:
-        best = RUNGS.index((name, {"key_quality": 0, "level": 0, "tiers": 2}))
-        read = {"rung": "Q0+L0", "frames": [3, 1, 0, 2], "expected": f"/expected/{best}"}
-        steps[f"reader {name}"] = "reading", {"url": name} | read
+    best = RUNGS.index((READ, {"key_quality": 0, "level": 0, "tiers": 2}))
+    read = {"rung": "Q0+L0", "frames": [3, 1, 0, 2], "expected": f"/expected/{best}"}
+    steps["reader"] = "reading", {"url": READ} | read
     return look(steps, made, {"encoded": encoded})[0]
 
 
-READ = ("golden/room", "golden/tiles")
+READ = "golden/room"
 STILL = {"key_quality": 1, "level": 0, "tiers": 2}
 PAGED = {"key_quality": 0, "level": 0, "tiers": 1}
 
 
 def test_atlases_in_pages_are_put_together(frames, encoded):
     m = open_package(encoded / "pages").manifest
-    assert all(atlas.pages > 1 for atlas in (m.groups[0].units[0].qualities[0], m.groups[0].tiles[0].levels[0]))
+    assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
     assert frames["pages"]["frames"] == m.frames
     assert all(error <= 1e-6 for error in frames["pages"]["worst"].values()), frames["pages"]
 
@@ -137,14 +133,13 @@ def test_atlases_in_pages_are_put_together(frames, encoded):
 def test_a_group_may_have_no_key_pictures(frames, encoded):
     """The second group differs by nothing."""
     _, second = open_package(encoded / "still").manifest.groups
-    assert second.keeps == 1 and not any(file.bytes for unit in second.units for file in unit.pictures)
+    assert second.keeps == 1 and not any(file.bytes for tier in second.tiers for file in tier.pictures)
     assert frames["still"].get("frames") == 4, frames["still"]
     assert all(error <= 1e-6 for error in frames["still"]["worst"].values()), frames["still"]
 
 
-@pytest.mark.parametrize("name", READ)
-def test_frames_are_read_in_any_order_from_a_group_that_keeps_rows(frames, name):
-    report = frames[f"reader {name}"]
+def test_frames_are_read_in_any_order_from_a_group_that_keeps_rows(frames):
+    report = frames["reader"]
     assert len(report) == 6 and all(error <= 1e-6 for error in report.values()), report
 
 
@@ -363,7 +358,7 @@ def test_decoding_waits_for_the_screen(faults, encoded):
 def test_files_that_are_not_at_hand_are_fetched_where_a_table_leads_to_them(faults):
     unread, nothing, early, waiting, closed = faults["mistakes"]
     assert [error["reason"] for error in (unread, nothing)] == ["missing_entry"] * 2
-    assert early == FOX.manifest.groups[0].units[0].count
+    assert early == FOX.manifest.groups[0].tiers[0].count
     assert [error["name"] for error in (waiting, closed)] == ["AbortError"] * 2
 
 

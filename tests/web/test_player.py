@@ -4,19 +4,16 @@ import json
 import shutil
 from urllib.parse import urlencode
 
-import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import Part, decode, decode_frames
+from airgs_codec.decoder.decode import decode
 from airgs_codec.package.package import open_package
 from airgs_codec.render.cpu import render
 from tests.support.browser import WEB, build_pages, missing, serve, visit
-from tests.support.mutations import edit_tables, on_disk
 from tests.support.paths import GOLDEN, VALID
 from tests.support.player_page import LEAST_DB, PAGE, camera_of, decibels
 
 KNOWN = ("WebGL: CONTEXT_LOST",)  # what tests do
-LEAST_SORTED_DB = 50  # of those that are drawn tile by tile, against all Gaussians in one order
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
@@ -34,7 +31,7 @@ def fox():
 
 def look(folder, check, **query):
     """What the page reports of a check on a package in a folder, and the paths that it asked for (`asked`)."""
-    with serve({"web": WEB, "package": folder}, {"/player.html": lambda: PAGE, "/turned": lambda: b""}) as site:
+    with serve({"web": WEB, "package": folder}, {"/player.html": lambda: PAGE}) as site:
         seen = visit(f"{site.url}/player.html?{urlencode({'src': '/package/', 'check': check} | query)}")
     assert seen.complaints(KNOWN) == []
     assert seen.report["error"] == 0  # of WebGL
@@ -85,67 +82,6 @@ def test_a_frame_of_a_group_that_keeps_rows_is_sought():
     room = open_package(GOLDEN / "room")
     assert [group.keeps for group in room.manifest.groups] == [None, 1]
     assert_drawn_as_by_the_cpu_renderer(room, (1, 1), [3, 0, 2, 1])
-
-
-BEGINNING = 11  # of the places: 22 degrees above, on the side of tile 0
-
-
-@pytest.fixture(scope="module")
-def tiled(tmp_path_factory):
-    """Three tiles in two groups, of which the second keeps rows of the first; viewers begin where they look down."""
-
-    def begin_there(root):
-        places = root["region"]["places"]
-        places.insert(0, places.pop(BEGINNING))
-
-    folder = shutil.copytree(GOLDEN / "tiles", tmp_path_factory.mktemp("tiled") / "tiles")
-    return open_package(on_disk(folder, edit_tables(begin_there)))
-
-
-def tile_by_tile(package, report, frame, rung):
-    """What the CPU renderer draws of a frame where tiles are drawn one over the other, the furthest first."""
-    camera = camera_of(package, report)
-    _, y, z = camera.position
-    assert z < -1  # tile 0 is before the others, which touch at y = 0.05
-    picture = np.zeros((camera.height, camera.width, 3), np.float32)
-    for tile in (1, 2, 0) if y > 0.05 else (2, 1, 0):
-        [shown] = decode_frames(package, frame, frame + 1, level=rung[1], key_quality=rung[0], part=Part(tiles=[tile]))
-        nearer = render(shown.gaussians, camera)
-        picture = nearer.rgb + nearer.transmittance[..., None] * picture
-    return picture
-
-
-@pytest.mark.parametrize("rung", [(0, 0), (1, 1)])
-def test_a_frame_of_a_scene_in_tiles_is_sought(tiled, rung):
-    """Gaussians on both sides of a border are drawn tile by tile, which differs a little from all in one order."""
-    m = tiled.manifest
-    name = f"{m.qualities[rung[0]].id}+{m.levels[rung[1]].id}"
-    report = look(tiled.files.path, "seek", frames="[3, 0, 2, 1]", rung=name, fps=float(m.fps))
-    assert report["stats"]["tiles"] == {"shown": 3, "all": 3}
-    for frame, seen in zip([3, 0, 2, 1], report["pictures"], strict=True):
-        by_tile = decibels(seen["picture"], tile_by_tile(tiled, report, frame, rung))
-        shown = decode(tiled, frame, level=rung[1], key_quality=rung[0])
-        in_one_order = decibels(seen["picture"], render(shown, camera_of(tiled, report)).rgb)
-        print(f"{name}, frame {frame}: {by_tile:.1f} dB tile by tile, {in_one_order:.1f} dB in one order")
-        assert by_tile >= LEAST_DB and in_one_order >= LEAST_SORTED_DB
-
-
-def test_tiles_are_fetched_when_the_viewer_turns_to_them(tiled):
-    """From among the tiles the page looks at one of them, and after the last frame from outside at all."""
-    away = {"position": [0, 0, -0.4], "forward": [0, 0, -1], "up": [0, -1, 0]}
-    report = look(tiled.files.path, "turn", away=json.dumps(away), rung="Q0+L0")
-    turned = report["asked"].index("/turned")
-    parts = report["asked"][:turned], report["asked"][turned:]
-    before, after = ({path.split("/")[3] for path in part if "/P" in path} for part in parts)
-    assert (before, after) == ({"P1"}, {"P2", "P3"})
-    assert report["problems"] == []
-    assert (report["away"]["shown"], report["back"]["shown"], report["back"]["all"]) == (1, 3, 3)
-    last_frame = tiled.manifest.frames - 1
-    [alone] = decode_frames(tiled, last_frame, last_frame + 1, part=Part(tiles=[0]))
-    near = render(alone.gaussians, camera_of(tiled, report["away"])).rgb
-    assert decibels(report["away"]["picture"], near) >= LEAST_DB
-    last = tile_by_tile(tiled, report["back"], last_frame, (0, 0))
-    assert decibels(report["back"]["picture"], last) >= LEAST_DB
 
 
 @pytest.mark.parametrize("background", [[1, 1, 1], [1, 0.5, 0]])

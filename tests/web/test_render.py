@@ -163,7 +163,7 @@ def test_a_canvas_of_any_size_and_a_background(levels):
 
 def test_what_cannot_be_drawn_is_said(levels):
     said = look(levels, "refusals")["messages"]
-    atlas = json.loads((levels / "scene.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
+    atlas = json.loads((levels / "scene.json").read_text())["groups"][0]["levels"][0]
     samples = atlas["width"] * atlas["height"]
     assert [line.removeprefix("RenderError: ") for line in said] == [
         "a state: expected a level first, got another",
@@ -200,8 +200,8 @@ def test_bases_jump_in_frames_that_are_shown_and_in_dropped_ones(far, every):
 
 
 def test_an_atlas_of_several_pages_shows_the_same(far):
-    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
-    whole = json.loads((far / "scene.json").read_text())["groups"][0]["tiles"][0]["levels"][0]
+    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["levels"][0]
+    whole = json.loads((far / "scene.json").read_text())["groups"][0]["levels"][0]
     assert atlas["height"] < whole["height"] / 2
     assert_near(look(far, "pictures", data="/data/paged"), 1, range(8), "paged")
 
@@ -212,7 +212,7 @@ def test_a_line_in_time_is_drawn_in_any_frame_of_its_segment(tmp_path, every):
     way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
     frames = [frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]
     package = encoded(tmp_path, frames, replace(QUICK, segment_s=1.0, levels=(LevelSettings(0.0),)))
-    assert all(segment.levels[0].lines == [True] for segment in package.manifest.segments)
+    assert all(segment.levels[0].line for segment in package.manifest.segments)
     for name, pages in (("scene", 1), ("paged", 3)):
         write_decoded(package, tmp_path / name, [Rung(0, 0)], four_cameras(frames[0]), pages=pages)
         report = look(tmp_path, "pictures", every=every, data=f"/data/{name}")
@@ -239,7 +239,7 @@ def test_keys_that_are_differences_are_added_to_those_of_the_base(tmp_path):
     package = encoded(tmp_path, frames, QUICK, keyframes=[0, 2, 4])
     groups = package.manifest.groups
     assert [g.keeps for g in groups] == [None, 1, 1]
-    assert any(atlas.rows for unit in groups[1].units for atlas in unit.qualities)
+    assert any(atlas.rows for tier in groups[1].tiers for atlas in tier.qualities)
     cameras = four_cameras(frames[0])
     write_decoded(package, tmp_path / "scene", ends(package), cameras)
     assert_near(look(tmp_path, "pictures"), 2, range(6), "kept")

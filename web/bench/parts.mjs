@@ -43,14 +43,14 @@ console.log(
 
 const folder = process.argv[2];
 const { qualities } = JSON.parse(readFileSync(`${folder}/airgs.json`, "utf8"));
-const { grid, tiles } = JSON.parse(gunzipSync(readFileSync(`${folder}/group/1.json.gz`)));
+const { grid, tiers, keeps } = JSON.parse(gunzipSync(readFileSync(`${folder}/group/1.json.gz`)));
 const coarsest = qualities.at(-1).coarser;
-for (const [t, { count, kept }] of tiles[0].tiers.entries()) {
-  if (!count || kept) continue;
+for (const [t, { count }] of tiers.entries()) {
+  if (!count || keeps) continue;
   const [sidecar, key] = [`key/T${t}/1.bin`, `key/T${t}/Q0/1.m4s`];
   const [data, media] = [sidecar, key].map((path) => new Uint8Array(readFileSync(`${folder}/${path}`)));
   const read = () => {
-    const shared = readSidecar(data, { count, kept, base: 0 }, grid, coarsest, sidecar);
+    const shared = readSidecar(data, { count, placed: count }, grid, coarsest, sidecar);
     const reader = new ColumnReader(readMedia(media, key).columns, key);
     canonicalMeans(readDetail(reader, shared, grid, qualities[0].coarser, coarsest), grid, qualities[0].coarser);
   };

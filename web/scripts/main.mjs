@@ -6,7 +6,6 @@
 //     airgs-vr.js       what the player loads for a headset
 //     airgs-more.js     what the element loads once there is a picture: keys, gestures, menu, figures and the like
 //     airgs-sound.js    what the player loads for a package with sound
-//     airgs-tiles.js    and for one in several tiles
 //     player.html       a page with nothing but <airgs-player src="…">
 import { copyFile, mkdir } from "node:fs/promises";
 import { fileURLToPath } from "node:url";
@@ -16,6 +15,6 @@ const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const folder = process.argv[2] ?? here("../../airgs_codec/serve/page");
 
 await mkdir(folder, { recursive: true });
-for (const name of ["airgs", "airgs-frames", "airgs-player", "airgs-vr", "airgs-more", "airgs-sound", "airgs-tiles"])
+for (const name of ["airgs", "airgs-frames", "airgs-player", "airgs-vr", "airgs-more", "airgs-sound"])
   await bundleOnce(here(`../src/${name}.ts`), `${folder}/${name}.js`);
 await copyFile(here("../src/player.html"), `${folder}/player.html`);

@@ -7,5 +7,5 @@ import { bundle } from "./bundle.mjs";
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const files = readdirSync(here("../test/pages")).filter((file) => file.endsWith(".ts"));
 const entries = Object.fromEntries(files.map((file) => [basename(file, ".ts"), here(`../test/pages/${file}`)]));
-for (const part of ["airgs-more", "airgs-sound", "airgs-tiles"]) entries[part] = here(`../src/${part}.ts`);
+for (const part of ["airgs-more", "airgs-sound"]) entries[part] = here(`../src/${part}.ts`);
 await bundle(entries, here("../out/pages"), { sourcemap: "inline" });

@@ -8,11 +8,11 @@ import type { PlayerOptions } from "./play/playback.ts";
 import { Player } from "./play/player.ts";
 
 export { FormatError, type Reason } from "./format/errors.ts";
+export type { ViewState } from "./format/region.ts";
 export type { Place, Region, Root, World } from "./format/types.ts";
 export { TransportError, UnsupportedError } from "./media/errors.ts";
 export type { PlayerOptions, Problem } from "./play/playback.ts";
 export { Player } from "./play/player.ts";
-export type { ViewState } from "./play/sight.ts";
 export type { PlayerStats } from "./play/statistics.ts";
 
 /** Opens a package for a canvas. Nothing moves until `play`. Throws what `Player.open` does. */

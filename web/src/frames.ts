@@ -1,25 +1,17 @@
-// Frames as Gaussians, for programs that draw with an engine of their own: those of all tiles. N rows, C colours each.
+// Frames as Gaussians, for programs that draw with an engine of their own.
 import { basesAfter } from "./format/atlas.ts";
-import { concat } from "./format/concat.ts";
 import { canonicalGaussians, shownGaussians } from "./format/gaussians.ts";
 import { levelled } from "./format/region.ts";
-import type { Canonical, CanonicalName, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
+import type { Canonical, Gaussians, Region, Root, StateFrame, World } from "./format/types.ts";
 import { Media } from "./media/client.ts";
 
-interface DecodedTile {
+/** A segment; `start` is its first frame. */
+interface Decoded {
+  start: number;
+  level: number;
   canonical: Canonical;
   base: Gaussians;
   frames: (StateFrame | null)[];
-}
-
-interface Decoded {
-  start: number;
-  group: number;
-  quality: number;
-  level: number;
-  /** How many tiers of each tile. */
-  tiers: number;
-  tiles: DecodedTile[];
 }
 
 /** Reads frames of a package, in any order; one after the other is fastest, since a segment is decoded as a whole. */
@@ -68,19 +60,14 @@ export class FrameReader {
    * Throws RangeError for a frame or rung that there is not, FormatError and TransportError where a file cannot be had.
    */
   async gaussians(frame: number, rung = this.rungs[0]): Promise<Gaussians> {
-    const { start, group, level, tiles } = await this.#segment(frame, rung);
-    const { tables } = this.media;
-    const table = tables.group(group);
-    return joined(
-      tiles.map(({ canonical, base, frames }) => {
-        const state = frames[frame - start];
-        if (!state) return shownGaussians(tables.root, table, base, canonical, null);
-        const changes = frames.slice(0, frame - start + 1).map((one) => one?.bases ?? null);
-        const bases = basesAfter(state.luma.length, changes);
-        const slopes = changes[0]?.slopes ?? null;
-        return shownGaussians(tables.root, table, base, canonical, { ...state, level, bases, slopes });
-      }),
-    );
+    const { start, level, canonical, base, frames } = await this.#segment(frame, rung);
+    const table = this.media.tables.group(canonical.group);
+    const state = frames[frame - start];
+    if (!state) return shownGaussians(this.root, table, base, canonical, null);
+    const changes = frames.slice(0, frame - start + 1).map((one) => one?.bases ?? null);
+    const bases = basesAfter(state.luma.length, changes);
+    const slopes = changes[0]?.slopes ?? null;
+    return shownGaussians(this.root, table, base, canonical, { ...state, level, bases, slopes });
   }
 
   close(): void {
@@ -109,39 +96,18 @@ export class FrameReader {
     const { tables } = this.media;
     const { levels } = tables.root;
     const [quality, level] = [Math.floor(rung / levels.length), rung % levels.length];
+    const { tiers } = levels[level];
     const group = tables.groupOf(segment);
-    const last = await before?.catch(() => null);
-    const wanted = levels[level].tiers;
-    const same = last?.group === group && last.quality === quality && last.tiers >= wanted ? last : null;
-    const tiers = same?.tiers ?? wanted;
-    const tiles = tables.tiles.map((tile) => {
-      return this.#tile(segment, level, { group, tile, quality, tiers }, same?.tiles[tile]);
-    });
-    const { start } = tables.segment(segment);
-    return { start, group, quality, level, tiers, tiles: await Promise.all(tiles) };
-  }
-
-  /** A tile of a segment; `last` is that tile in a segment of the same canonical space. */
-  async #tile(segment: number, level: number, of: CanonicalName, last: DecodedTile | undefined): Promise<DecodedTile> {
-    const { tables } = this.media;
-    const canonical = last?.canonical ?? (await this.media.canonical(of));
-    const base = last?.base ?? canonicalGaussians(tables.root, tables.group(of.group), canonical);
+    const last = (await before?.catch(() => null)) ?? null;
+    const known = last?.canonical;
+    const same = known?.group === group && known.quality === quality && known.tiers >= tiers ? last : null;
+    const canonical = same?.canonical ?? (await this.media.canonical({ group, quality, tiers }));
+    const base = same?.base ?? canonicalGaussians(tables.root, tables.group(group), canonical);
     const frames: (StateFrame | null)[] = [];
-    await this.media.segment(segment, level, of, (t, frame) => {
+    await this.media.segment(segment, level, canonical, (t, frame) => {
       frames[t] = frame;
       this.media.taken(frame);
     });
-    return { canonical, base, frames };
+    return { start: tables.segment(segment).start, level, canonical, base, frames };
   }
-}
-
-/** The rows of tiles, one tile after the other. */
-export function joined(tiles: Gaussians[]): Gaussians {
-  if (tiles.length === 1) return tiles[0];
-  const names = Object.keys(tiles[0]) as (keyof Gaussians)[];
-  const all = (name: keyof Gaussians) => {
-    const parts = tiles.map((tile) => tile[name]);
-    return concat(parts, Float32Array);
-  };
-  return Object.fromEntries(names.map((name) => [name, all(name)])) as unknown as Gaussians;
 }

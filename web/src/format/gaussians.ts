@@ -1,11 +1,11 @@
 // Codes to Gaussians on the CPU: FORMAT.md, section 5. It is what shaders are tested against, and what adapters to
-// other renderers feed. N rows of a tile of a group, n rows of a key tier or a level, C colour channels.
+// other renderers feed. N rows of a group, n rows of a key tier or a level, C colour channels.
 import { KEY_AT, OPACITY_MARGIN, SMALL_ANGLE, STATE_AT } from "../generated/constants.ts";
 import { atlasSamples, basesAfter, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
+import { levelRows } from "./files.ts";
 import { colourChannels, colourMatrix, colourSteps, differenceSteps, keySteps, stateSteps } from "./steps.ts";
 import type { Canonical, Gaussians, Group, KeyPart, Root } from "./types.ts";
-import { levelRows } from "./units.ts";
 
 /** What codes of a key or of a state count in. */
 interface Coding {
@@ -23,7 +23,7 @@ function codingOf(root: Root, group: Group, steps: Float32Array, scales: { sh_dc
   return { steps, colours };
 }
 
-/** The canonical space of a tile; α is not limited yet.
+/** The Gaussians of a canonical space; α is not limited yet.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
@@ -75,9 +75,9 @@ function setKey(gaussians: Gaussians, first: number, codes: Codes, { steps, colo
   addColours(gaussians.colours, (i) => first + i, codes.subarray(KEY_AT.colour * rows), { colours, rows });
 }
 
-/** The Gaussians of a tile in a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the
- * bases of its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer tiers than the level asks
- * for, its rows are the first of the level.
+/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the bases of
+ * its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer tiers
+ * than the level asks for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
@@ -97,7 +97,7 @@ export function shownGaussians(
   };
   if (state) {
     const rows = levelRows(canonical.depths, state.level);
-    const atlas = group.tiles[canonical.tile]!.levels[state.level]!;
+    const atlas = group.levels[state.level]!;
     const codes = readCodes(atlas, state.luma, state.bases, state.slopes, state.time);
     const coding = codingOf(root, group, stateSteps(root, group, state.level), group.state_steps);
     addState(shown, rows, canonical.units, codes, coding);

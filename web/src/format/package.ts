@@ -1,24 +1,14 @@
-// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, tiles,
-// tiers, qualities, levels and pages count from 0; groups, segments, tiles and pages in paths from 1. A unit is a key tier
-// of a tile: number tile · T + tier, T being the tiers of a tile.
+// The tables of a package as one value, which grows as they are read: FORMAT.md, section 2. Groups, segments, key tiers,
+// qualities, levels and pages count from 0; groups, segments and pages in paths from 1.
 import { INIT_PATH, PAGE, POSTER_PATH, ROOT_PATH, SOUND_INIT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
 import { FormatError } from "./errors.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { inflate, parseRoot, parseTable } from "./parse.ts";
-import {
-  groupPath,
-  keyMediaPath,
-  keySidecarPath,
-  locate,
-  pagePath,
-  soundPath,
-  stateMediaPath,
-  tileFolder,
-} from "./paths.ts";
+import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, soundPath, stateMediaPath } from "./paths.ts";
 import { Recent } from "./recent.ts";
 import { checkBase, checkGroup, checkPage } from "./references.ts";
-import type { FileEntry, Group, Page, Root, Segment, Tier, Tile } from "./types.ts";
+import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 
 const MOST_TABLES = 1024; // tables of groups
 /** What of the root may differ while a package grows. */
@@ -84,10 +74,6 @@ export class Tables {
     else await this.addGroup(found.numbers[0]! - 1, bytes);
   }
 
-  get tiles(): readonly number[] {
-    return Array.from({ length: this.root.tiles }, (_, tile) => tile);
-  }
-
   has(number: number): boolean {
     return this.#groups.has(number);
   }
@@ -104,19 +90,9 @@ export class Tables {
     return this.index.groupAt("segments", segment);
   }
 
-  /** Gaussians of a group in each key unit. Throws what `group` does. */
+  /** Gaussians of a group in each key tier. Throws what `group` does. */
   rows(group: number): number[] {
-    return this.group(group).tiles.flatMap(({ tiers }) => tiers.map((tier) => tier.count));
-  }
-
-  boxes(group: number): readonly Pick<Tile, "low" | "high">[] {
-    return this.group(group).tiles;
-  }
-
-  /** The key units that viewers of a level fetch of some tiles, by default of all. */
-  unitsOf(level: number, tiles: readonly number[] = this.tiles): number[] {
-    const count = this.root.levels[level]!.tiers;
-    return tiles.flatMap((tile) => Array.from({ length: count }, (_, tier) => tile * this.root.tiers + tier));
+    return this.group(group).tiers.map(({ count }) => count);
   }
 
   segment(segment: number): Segment {
@@ -142,26 +118,23 @@ export class Tables {
     return keeps ? keeps - 1 : null;
   }
 
-  /** Sidecar and picture of a key unit: none of one without rows, no picture where nothing differs from the base. */
-  keyFiles(group: number, unit: number, quality: number): string[] {
-    const { count, qualities } = this.#unit(group, unit);
-    const tier = unit % this.root.tiers;
-    const folder = tileFolder((unit - tier) / this.root.tiers, this.root.tiles);
-    const files = [keySidecarPath(folder, tier, group + 1), keyMediaPath(folder, tier, quality, group + 1)];
+  /** Sidecar and picture of a key tier: none of one without rows, no picture where nothing differs from the base. */
+  keyFiles(group: number, tier: number, quality: number): string[] {
+    const { count, qualities } = this.group(group).tiers[tier]!;
+    const files = [keySidecarPath(tier, group + 1), keyMediaPath(tier, quality, group + 1)];
     return files.slice(0, Number(count > 0) + Number(qualities[quality]!.rows > 0));
   }
 
-  /** Sidecars and pictures of key units, and those of the base. */
-  keysOf(group: number, quality: number, units: readonly number[]): string[] {
+  /** Sidecars and pictures of the first key tiers, and those of the base. */
+  keysOf(group: number, quality: number, tiers: number): string[] {
     const groups = [group, this.base(group) ?? []].flat();
-    return units.flatMap((unit) => groups.flatMap((of) => this.keyFiles(of, unit, quality)));
+    const all = Array.from({ length: tiers }, (_, tier) => groups.flatMap((of) => this.keyFiles(of, tier, quality)));
+    return all.flat();
   }
 
-  /** The files of a segment of some tiles, by default of all; none of a tile with nothing to fetch. */
-  stateFiles(segment: number, level: number, tiles: readonly number[] = this.tiles): string[] {
-    const { files } = this.segment(segment).levels[level]!;
-    const there = tiles.filter((tile) => files[tile]!.bytes);
-    return there.map((tile) => stateMediaPath(tileFolder(tile, this.root.tiles), level, segment + 1));
+  /** The file of a segment; none where there is nothing to fetch. */
+  stateFiles(segment: number, level: number): string[] {
+    return this.segment(segment).levels[level]!.file.bytes ? [stateMediaPath(level, segment + 1)] : [];
   }
 
   /** The sound of a group; none where there is nothing to fetch. */
@@ -181,26 +154,19 @@ export class Tables {
     return found;
   }
 
-  #unit(group: number, unit: number): Tier {
-    const tier = unit % this.root.tiers;
-    return this.group(group).tiles[(unit - tier) / this.root.tiers]!.tiers[tier]!;
-  }
-
   #find(path: string): FileEntry | null | undefined {
     const found = locate(path);
     if (!found) return null;
     const { what, numbers } = found;
-    const [named = 0, first = 0, second = 0] = numbers;
+    const [first = 0, second = 0] = numbers;
     const number = numbers.at(-1)! - 1;
     const { segments, groups } = this.index;
-    if (what === "page") return (number + 1) * PAGE ** named > groups ? null : this.index.pageEntry(path).file;
+    if (what === "page") return (number + 1) * PAGE ** first > groups ? null : this.index.pageEntry(path).file;
     if (number >= (what === "state" ? segments : groups)) return null;
     if (what === "group") return this.index.entry(number).file;
     if (what === "sound") return this.group(number).sound;
-    if (named > 0 !== this.root.tiles > 1) return null;
-    const tile = Math.max(0, named - 1);
-    if (what === "state") return this.segment(number).levels[first]?.files[tile];
-    const tier = this.group(number).tiles[tile]?.tiers[first];
+    if (what === "state") return this.segment(number).levels[first]?.file;
+    const tier = this.group(number).tiers[first];
     return what === "sidecar" ? tier?.sidecar : tier?.pictures[second];
   }
 

@@ -21,7 +21,7 @@ import { groupPath } from "./paths.ts";
 import { isSimilarity } from "./region.ts";
 import { packetsOf } from "./sound.ts";
 import { colourChannels } from "./steps.ts";
-import type { Atlas, FileEntry, Group, Page, Region, Root, Segment, Tier, Tile } from "./types.ts";
+import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
 
 const bad = (where: string, detail: string) => new FormatError("bad_value", where, detail);
 
@@ -134,10 +134,10 @@ export function checkGroup(root: Root, entry: Entry, group: Group, number: numbe
   }
   const packets = packetsOf(root, group);
   if (group.sound) place.file("sound", group.sound, packets.start < packets.stop);
-  for (const { name, tier } of unitsOf(group)) {
-    place.file(`${name}.sidecar`, tier.sidecar, tier.count > 0);
+  for (const [t, tier] of group.tiers.entries()) {
+    place.file(`tiers[${t}].sidecar`, tier.sidecar, tier.count > 0);
     for (const [q, picture] of tier.pictures.entries())
-      place.file(`${name}.pictures[${q}]`, picture, tier.qualities[q]!.rows > 0);
+      place.file(`tiers[${t}].pictures[${q}]`, picture, tier.qualities[q]!.rows > 0);
   }
   let stop = group.start;
   group.segments.forEach((segment, s) => {
@@ -160,65 +160,43 @@ export function checkBase(group: Group, base: Group, where: string): void {
 const laidOut = (group: Group) =>
   JSON.stringify(group, [
     ...["grid", "origin", "step", "bits", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
-    ...["colour_transform", "tiles", "tiers", "count", "factor"],
+    ...["colour_transform", "tiers", "count", "factor"],
   ]);
 
-/** The key units of a group, and where each stands in its table. */
-const unitsOf = ({ tiles }: Group): { name: string; tier: Tier }[] =>
-  tiles.flatMap(({ tiers }, p) => tiers.map((tier, t) => ({ name: `tiles[${p}].tiers[${t}]`, tier })));
-
 function checkShapes(root: Root, group: Group, place: Place): void {
-  place.exactly("tiles", group.tiles.length, root.tiles);
-  group.tiles.forEach((tile, p) => {
-    place.exactly(`tiles[${p}].tiers`, tile.tiers.length, root.tiers);
-    place.exactly(`tiles[${p}].levels`, tile.levels.length, root.levels.length);
+  place.exactly("tiers", group.tiers.length, root.tiers);
+  place.exactly("levels", group.levels.length, root.levels.length);
+  group.tiers.forEach((tier, t) => {
+    place.exactly(`tiers[${t}].qualities`, tier.qualities.length, root.qualities.length);
+    place.exactly(`tiers[${t}].pictures`, tier.pictures.length, root.qualities.length);
   });
-  for (const { name, tier } of unitsOf(group)) {
-    place.exactly(`${name}.qualities`, tier.qualities.length, root.qualities.length);
-    place.exactly(`${name}.pictures`, tier.pictures.length, root.qualities.length);
-  }
   group.segments.forEach((segment, s) => {
     place.exactly(`segments[${s}].levels`, segment.levels.length, root.levels.length);
   });
 }
 
 function checkCounts(root: Root, group: Group, place: Place): void {
-  const count = (tiers: Tier[]) => sum(tiers.map((tier) => tier.count));
+  const counts = group.tiers.map(({ count }) => count);
   const fewest = root.levels.at(-1)!.tiers;
   place.within("static", group.static, 0, group.count);
-  place.exactly("sum of tier counts", sum(group.tiles.map(({ tiers }) => count(tiers))), group.count);
-  const first = sum(group.tiles.map(({ tiers }) => count(tiers.slice(0, fewest))));
-  place.within(`rows of the first ${fewest} tiers`, first, 1, group.count);
+  place.exactly("sum of tier counts", sum(counts), group.count);
+  place.within(`rows of the first ${fewest} tiers`, sum(counts.slice(0, fewest)), 1, group.count);
 }
 
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
   if (group.keeps) place.within("grid.step", group.grid.step * 2 ** -group.grid.finest, 1e-30, 1e30);
   const [first, attributes] = group.keeps ? [STATE_AT.colour, STATE_ATTRIBUTES] : [KEY_AT.colour, KEY_ATTRIBUTES];
-  for (const { name, tier } of unitsOf(group)) {
+  for (const [t, tier] of group.tiers.entries()) {
     for (const [q, atlas] of tier.qualities.entries()) {
-      const at = `${name}.qualities[${q}]`;
+      const at = `tiers[${t}].qualities[${q}]`;
       if (!group.keeps || atlas.rows) place.exactly(`${at}.rows`, atlas.rows, tier.count);
       if (atlas.rows) place.within(`planes of ${at}`, atlas.planes.length, 1, atlas.centres.length);
       checkAtlas(new Place(`${place.where}.${at}`), atlas, first + colours, attributes.length);
     }
   }
-  group.tiles.forEach((tile, p) => {
-    checkTile(tile, colours, new Place(`${place.where}.tiles[${p}]`));
-  });
-  root.levels.forEach((_, j) => {
-    const rows = sum(group.tiles.map(({ levels }) => levels[j]!.rows));
-    place.within(`rows of levels[${j}]`, rows, 0, group.count - group.static);
-  });
-}
-
-function checkTile({ low, high, tiers, levels }: Tile, colours: number, place: Place): void {
-  high.forEach((end, axis) => {
-    place.within(`high[${axis}]`, end, low[axis]!, Number.MAX_VALUE);
-  });
-  const rows = sum(tiers.map((tier) => tier.count));
-  levels.forEach((atlas, j) => {
-    place.within(`levels[${j}].rows`, atlas.rows, 0, rows);
+  group.levels.forEach((atlas, j) => {
+    place.within(`levels[${j}].rows`, atlas.rows, 0, group.count - group.static);
     checkAtlas(new Place(`${place.where}.levels[${j}]`), atlas, STATE_AT.colour + colours, STATE_ATTRIBUTES.length);
   });
 }
@@ -248,22 +226,17 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
 function checkSegment(root: Root, group: Group, segment: Segment, place: Place): void {
   const measured = root.views.reference === "none" ? 0 : root.qualities.length;
   segment.levels.forEach((level, j) => {
-    place.exactly(`levels[${j}].files`, level.files.length, root.tiles);
-    place.exactly(`levels[${j}].frame_bytes`, level.frame_bytes.length, root.tiles);
-    if (level.lines) place.exactly(`levels[${j}].lines`, level.lines.length, root.tiles);
     for (const name of ["psnr", "worst", "ssim", "delta_e"] as const) {
       place.exactly(`levels[${j}].${name}`, level[name].length, measured);
     }
-    level.files.forEach((file, p) => {
-      const fetched = file.bytes > 0;
-      place.file(`levels[${j}].files[${p}]`, file, fetched && group.tiles[p]!.levels[j]!.planes.length > 0);
-      const frames = fetched ? segment.stop - segment.start : 0;
-      if (level.lines?.[p]) place.within(`levels[${j}].lines[${p}]`, frames, 2, Infinity);
-      const sizes = level.frame_bytes[p]!;
-      place.exactly(`levels[${j}].frame_bytes[${p}]`, sizes.length, frames);
-      if (sum(sizes) <= file.bytes) return;
-      const detail = `frame_bytes[${p}] add up to ${sum(sizes)}, the file has ${file.bytes}`;
-      throw new FormatError("size_mismatch", `${place.where}.levels[${j}]`, detail);
-    });
+    const { file, frame_bytes } = level;
+    const fetched = file.bytes > 0;
+    place.file(`levels[${j}].file`, file, fetched && group.levels[j]!.planes.length > 0);
+    const frames = fetched ? segment.stop - segment.start : 0;
+    if (level.line) place.within(`levels[${j}].line`, frames, 2, Infinity);
+    place.exactly(`levels[${j}].frame_bytes`, frame_bytes.length, frames);
+    if (sum(frame_bytes) <= file.bytes) return;
+    const detail = `frame_bytes add up to ${sum(frame_bytes)}, the file has ${file.bytes}`;
+    throw new FormatError("size_mismatch", `${place.where}.levels[${j}]`, detail);
   });
 }

@@ -9,13 +9,37 @@ import {
   MOST_SCALE,
   WORLD_TOLERANCE,
 } from "../generated/constants.ts";
-import type { Place, Region, Root, World } from "./types.ts";
+import type { Camera, Place, Region, Root, World } from "./types.ts";
 import { across, along, cross, dot, length, minus, scaled, unit, type Vector, vector } from "./vector.ts";
 
 /** Where a viewer is, world units, and the unit vector along which it looks. */
 export interface Viewer {
   position: ArrayLike<number>;
   forward: ArrayLike<number>;
+}
+
+/** Who looks from where; vectors are of length 1, positions in world units. */
+export interface ViewState {
+  position: Vector;
+  forward: Vector;
+  up: Vector;
+  /** Vertical field of view in degrees. */
+  fovY: number;
+  /** What is nearer is not drawn, world units. */
+  near: number;
+}
+
+/** The camera of a picture of `width` × `height` pixels. */
+export function cameraOf(view: ViewState, width: number, height: number): Camera {
+  const right = cross(view.forward, across(view.up, view.forward));
+  const down = cross(view.forward, right);
+  const worldToCamera = new Float64Array(16);
+  [right, down, view.forward].forEach((axis, line) => {
+    worldToCamera.set([...axis, -dot(axis, view.position)], 4 * line);
+  });
+  worldToCamera[15] = 1;
+  const focal = height / 2 / Math.tan((view.fovY * Math.PI) / 360);
+  return { width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2, near: view.near, worldToCamera };
 }
 
 /** How far a viewer is outside of a region. */
@@ -98,12 +122,12 @@ export function upright({ places }: Region): Vector {
   return up;
 }
 
-/** The first view, at the first place. `fovY` in degrees; `up` is across `forward`. */
-export function firstView(region: Region): { position: Vector; forward: Vector; up: Vector; fovY: number } {
+/** The first view, at the first place; `up` is across `forward`. */
+export function firstView(region: Region): ViewState {
   const place = region.places[0]!;
   const forward = unit(minus(place.focus, place.position));
   const up = across(upright(region), forward);
-  return { position: vector(place.position), forward, up, fovY: region.fov_y };
+  return { position: vector(place.position), forward, up, fovY: region.fov_y, near: region.near };
 }
 
 const row = ({ transform }: World, i: number): Vector => vector(transform.slice(4 * i));

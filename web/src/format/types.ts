@@ -1,4 +1,4 @@
-// What decoded things look like on their way from files to pictures. N rows of a tile of a group, C colour channels.
+// What decoded things look like on their way from files to pictures. N rows of a group, C colour channels.
 import type { group, page, root } from "../generated/schema.ts";
 
 /** The values that a schema describes; every table says what it may lack. */
@@ -31,9 +31,8 @@ export type Place = Region["places"][number];
 export type World = NonNullable<Root["world"]>;
 export type FileEntry = Root["init"];
 export type Grid = Group["grid"];
-export type Tile = Group["tiles"][number];
-export type Tier = Tile["tiers"][number];
-export type Atlas = Tile["levels"][number];
+export type Tier = Group["tiers"][number];
+export type Atlas = Group["levels"][number];
 export type Segment = Group["segments"][number];
 
 /** Samples whose base changes with a picture (FORMAT.md, section 6), and what it is from then on. */
@@ -58,16 +57,15 @@ export interface KeyPart {
   difference: KeyPart | null;
 }
 
-/** A canonical space by what it is made of; group and tile count from 0. */
+/** A canonical space by what it is made of; groups count from 0. */
 export interface CanonicalName {
   group: number;
-  tile: number;
   quality: number;
-  /** How many tiers of the tile, from the first on; one without rows has no file. */
+  /** How many key tiers, from the first on; one without rows has no file. */
   tiers: number;
 }
 
-/** The canonical space of a tile of a group in a key quality, as far as tiers were fetched. */
+/** The canonical space of a group in a key quality, as far as tiers were fetched. */
 export interface Canonical extends CanonicalName {
   /** (3N) canonical means, world units. */
   means: Float32Array;
@@ -87,7 +85,7 @@ export interface StateFrame {
   bases: BaseChanges | null;
   /** x: how often slopes count (FORMAT.md, section 4); 0 without a line. */
   time: number;
-  /** (3N) means of all rows of the tile in this frame, world units: what the depth order is made of. */
+  /** (3N) means of all rows in this frame, world units: what the depth order is made of. */
   means: Float32Array;
 }
 

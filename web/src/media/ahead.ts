@@ -1,15 +1,10 @@
 // How far decoding may be ahead of the screen.
 import { Bell } from "./bell.ts";
 
-/** What is decoded and not taken of a call: the segment, and the bytes of its frames. */
-interface Open {
-  segment: number;
-  frames: Map<number, number>;
-}
-
-/** Counts what is decoded and not taken; ids stand for calls under way, each of a segment of a tile. */
+/** Counts what is decoded and not taken; ids stand for calls under way, each of a segment. */
 export class Ahead {
-  readonly #open = new Map<number, Open>();
+  /** By call: the bytes of its frames. */
+  readonly #open = new Map<number, Map<number, number>>();
   readonly #bell = new Bell();
   #bytes = 0;
 
@@ -19,12 +14,9 @@ export class Ahead {
     readonly segments: number,
   ) {}
 
-  /** Resolves when a segment may begin: another one, or another tile of one that has begun. */
-  async place(segment: number, signal: AbortSignal): Promise<void> {
-    await this.#until(() => {
-      const begun = new Set([...this.#open.values()].map((one) => one.segment));
-      return begun.has(segment) || begun.size < this.segments;
-    }, signal);
+  /** Resolves when another segment may begin. */
+  async place(signal: AbortSignal): Promise<void> {
+    await this.#until(() => this.#open.size < this.segments, signal);
   }
 
   /** Resolves when another picture may be decoded: at once for a call with none ahead, as others need it. */
@@ -32,15 +24,14 @@ export class Ahead {
     await this.#until(() => this.#bytes < this.bytes || !this.#open.has(id), signal);
   }
 
-  give(id: number, segment: number, t: number, bytes: number): void {
-    const { frames } = this.#open.get(id) ?? { frames: new Map<number, number>() };
-    this.#open.set(id, { segment, frames: frames.set(t, bytes) });
+  give(id: number, t: number, bytes: number): void {
+    this.#open.set(id, (this.#open.get(id) ?? new Map<number, number>()).set(t, bytes));
     this.#bytes += bytes;
   }
 
   /** The frame was shown, or is not wanted. */
   taken(id: number, t: number): void {
-    const { frames } = this.#open.get(id) ?? {};
+    const frames = this.#open.get(id);
     this.#bytes -= frames?.get(t) ?? 0;
     frames?.delete(t);
     if (frames?.size === 0) this.#open.delete(id);
@@ -48,7 +39,7 @@ export class Ahead {
   }
 
   drop(id: number): void {
-    for (const t of this.#open.get(id)?.frames.keys() ?? []) this.taken(id, t);
+    for (const t of this.#open.get(id)?.keys() ?? []) this.taken(id, t);
     this.#bell.ring();
   }
 

@@ -102,7 +102,7 @@ export class Media {
   async locate(frame: number, signal: AbortSignal): Promise<number> {
     for (;;) {
       try {
-        this.tables.keysOf(this.tables.index.groupAt("frames", frame), 0, [0]); // asks for that of the base, too
+        this.tables.keysOf(this.tables.index.groupAt("frames", frame), 0, 1); // asks for that of the base, too
         return this.tables.segmentAt(frame);
       } catch (error) {
         if (!(error instanceof MissingTableError)) throw error;
@@ -126,12 +126,12 @@ export class Media {
   }
 
   /** Decodes a canonical space; files not at hand are fetched. Throws FormatError, TransportError. */
-  canonical({ group, tile, quality, tiers }: CanonicalName, signal?: AbortSignal): Promise<Canonical> {
-    return this.#caller.call("canonical", { group, tile, quality, tiers }, { signal });
+  canonical({ group, quality, tiers }: CanonicalName, signal?: AbortSignal): Promise<Canonical> {
+    return this.#caller.call("canonical", { group, quality, tiers }, { signal });
   }
 
-  /** Decodes a segment of the tile of a canonical space; files that are not at hand are fetched. null stands for the
-   * canonical space itself. What is asked for at once is decoded side by side. Resolves to the number of frames.
+  /** Decodes a segment over a canonical space; files that are not at hand are fetched. null stands for the canonical space
+   * itself. Resolves to the number of frames.
    *
    * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each
    * call; an aborted signal takes all frames that are left, also after the last one came. Throws FormatError,
@@ -140,7 +140,7 @@ export class Media {
   segment(
     index: number,
     level: number,
-    { group, tile, quality, tiers }: CanonicalName,
+    { group, quality, tiers }: CanonicalName,
     onFrame: (t: number, frame: StateFrame | null) => void,
     signal?: AbortSignal,
   ): Promise<number> {
@@ -149,7 +149,7 @@ export class Media {
       if (frame) this.#frames.set(frame, { id, t });
       onFrame(t, frame);
     };
-    const of = { group, tile, quality, tiers };
+    const of = { group, quality, tiers };
     return this.#caller.call("segment", { index, level, of }, { signal, onEvent });
   }
 

@@ -13,10 +13,10 @@ import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, Opened, Poster, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
-import { decodeCanonical, decodeStates, type Positions, type ReadFile } from "./tiles.ts";
+import { decodeCanonical, decodeStates, type Positions, type ReadFile } from "./spaces.ts";
 
 const MOST_SEGMENTS = 2; // of which something is decoded and not shown
-const MOST_SPACES = 4; // of each tile, whose positions stay for the segments over them
+const MOST_SPACES = 4; // whose positions stay for the segments over them
 
 export interface Context<Event> {
   id: number;
@@ -27,22 +27,21 @@ export interface Context<Event> {
 export class Engine {
   /** Files that were fetched, tables aside: what is played again is not fetched again. */
   readonly #kept: Recent<string, Uint8Array>;
-  readonly #spaces: Recent<string, Positions>;
+  readonly #spaces = new Recent<string, Positions>(MOST_SPACES);
   readonly #ahead: Ahead;
   readonly #keys: PictureDecoder;
-  /** Decoders of states that nobody uses now. */
-  readonly #idle: PictureDecoder[] = [];
+  readonly #states: PictureDecoder;
 
   private constructor(
     private readonly client: FileClient,
-    private readonly probe: Probe,
+    probe: Probe,
     readonly tables: Tables,
     { aheadBytes, keptBytes }: Pick<Calls["open"]["args"], "aheadBytes" | "keptBytes">,
   ) {
     this.#kept = new Recent(keptBytes, (bytes) => bytes.length);
     this.#ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
-    this.#spaces = new Recent(MOST_SPACES * tables.root.tiles);
     this.#keys = new PictureDecoder(probe);
+    this.#states = new PictureDecoder(probe);
   }
 
   /** Fetches airgs.json and the poster, and sees what the browser can do. Throws FormatError, TransportError, UnsupportedError. */
@@ -102,23 +101,23 @@ export class Engine {
   }
 
   async canonical(name: CanonicalName, { signal }: Pick<Context<never>, "signal">): Promise<Canonical> {
-    const read = await this.#gather(this.#keysOf(name), signal);
+    const { group, quality, tiers } = name;
+    const read = await this.#gather(this.tables.keysOf(group, quality, tiers), signal);
     const found = await decodeCanonical(this.tables, read, name, this.#keys, { signal });
     const { means, units, depths } = found;
     this.#spaces.set(nameOf(name), { means: means.slice(), units: units.slice(), depths: depths.slice() });
     return found;
   }
 
-  /** A segment of a tile; those that are asked for at once are decoded side by side. */
   async segment(
     { index, level, of }: Calls["segment"]["args"],
     context: Context<Calls["segment"]["event"]>,
   ): Promise<number> {
     const { id, signal, emit } = context;
-    await this.#ahead.place(index, signal);
+    await this.#ahead.place(signal);
     if (signal.aborted) throw aborted();
     const { start, stop } = this.tables.segment(index);
-    const [where] = this.tables.stateFiles(index, level, [of.tile]);
+    const [where] = this.tables.stateFiles(index, level);
     if (!where) {
       for (let t = 0; t < stop - start; t++) emit({ t, frame: null });
       return stop - start;
@@ -128,16 +127,10 @@ export class Engine {
     const file = { ...of, segment: index, level, positions, bytes: read(where), where };
     const give = (t: number, frame: StateFrame) => {
       const { luma, means, bases } = frame;
-      this.#ahead.give(id, index, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
+      this.#ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
       emit({ t, frame });
     };
-    const options = { signal, room: () => this.#ahead.room(id, signal) };
-    const decoder = this.#idle.pop() ?? new PictureDecoder(this.probe);
-    try {
-      await decodeStates(this.tables, file, decoder, give, options);
-    } finally {
-      this.#idle.push(decoder);
-    }
+    await decodeStates(this.tables, file, this.#states, give, { signal, room: () => this.#ahead.room(id, signal) });
     return stop - start;
   }
 
@@ -161,12 +154,6 @@ export class Engine {
     return { path, limit: entry.bytes, attempts, patient: true, changing: false, accept };
   }
 
-  #keysOf({ group, tile, quality, tiers }: CanonicalName): string[] {
-    const first = tile * this.tables.root.tiers;
-    const units = Array.from({ length: Math.min(tiers, this.tables.root.tiers) }, (_, tier) => first + tier);
-    return this.tables.keysOf(group, quality, units);
-  }
-
   /** Resolves to what reads files; those that others took the place of are fetched again. Throws FormatError. */
   async #gather(paths: string[], signal: AbortSignal): Promise<ReadFile> {
     const found = new Map<string, Uint8Array>();
@@ -187,9 +174,8 @@ export class Engine {
   }
 }
 
-const nameOf = ({ group, tile, quality, tiers }: CanonicalName) => `${group} ${tile} ${quality} ${tiers}`;
+const nameOf = ({ group, quality, tiers }: CanonicalName) => `${group} ${quality} ${tiers}`;
 
-/** Fetches airgs.json, which `take` takes in; `patient`: waits for a server that is away. */
 /** Without a poster a package plays as well: what is wrong with one is left unsaid. */
 async function fetchPoster(
   client: FileClient,
@@ -206,6 +192,7 @@ async function fetchPoster(
   await fetchBatch(client, [ask], signal, () => {});
 }
 
+/** Fetches airgs.json, which `take` takes in; `patient`: waits for a server that is away. */
 async function fetchRoot(
   client: FileClient,
   attempts: number,

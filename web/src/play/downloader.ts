@@ -7,10 +7,9 @@ import { type Batch, filesOf } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
 /** What a batch was requested for: tables (airgs.json, pages of the index, tables of groups); the next segment with
- * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment; a tile that a
- * buffered segment, or the one on the screen, lacks.
+ * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment.
  */
-export type BatchKind = "tables" | "group" | "state" | "replacement" | "repair";
+export type BatchKind = "tables" | "group" | "state" | "replacement";
 
 export interface Request {
   kind: BatchKind;

@@ -9,9 +9,7 @@ import type { Offers } from "./offers.ts";
 import { fixedPolicy, ROBUST_MPC } from "./policies/mpc.ts";
 import type { OTHERS } from "./policies/named.ts";
 import type { Policy } from "./policies/state.ts";
-import type { Shared } from "./receiver.ts";
-import type { Repairs } from "./repairs.ts";
-import { Session } from "./session.ts";
+import { Session, type Shared } from "./session.ts";
 
 /** Policies but for the default one are beside this script. */
 const MORE = "./airgs-more.js";
@@ -21,8 +19,6 @@ const RETRY_S = 5;
 
 export interface FeedParts extends Shared {
   media: Source;
-  /** Fetches tiles that turn out to be lacking; null: they come with their segments. */
-  Repairs: typeof Repairs | null;
   /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
@@ -54,10 +50,7 @@ export class Feed {
 
   /** Fetch from a position on; `signal` is that of `next`, or the first one. */
   run(from: number, signal: AbortSignal = this.#stop.signal): void {
-    const onProblem = (error: unknown) => this.#parts.onProblem(error, false);
-    const { Repairs, ...parts } = this.#parts;
-    const repairs = Repairs && new Repairs({ ...parts, downloader: this.#downloader, onProblem }, signal);
-    this.#running = Promise.all([this.#fetch(from, signal), repairs?.run()]).then(() => {});
+    this.#running = this.#fetch(from, signal);
   }
 
   close(): void {

@@ -1,29 +1,27 @@
 // What a package offers a player: one frozen value a segment, made once from the tables of its group.
 //
-// P tiles, U key units of a group, Q key qualities, L levels. A unit is a key tier of a tile. A rung is a key quality
-// with a level; rungs are numbered quality by quality. A position is a segment of a session, which may play the
-// sequence several times. Wire bytes are those of files with their headers.
+// Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered quality by quality. A position is a
+// segment of a session, which may play the sequence several times. Wire bytes are those of files with their headers.
 import type { GroupIndex } from "../format/index.ts";
 import type { Tables } from "../format/package.ts";
 import { Recent } from "../format/recent.ts";
 import type { Root, Segment } from "../format/types.ts";
 import { HEADER_BYTES, OVER_BUDGET, ROOT_PATH } from "../generated/constants.ts";
 import { type Option, savedShares } from "./ladder.ts";
-import { ConfigError } from "./settings.ts";
+import { ConfigError } from "./playout.ts";
 
-/** More than a buffer holds and a policy looks at, also tile by tile. */
+/** More than a buffer holds and a policy looks at. */
 const MOST_OFFERS = 1024;
 
-/** Numbers of key units, such as those that are decoded in a loop over the sequence. */
-export type Units = Pick<ReadonlySet<number>, "has">;
-export const NONE: Units = new Set();
+/** Numbers of key tiers, such as those that are decoded in a loop over the sequence. */
+export type Keys = Pick<ReadonlySet<number>, "has">;
+export const NONE: Keys = new Set();
 
-/** A key unit, or the sound of a group, whose number is negative and whose tile is none. */
-export interface UnitOffer {
-  /** Number of the unit among those of all groups and qualities. */
-  readonly unit: number;
+/** A key tier, or the sound of a group, whose number is negative. */
+export interface KeyOffer {
+  /** Of the tier among those of all groups and qualities. */
+  readonly number: number;
   readonly group: number;
-  readonly tile: number;
   readonly tier: number;
   readonly files: readonly string[];
   readonly bytes: number;
@@ -34,21 +32,21 @@ export interface RungOffer {
   readonly level: number;
   /** dB; 0 where it was not measured. */
   readonly psnr: number;
-  /** That it shows, in all tiles. */
+  /** That it shows. */
   readonly gaussians: number;
   /** Whether the budget has as many, and its level is offered. */
   readonly allowed: boolean;
   /** Share of the first level's state bytes that its level saves. */
   readonly saved: number;
-  /** In the order of fetching: sound, then each unit of the group that has files, then that of the base whose rows it
+  /** In the order of fetching: sound, then each tier of the group that has files, then that of the base whose rows it
    * reuses.
    */
-  readonly units: readonly UnitOffer[];
+  readonly keys: readonly KeyOffer[];
   readonly state: readonly string[];
   readonly stateBytes: number;
 }
 
-/** What a segment offers of some tiles; frames are [start, stop). */
+/** What a segment offers; frames are [start, stop). */
 export interface SegmentOffer {
   readonly segment: number;
   readonly start: number;
@@ -69,32 +67,33 @@ export interface Batch {
   tables: readonly string[];
 }
 
-/** All paths: key units one by one, then the state segment, then tables for what comes next. */
+/** All paths: key tiers one by one, then the state segment, then tables for what comes next. */
 export const filesOf = (batch: Batch): string[] => [...batch.keys, ...batch.state, ...batch.tables];
 
-/** (Q L) wire bytes of every rung beside the decoded units; OVER_BUDGET where it shows too many Gaussians. */
-export const sizesOf = ({ rungs }: SegmentOffer, decoded: Units): Float64Array =>
-  Float64Array.from(rungs, ({ allowed, units, stateBytes }) =>
-    allowed ? units.reduce((sum, { unit, bytes }) => sum + (decoded.has(unit) ? 0 : bytes), stateBytes) : OVER_BUDGET,
+/** (Q L) wire bytes of every rung beside the decoded key tiers; OVER_BUDGET where it shows too many Gaussians. */
+export const sizesOf = ({ rungs }: SegmentOffer, decoded: Keys): Float64Array =>
+  Float64Array.from(rungs, ({ allowed, keys, stateBytes }) =>
+    allowed
+      ? keys.reduce((sum, { number, bytes }) => sum + (decoded.has(number) ? 0 : bytes), stateBytes)
+      : OVER_BUDGET,
   );
 
 /** Every rung that is allowed, by its number. */
-export function optionsOf(offer: SegmentOffer, decoded: Units): Option[] {
+export function optionsOf(offer: SegmentOffer, decoded: Keys): Option[] {
   const sizes = sizesOf(offer, decoded);
   const all = offer.rungs.map(({ psnr, saved }, index) => ({ index, sizeBytes: sizes[index], quality: psnr, saved }));
   return all.filter(({ index }) => offer.rungs[index].allowed);
 }
 
-export function missing({ rungs }: SegmentOffer, rung: number, decoded: Units): Batch {
-  const { units, state } = rungs[rung];
-  return { keys: units.flatMap(({ unit, files }) => (decoded.has(unit) ? [] : files)), state, tables: [] };
+export function missing({ rungs }: SegmentOffer, rung: number, decoded: Keys): Batch {
+  const { keys, state } = rungs[rung];
+  return { keys: keys.flatMap(({ number, files }) => (decoded.has(number) ? [] : files)), state, tables: [] };
 }
 
 /** The tables of a package as far as a player looks at them; they may be numbers alone. All count from 0. */
 export interface OfferTables
-  extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "boxes" | "unitsOf" | "base">,
-    Pick<Tables, "keyFiles" | "stateFiles" | "soundFiles"> {
-  readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "tiles" | "frames"> & {
+  extends Pick<Tables, "rootBytes" | "has" | "groupOf" | "rows" | "base" | "keyFiles" | "stateFiles" | "soundFiles"> {
+  readonly root: Pick<Root, "frame_rate" | "live" | "tiers" | "frames"> & {
     readonly views: Pick<Root["views"], "reference">;
     readonly qualities: readonly Pick<Root["qualities"][number], "id">[];
     readonly levels: readonly Pick<Root["levels"][number], "id" | "tiers">[];
@@ -111,9 +110,8 @@ export class Offers {
   /** The name of every rung, such as Q1+L2. */
   readonly names: readonly string[];
   readonly fps: number;
-  readonly tiles: readonly number[];
   first = 0;
-  #made = new Recent<string, SegmentOffer>(MOST_OFFERS);
+  #made = new Recent<number, SegmentOffer>(MOST_OFFERS);
   #finest = 0;
 
   /** `budget`: the most Gaussians that a rung may show. */
@@ -122,11 +120,10 @@ export class Offers {
     readonly headerBytes = HEADER_BYTES,
     readonly budget = Number.POSITIVE_INFINITY,
   ) {
-    const { qualities, levels, frame_rate, tiles } = tables.root;
+    const { qualities, levels, frame_rate } = tables.root;
     this.rungs = qualities.flatMap((_, q) => levels.map((_, j) => [q, j] as const));
     this.names = this.rungs.map(([q, j]) => `${qualities[q].id}+${levels[j].id}`);
     this.fps = frame_rate[0] / frame_rate[1];
-    this.tiles = Array.from({ length: tiles }, (_, tile) => tile);
   }
 
   /** The finest level that is offered. */
@@ -139,49 +136,46 @@ export class Offers {
     this.#finest = level;
   }
 
-  /** The offer of a segment, whose tables are there (`knows`), of some tiles, which ascend. */
-  of(segment: number, tiles = this.tiles): SegmentOffer {
-    return this.#made.of(`${segment}: ${tiles.join()}`, () => this.#make(segment, tiles));
+  /** The offer of a segment, whose tables are there (`knows`). */
+  of(segment: number): SegmentOffer {
+    return this.#made.of(segment, () => this.#make(segment));
   }
 
-  #make(segment: number, tiles: readonly number[]): SegmentOffer {
+  #make(segment: number): SegmentOffer {
     const { tables, fps } = this;
     const group = tables.groupOf(segment);
     const { start, stop, levels } = tables.segment(segment);
     const rows = tables.rows(group);
-    const states = levels.map((_, level) => tables.stateFiles(segment, level, tiles));
+    const states = levels.map((_, level) => tables.stateFiles(segment, level));
     const bytes = states.map((files) => this.wire(files));
     const saved = savedShares(bytes);
     const sound = tables.soundFiles(group).map((path) => {
-      return { unit: -1 - group, group, tile: -1, tier: 0, files: [path], bytes: this.wire([path]) };
+      return { number: -1 - group, group, tier: -1, files: [path], bytes: this.wire([path]) };
     });
     const rungs = this.rungs.map(([quality, level]) => {
-      const gaussians = tables.unitsOf(level).reduce((sum, unit) => sum + rows[unit], 0);
-      const keys = tables.unitsOf(level, tiles).flatMap((number) => this.#units(group, quality, number));
+      const shown = rows.slice(0, tables.root.levels[level].tiers);
+      const gaussians = shown.reduce((sum, count) => sum + count, 0);
+      const keys = [...sound, ...shown.flatMap((_, tier) => this.#keys(group, quality, tier))];
       const psnr = levels[level].psnr[quality] ?? 0;
       const [state, stateBytes] = [states[level], bytes[level]];
-      const units = [...sound, ...keys];
       const allowed = gaussians <= this.budget && level >= this.finest;
-      return { quality, level, psnr, gaussians, allowed, saved: saved[level], units, state, stateBytes };
+      return { quality, level, psnr, gaussians, allowed, saved: saved[level], keys, state, stateBytes };
     });
     const startsGroup = segment === tables.index.entry(group).firstSegment;
     const seconds = (stop - start) / fps;
     return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
   }
 
-  /** A key unit of a group, and that of the base, as far as they have files. */
-  #units(group: number, quality: number, number: number): UnitOffer[] {
+  /** A key tier of a group, and that of the base, as far as they have files. */
+  #keys(group: number, quality: number, tier: number): KeyOffer[] {
     const { tables } = this;
-    const { qualities, tiles, tiers } = tables.root;
-    const [tile, tier] = [Math.floor(number / tiers), number % tiers];
-    return [group, tables.base(group) ?? []]
-      .flat()
-      .map((of): UnitOffer => {
-        const files = tables.keyFiles(of, number, quality);
-        const unit = (of * qualities.length + quality) * tiles * tiers + number;
-        return { unit, group: of, tile, tier, files, bytes: this.wire(files) };
-      })
-      .filter(({ files }) => files.length);
+    const { qualities, tiers } = tables.root;
+    const offers = [group, tables.base(group) ?? []].flat().map((of) => {
+      const files = tables.keyFiles(of, tier, quality);
+      const number = (of * qualities.length + quality) * tiers + tier;
+      return { number, group: of, tier, files, bytes: this.wire(files) };
+    });
+    return offers.filter(({ files }) => files.length);
   }
 
   get segments(): number {
@@ -223,12 +217,6 @@ export class Offers {
     return (stop - start) / this.fps;
   }
 
-  tilesWithRows(segment: number): number[] {
-    const rows = this.tables.rows(this.tables.groupOf(segment));
-    const { tiers } = this.tables.root;
-    return this.tiles.filter((tile) => rows.slice(tile * tiers, (tile + 1) * tiers).some((count) => count > 0));
-  }
-
   /** Throws ConfigError where every rung at a position shows more Gaussians than the budget has. */
   checkBudget(position: number): void {
     const segment = this.index(position);
@@ -253,13 +241,13 @@ export class Offers {
     return loops * this.segments - this.first;
   }
 
-  /** The offers of some tiles at the next positions before `end`, with their loops, as far as tables are there. */
-  upcoming(position: number, end: number, tiles = this.tiles): { offer: SegmentOffer; loop: number }[] {
+  /** The offers at the next positions before `end`, with their loops, as far as tables are there. */
+  upcoming(position: number, end: number): { offer: SegmentOffer; loop: number }[] {
     const found = [];
     for (let p = position; p < end; p++) {
       const { loop, segment } = this.place(p);
       if (!this.knows(segment)) break;
-      found.push({ offer: this.of(segment, tiles), loop });
+      found.push({ offer: this.of(segment), loop });
     }
     return found;
   }

@@ -1,22 +1,20 @@
 // An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
 // screen when their time has come. The schedule (`Playout`) is what these three agree on.
+import type { ViewState } from "../format/region.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/target.ts";
 import type { SessionEvent } from "./downloader.ts";
 import { Feed } from "./feed.ts";
-import { type ByView, whole } from "./fetch-plan.ts";
 import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
-import { type Clip, isDecoded, Pipeline } from "./pipeline.ts";
-import { EARLY, Playout } from "./playout.ts";
+import { type Clip, Pipeline } from "./pipeline.ts";
+import { EARLY, Playout, sessionSettings } from "./playout.ts";
 import { wishedPolicy } from "./policies/mpc.ts";
-import type { Repairs } from "./repairs.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
-import { byView, sessionSettings } from "./settings.ts";
-import { type ViewState, Watcher } from "./sight.ts";
+import type { Sound } from "./sound.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
 import { Waits } from "./waits.ts";
@@ -34,10 +32,6 @@ export interface PlayerOptions {
   keptBytes?: number;
   /** Most Gaussians that are fetched and shown of a group; default: any number. */
   budget?: number;
-  /** Whether only those tiles are fetched that the viewer is expected to see, where a package has several, and no more
-   * than a second ahead; default true.
-   */
-  viewAdaptive?: boolean;
   /** Whether sound is silent, and how loud it is, 0 … 1; default: false and 1. */
   muted?: boolean;
   volume?: number;
@@ -58,27 +52,6 @@ export interface Wishes extends PlayerOptions {
   readonly bufferS: number;
 }
 
-/** The sound of a package, which is loaded where there is some: sound.ts. */
-export interface Voice {
-  /** Whether the browser lets it be heard. */
-  readonly allowed: boolean;
-  /** Whether it is heard, so that pictures follow it. */
-  readonly leads: boolean;
-  /** Take in whether it is wanted, and how loud; somebody may have touched the page. */
-  follow(): void;
-  /** Play what is due, and keep the pictures beside it; `calm`: these were in time lately. */
-  step(nowS: number, calm: boolean): void;
-  close(): void;
-}
-
-/** What is played: `offers` are of `media`, which is closed with the playback. */
-export interface Opened {
-  readonly media: Media;
-  readonly offers: Offers;
-  /** Fetches tiles by view; null: all of them are fetched. */
-  readonly tiles: { ByView: typeof ByView; Repairs: typeof Repairs } | null;
-}
-
 export interface Problem {
   message: string;
   /** Nothing goes on by itself. */
@@ -94,10 +67,7 @@ export const problemOf = (error: unknown, fatal = false): Problem => {
 const nowS = () => performance.now() / 1e3;
 
 export class Playback {
-  readonly media: Media;
-  readonly offers: Offers;
   readonly screen: Screen;
-  readonly #watcher = new Watcher();
   readonly playout: Playout;
   readonly #waits: Waits;
   readonly #held: Held;
@@ -106,8 +76,8 @@ export class Playback {
   readonly rungs: RungTotals;
   /** Shows the scene in place of the page while there is one. */
   headset: XRSession | null = null;
-  /** Leads the pictures while it is heard; null: there is none, or not yet. */
-  sound: Voice | null = null;
+  /** Leads the pictures while it is heard; null: there is none, or it is not loaded yet. */
+  sound: Sound | null = null;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
   /** What follows what is on the screen; null: whatever was sought. */
@@ -119,31 +89,28 @@ export class Playback {
   #waiting = false;
   #timeTold = Number.NEGATIVE_INFINITY;
 
+  /** `offers` are of `media`, which is closed with the playback. */
   constructor(
-    { media, offers, tiles }: Opened,
+    readonly media: Media,
+    readonly offers: Offers,
     canvas: HTMLCanvasElement,
     readonly wishes: Wishes,
     readonly statistics: Statistics,
     readonly tell: (type: string, detail?: Problem) => void,
   ) {
-    this.media = media;
-    this.offers = offers;
     const { bufferS, target } = wishes;
-    const given = sessionSettings({ bufferS, pipelined: false });
-    const settings = tiles ? byView(given) : given;
+    const settings = sessionSettings({ bufferS, pipelined: false });
     const stores = new Stores(offers);
     if (media.first) stores.first = media.first;
     const playout = new Playout(offers, settings, this.#lastPosition());
     const parts = { media, offers, stores, playout };
     this.playout = playout;
     this.#waits = new Waits(playout, () => this.sound?.leads ?? false);
-    this.#held = new Held({ offers, playout, statistics, wishes });
+    this.#held = new Held(offers, playout, statistics, wishes);
     this.rungs = new RungTotals(offers);
     this.#feed = new Feed({
       ...parts,
       settings,
-      planner: tiles ? new tiles.ByView(offers, playout, this.#watcher) : whole(offers),
-      Repairs: tiles?.Repairs ?? null,
       policy: () => wishedPolicy(wishes, offers),
       onEvent: (event) => this.#hear(event),
       onProblem: (error, fatal) => this.#problem(error, fatal),
@@ -188,12 +155,10 @@ export class Playback {
   }
 
   look(view: ViewState): void {
-    this.#watcher.look(view, nowS());
     this.screen.look(view);
   }
 
   resize(width: number, height: number): void {
-    this.#watcher.resize(width, height);
     if (this.screen.resize(width, height)) this.#held.restart();
   }
 
@@ -201,7 +166,7 @@ export class Playback {
   follow(): void {
     const now = nowS();
     const { paused, speed } = this.wishes;
-    if (speed !== this.playout.speed) {
+    if (speed !== this.playout.schedule.speed) {
       this.playout.setSpeed(now, speed);
       this.#held.restart();
     }
@@ -290,9 +255,8 @@ export class Playback {
   /** Make scenes of groups that come next, and free those that have passed. */
   #prepare(): void {
     const clips = [...this.#pipeline.clips];
-    const layers = clips.flatMap((clip) => clip.layers);
-    for (const layer of layers) if (layer.frames[0] !== undefined) this.screen.prepare(layer);
-    this.screen.retain(new Set(layers.map((layer) => layer.canonical)));
+    for (const clip of clips) if (clip.frames[0] !== undefined) this.screen.prepare(clip);
+    this.screen.retain(new Set(clips.map((clip) => clip.canonical)));
   }
 
   readonly #tick = (): void => {
@@ -333,8 +297,8 @@ export class Playback {
     this.#pipeline.drop(position);
     const clip = this.#pipeline.clip(position);
     if (rung === null) return null;
-    if (clip && this.#shown?.clip === clip && this.#shown.frame === frame) return this.#complete(clip, frame);
-    if (!clip || !isDecoded(clip, frame)) return "decoder";
+    if (clip && this.#shown?.clip === clip && this.#shown.frame === frame) return null;
+    if (clip?.frames[frame] === undefined) return "decoder";
     if (!this.screen.show(clip, frame)) return "display";
     const before = this.#shown;
     this.statistics.shown(this.#passedOver(position, frame));
@@ -346,15 +310,6 @@ export class Playback {
     if (nowS() - this.#timeTold >= TIME_EVENT_S) {
       this.#timeTold = nowS();
       this.tell("time");
-    }
-    return null;
-  }
-
-  /** Add tiles that came late to the frame on the screen. */
-  #complete(clip: Clip, frame: number): null {
-    if (clip.layers.some(({ frames, shown }) => shown !== frame && frames[frame] !== undefined)) {
-      this.screen.show(clip, frame);
-      this.#pipeline.shown(clip, frame);
     }
     return null;
   }

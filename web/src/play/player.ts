@@ -1,13 +1,12 @@
 // The player as a page sees it: what the viewer wants, what is told of it, and the package that is open.
-import { firstView, levelled } from "../format/region.ts";
+import { firstView, levelled, type ViewState } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
 import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
 import { joinNewest } from "./http-downloader.ts";
 import { Offers } from "./offers.ts";
-import { type Opened, Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
+import { Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
-import type { ViewState } from "./sight.ts";
 import type { Sound } from "./sound.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
 import type { enter } from "./vr.ts";
@@ -15,10 +14,9 @@ import type { enter } from "./vr.ts";
 /** Where somebody stands who has not opened a package. */
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
 
-/** Parts that few need, beside this script: for headsets, and for packages with sound or several tiles. */
+/** Parts that few need, beside this script: for headsets, and for packages with sound. */
 const VR = "./airgs-vr.js";
 const SOUND = "./airgs-sound.js";
-const TILES = "./airgs-tiles.js";
 
 /** Plays a package on a canvas.
  *
@@ -55,19 +53,17 @@ export class Player extends EventTarget {
     const media = await Media.open(src, { ...this.#wishes, onPoster });
     try {
       const offers = new Offers(media.tables, HEADER_BYTES, this.#wishes.budget);
-      const byView = offers.tiles.length > 1 && (this.#wishes.viewAdaptive ?? true);
-      const tiles: Opened["tiles"] = byView ? await import(new URL(TILES, import.meta.url).href) : null;
       await joinNewest(offers, media);
       if (turn !== this.#opened) return media.close();
       this.#playback?.close();
       this.#playback = null;
-      this.#playback = new Playback({ media, offers, tiles }, this.canvas, this.#wishes, this.#statistics, this.#tell);
+      this.#playback = new Playback(media, offers, this.canvas, this.#wishes, this.#statistics, this.#tell);
     } catch (error) {
       media.close();
       throw error;
     }
     const region = levelled(this.#playback.media.tables.root);
-    this.camera = this.#view ?? { ...firstView(region), near: region.near };
+    this.camera = this.#view ?? firstView(region);
     this.resize(this.#size.width, this.#size.height);
     this.#tell("open");
     this.#playback.begin();

@@ -1,22 +1,40 @@
-// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from.
+// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from; and
+// the rules of a player.
 //
 // The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
 // others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
 // those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
+import { SESSION } from "../generated/constants.ts";
 import type { Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
-import type { SessionSettings } from "./settings.ts";
 
 /** Seconds for which segments that were shown stay in the timeline. */
 const PAST_S = 60;
 /** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
 export const EARLY = 1e-6;
 
+/** Settings that cannot work, or a policy that does not exist. */
+export class ConfigError extends Error {
+  override name = "ConfigError";
+}
+
+type Rules = typeof SESSION;
+
+/** The rules of airgs_codec.play.settings, which says what each is. */
+export type SessionSettings = { [Name in keyof Rules]: Rules[Name] extends number ? number : boolean };
+
+/** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
+export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
+  const settings = { ...SESSION, ...given };
+  const { bufferS } = settings;
+  if (!(bufferS > 0 && bufferS < Infinity)) throw new ConfigError(`buffer: expected more than 0 s, got ${bufferS}`);
+  return settings;
+}
+
 /** A segment of the timeline. */
 export interface Slot {
   readonly position: number;
   rung: number | null;
-  readonly tiles: Map<number, number>;
   readonly seconds: number;
   readonly frames: number;
   readonly readyS: number;
@@ -33,7 +51,7 @@ export class Playout {
   /** Waits for media that has not come, and their seconds. */
   stalls = 0;
   stallS = 0;
-  private readonly schedule = new Schedule();
+  readonly schedule = new Schedule();
   private timeline: Slot[] = [];
   private firstWaiting = 0;
   private firstUnseen = 0; // of the timeline: those before it were given by `started`
@@ -61,24 +79,6 @@ export class Playout {
     const { decoder, display } = this.schedule.missedS;
     const frames = (seconds: number) => Math.floor(seconds * this.offers.fps + EARLY);
     return { decoder: frames(decoder), display: frames(display) };
-  }
-
-  get speed(): number {
-    return this.schedule.speed;
-  }
-
-  get held(): boolean {
-    return this.schedule.held;
-  }
-
-  /** The place that is due. */
-  placeAt(nowS: number): number {
-    return this.schedule.at(nowS);
-  }
-
-  /** The schedule is so many seconds further on; where they are negative, it stands still for them. */
-  shift(nowS: number, seconds: number): void {
-    this.schedule.shift(nowS, seconds);
   }
 
   /** Call when anything changes; the function that is returned ends that. */
@@ -175,23 +175,6 @@ export class Playout {
     return this.schedule.reached(slot.startAt, nowS);
   }
 
-  /** When a segment that has a place is over; Infinity where it was to be, and nothing follows that would end it. */
-  endS(slot: Slot, nowS: number): number {
-    const endS = this.schedule.reached(slot.startAt + slot.seconds, nowS);
-    return endS <= nowS && slot === this.timeline[this.firstWaiting - 1] ? Infinity : endS;
-  }
-
-  /** Segments with a place that are not over, but for lost ones, in their order. */
-  unfinished(nowS: number): Slot[] {
-    const scheduled = this.timeline.slice(0, this.firstWaiting);
-    return scheduled.filter((slot) => slot.rung !== null && this.endS(slot, nowS) > nowS);
-  }
-
-  /** When what is due at a place is shown; if the schedule is held, as if it went on now. */
-  startsAtS(dueAt: number, nowS: number): number {
-    return this.schedule.reached(dueAt, nowS);
-  }
-
   /** The place where the next segment is due; where playing waits, as if it went on now. */
   dueAt(nowS: number): number {
     const waiting = this.waitingS();
@@ -201,7 +184,7 @@ export class Playout {
 
   /** When a segment that is due at a place must have arrived to be shown without a stall. */
   deadlineS(dueAt: number, nowS: number): number {
-    return this.startsAtS(dueAt, nowS) - this.settings.decodeFrameS;
+    return this.schedule.reached(dueAt, nowS) - this.settings.decodeFrameS;
   }
 
   /** Resume if playing waits for more media although the buffer is too full for the segment at a position. */
@@ -214,16 +197,15 @@ export class Playout {
     const blocking = this.blocking(position);
     if (!blocking) return -Infinity;
     const place = blocking.slot.startAt + blocking.restS;
-    return this.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
+    return this.schedule.held && place > this.schedule.at(nowS) ? Infinity : this.schedule.reached(place, nowS);
   }
 
-  /** Append a segment that arrived with some tiles, or is lost; playing begins or goes on when there is enough. */
-  enqueue(position: number, rung: number | null, arrivedS: number, which = this.offers.tiles): void {
+  /** Append a segment that arrived, or is lost (rung null); playing begins or goes on when there is enough. */
+  enqueue(position: number, rung: number | null, arrivedS: number): void {
     const readyS = arrivedS + (rung === null ? 0 : this.settings.decodeFrameS);
-    const tiles = new Map(rung === null ? [] : which.map((tile) => [tile, rung] as const));
     const { start, stop } = this.offers.span(position);
     const [frames, seconds] = [stop - start, (stop - start) / this.offers.fps];
-    const arrived = { position, rung, tiles, seconds, frames, readyS, readyAt: this.schedule.at(readyS) };
+    const arrived = { position, rung, seconds, frames, readyS, readyAt: this.schedule.at(readyS) };
     const slot: Slot = { ...arrived, startAt: Infinity, stallS: 0, committed: false };
     this.timeline.push(slot);
     this.finished = false;
@@ -243,15 +225,9 @@ export class Playout {
     return this.timeline.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
   }
 
-  /** Show another rung of the tiles of a segment that have its rung. */
+  /** Show another rung of a segment. */
   replace(slot: Slot, rung: number): void {
-    for (const [tile, before] of slot.tiles) if (before === slot.rung) slot.tiles.set(tile, rung);
     slot.rung = rung;
-    this.changed();
-  }
-
-  addTile(slot: Slot, tile: number, rung: number): void {
-    slot.tiles.set(tile, rung);
     this.changed();
   }
 
@@ -283,16 +259,10 @@ export class Playout {
     return waiting.length && !this.firstWaiting ? sum - this.skipS : sum;
   }
 
-  /** Most media time ahead of the playhead when the segment at a position has come. */
-  limitS(position: number): number {
-    const { bufferS, roomForTwo } = this.settings;
-    return roomForTwo ? Math.max(bufferS, 2 * this.offers.secondsAt(position)) : bufferS;
-  }
-
   /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
   private blocking(position: number): { slot: Slot; restS: number } | null {
     let ahead = this.offers.secondsAt(position);
-    const most = this.limitS(position);
+    const most = this.settings.bufferS;
     for (let i = this.timeline.length - 1; i >= 0; i--) {
       const slot = this.timeline[i];
       if (ahead + slot.seconds > most) return { slot, restS: slot.seconds - Math.max(0, most - ahead) };
@@ -318,7 +288,7 @@ export class Playout {
     const waiting = this.timeline.slice(this.firstWaiting);
     const dueAt = this.scheduledEndAt;
     let at = Math.max(dueAt, earliestAt, ...waiting.map((slot) => slot.readyAt));
-    if (this.firstWaiting) this.stall(waiting[0], (at - dueAt) / this.speed);
+    if (this.firstWaiting) this.stall(waiting[0], (at - dueAt) / this.schedule.speed);
     else at -= this.skipS;
     for (const slot of waiting) {
       slot.startAt = at;

@@ -1,21 +1,20 @@
-// What is on the canvas: a scene for each tile of each group on its way to the viewer, its rows' order in depth, and one
-// picture drawn when something has changed.
+// What is on the canvas: a scene for each group on its way to the viewer, its rows' order in depth, and one picture drawn
+// when something has changed.
+import { cameraOf, type ViewState } from "../format/region.ts";
 import type { Camera, Canonical, Group, Root } from "../format/types.ts";
 import { UnsupportedError } from "../media/errors.ts";
 import { Renderer, type Scene, type Surface } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
 import type { TargetFormat } from "../render/target.ts";
-import { farToNear } from "../render/tile-order.ts";
-import type { Clip, Layer } from "./pipeline.ts";
-import { cameraOf, type ViewState } from "./sight.ts";
+import type { Clip } from "./pipeline.ts";
 
-/** A canonical space on the GPU, and what it shows of a tile of which clip. */
+/** A canonical space on the GPU, and the clip of which it shows something. */
 interface Stage {
   readonly key: string;
   readonly canonical: Canonical;
   readonly scene: Scene;
-  layer: Layer | null;
-  /** The frame up to which the bases of the layer were followed; -1: none. */
+  clip: Clip | null;
+  /** The frame up to which the bases of the clip were followed; -1: none. */
   frame: number;
   /** (3N) means that the sorter does not have yet; null: it has them. */
   means: Float32Array | null;
@@ -41,8 +40,8 @@ export class Screen {
   #renderer: Renderer | null;
   readonly #sorter: Sorter;
   readonly #stages = new Map<Canonical, Stage>();
-  /** One a tile; null: nothing was shown yet. */
-  #shown: Stage[] | null = null;
+  /** null: nothing was shown yet. */
+  #shown: Stage | null = null;
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
   #dirty = false;
@@ -80,42 +79,29 @@ export class Screen {
     return this.#size.width !== before.width || this.#size.height !== before.height;
   }
 
-  /** Show a frame of a clip, of all tiles that are decoded, from the next picture on. False: not yet, since a scene has
-   * no order; the old picture stays. Nobody waits for a tile that came late: it is as it was before, or absent.
+  /** Show a frame of a clip, which is decoded, from the next picture on. False: not yet, since its scene has no order; the
+   * old picture stays.
    */
-  show({ layers }: Clip, frame: number): boolean {
-    const renderer = this.#renderer;
-    if (!renderer) return false;
-    const shown: Stage[] = [];
-    const changed: { stage: Stage; layer: Layer }[] = [];
-    for (const layer of layers) {
-      const isDecoded = layer.frames[frame] !== undefined;
-      const stage = isDecoded ? this.prepare(layer) : this.#stages.get(layer.canonical);
-      const isReady = isDecoded && stage && renderer.ready(stage.scene);
-      if (!isReady && !layer.late) return false;
-      if (stage && (isReady || this.#shown?.includes(stage))) shown.push(stage);
-      if (isReady && layer.shown !== frame) changed.push({ stage, layer });
-    }
-    for (const { stage, layer } of changed) this.#change(stage, layer, frame);
-    this.#shown = shown;
-    this.#dirty = true;
-    return true;
-  }
-
-  #change(stage: Stage, layer: Layer, frame: number): void {
-    if (stage.layer !== layer || frame < stage.frame) {
-      stage.scene.begin(layer.level);
-      Object.assign(stage, { layer, frame: -1 });
+  show(clip: Clip, frame: number): boolean {
+    const stage = this.prepare(clip);
+    if (!stage || !this.#renderer?.ready(stage.scene)) return false;
+    const { scene } = stage;
+    if (stage.clip !== clip || frame < stage.frame) {
+      scene.begin(clip.level);
+      Object.assign(stage, { clip, frame: -1 });
     }
     for (let t = stage.frame + 1; t <= frame; t++) {
-      const { bases } = layer.frames[t] ?? { bases: null };
-      if (bases) stage.scene.change(bases);
+      const bases = clip.frames[t]?.bases;
+      if (bases) scene.change(bases);
     }
-    const state = layer.frames[frame] ?? null;
-    stage.scene.state(layer.atlas, state?.luma ?? null, state?.time);
-    stage.means = state?.means ?? layer.canonical.means;
-    layer.shown = stage.frame = frame;
+    const state = clip.frames[frame];
+    scene.state(clip.atlas, state?.luma ?? null, state?.time);
+    stage.means = state?.means ?? clip.canonical.means;
+    stage.frame = frame;
+    this.#shown = stage;
+    this.#dirty = true;
     this.#sort(stage);
+    return true;
   }
 
   /** Draw, if anything has changed and the GPU has finished the picture before. True: a picture was drawn. */
@@ -123,28 +109,21 @@ export class Screen {
     if (!this.#dirty || !this.#shown || !this.#view || !this.#renderer || this.#renderer.busy) return false;
     const { width, height } = this.#size;
     if (this.canvas.width !== width || this.canvas.height !== height) Object.assign(this.canvas, { width, height });
-    this.#dirty = !this.#renderer.draw(this.#farToNear(), cameraOf(this.#view, width, height));
+    this.#dirty = !this.#renderer.draw(this.#shown.scene, cameraOf(this.#view, width, height));
     return !this.#dirty;
   }
 
   /** Draw for eyes around the view, whatever has changed: a headset forgets its pictures. True: they were drawn. */
   drawEyes(eyes: readonly Eye[]): boolean {
-    const renderer = this.#renderer;
-    if (!this.#shown || !renderer) return false;
-    const scenes = this.#farToNear();
-    return eyes.every(({ camera, surface }) => renderer.draw(scenes, camera, surface));
-  }
-
-  #farToNear(): Scene[] {
-    const stages = this.#shown ?? [];
-    const boxes = stages.map(({ canonical }) => this.tables.group(canonical.group).tiles[canonical.tile]);
-    return farToNear(boxes, this.#view?.position ?? [0, 0, 0]).map((tile) => stages[tile].scene);
+    const [renderer, scene] = [this.#renderer, this.#shown?.scene];
+    if (!renderer || !scene) return false;
+    return eyes.every(({ camera, surface }) => renderer.draw(scene, camera, surface));
   }
 
   /** Free the scenes of all canonical spaces but these and the one on the screen. */
   retain(spaces: ReadonlySet<Canonical>): void {
     for (const [canonical, stage] of this.#stages) {
-      if (spaces.has(canonical) || this.#shown?.includes(stage)) continue;
+      if (spaces.has(canonical) || this.#shown === stage) continue;
       this.#renderer?.free(stage.scene);
       this.#sorter.forget(stage.key);
       this.#stages.delete(canonical);
@@ -166,14 +145,14 @@ export class Screen {
     return new Renderer(this.canvas, { background: [r, g, b], ...(target ? { target } : {}) });
   }
 
-  /** Makes ready what a tile begins with, so that its first frame can follow the one before without a pause. */
-  prepare({ canonical, frames }: Layer): Stage | null {
+  /** Makes ready what a group begins with, so that its first frame can follow the one before without a pause. */
+  prepare({ canonical, frames }: Clip): Stage | null {
     const known = this.#stages.get(canonical);
     if (known || !this.#renderer) return known ?? null;
     const scene = this.#renderer.scene(this.tables.root, this.tables.group(canonical.group), canonical);
     const means = frames.find((frame) => frame?.means.length)?.means ?? canonical.means;
     const key = `${this.#made++}`;
-    const stage: Stage = { key, canonical, scene, layer: null, frame: -1, means };
+    const stage: Stage = { key, canonical, scene, clip: null, frame: -1, means };
     this.#stages.set(canonical, stage);
     this.#sort(stage);
     return stage;
@@ -187,7 +166,7 @@ export class Screen {
     const rows = await this.#sorter.order(means, stage.key, cameraOf(this.#view, 1, 1));
     if (!rows || this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
     stage.scene.sort(rows);
-    this.#dirty ||= this.#shown?.includes(stage) ?? false;
+    this.#dirty ||= this.#shown === stage;
   }
 
   #lose(): void {

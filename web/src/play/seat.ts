@@ -2,10 +2,9 @@
 //
 // A room is what WebXR calls a "local" space: metres, y up, its origin at the eyes of whom sat down, who looks along -z.
 // Matrices of WebXR are (16) column by column.
-import { firstView, levelled, scaleOf, upright } from "../format/region.ts";
+import { cameraOf, firstView, levelled, scaleOf, upright, type ViewState } from "../format/region.ts";
 import type { Camera, Root } from "../format/types.ts";
 import { across, along, cross, dot, length, minus, scaled, type Vector } from "../format/vector.ts";
-import { cameraOf, type ViewState } from "./sight.ts";
 
 /** How far away the subject is where nobody knows how long a unit is, metres. */
 const COMFORTABLE_M = 1.5;
@@ -38,14 +37,14 @@ export function seatOf(root: Root): Seat {
 }
 
 /** What somebody sees of the scene whose eyes are at a pose of the room. */
-export function viewFrom({ origin, axes, metre, near }: Seat, pose: Float32Array, fovY: number): ViewState {
+export function viewFrom({ origin, axes, metre, near }: Seat, pose: Float32Array): ViewState {
   const turned = (at: number): Vector =>
     axes.reduce<Vector>((sum, axis, i) => along(sum, axis, pose[at + i]), [0, 0, 0]);
   return {
     position: along(origin, turned(12), metre),
     forward: scaled(turned(8), -1),
     up: turned(4),
-    fovY,
+    fovY: 90, // an eye has a lens of its own
     near,
   };
 }
@@ -53,18 +52,10 @@ export function viewFrom({ origin, axes, metre, near }: Seat, pose: Float32Array
 /** The camera of an eye, whose axis need not be in the middle of its picture. */
 export function eyeCamera(seat: Seat, pose: Float32Array, lens: Float32Array, width: number, height: number): Camera {
   return {
-    ...cameraOf(viewFrom(seat, pose, 90), width, height),
+    ...cameraOf(viewFrom(seat, pose), width, height),
     fx: (lens[0] * width) / 2,
     fy: (lens[5] * height) / 2,
     cx: ((1 - lens[8]) * width) / 2,
     cy: ((1 + lens[9]) * height) / 2,
   };
-}
-
-/** How far eyes with these lenses see to a side and up or down at most, as tangents. */
-export function widest(lenses: readonly Float32Array[]): [number, number] {
-  return [
-    Math.max(...lenses.map((lens) => (1 + Math.abs(lens[8])) / lens[0])),
-    Math.max(...lenses.map((lens) => (1 + Math.abs(lens[9])) / lens[5])),
-  ];
 }

@@ -1,44 +1,73 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key units of the chosen rung that are not decoded, one by one, then the state segment.
+// One batch passes at a time: those key tiers of the chosen rung that are not decoded, one by one, then the state segment.
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
 // download that would come too late is abandoned when a smaller one would come sooner; key files that are whole are
 // used. A segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on.
 //
 // The sequence may be played several times: keys and states are fetched again, tables are not. One that grows is played
 // as it grows, until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
-import { LONGEST_POLL_S, POLL_S, ROOT_PATH, SAFETY, SILENCE_S } from "../generated/constants.ts";
-import { TransportError } from "../media/errors.ts";
-import { type GiveUp, isComplete, type Request, type SessionEvent, type Shown } from "./downloader.ts";
-import type { Decision, Option } from "./ladder.ts";
-import { filesOf } from "./offers.ts";
-import type { Slot } from "./playout.ts";
-import { estimateThroughput, type PlayerState } from "./policies/state.ts";
-import { Receiver, type SessionParts } from "./receiver.ts";
-import { bestReplacement, obtainable, replacing, slotQuality, usable } from "./replacing.ts";
-import { ConfigError } from "./settings.ts";
 
-/** After files that a repair fetches it looks again, seconds, where nothing changes before. */
-const REPAIR_S = 0.05;
+import { isSound } from "../format/paths.ts";
+import {
+  LONGEST_POLL_S,
+  POLL_S,
+  REMEMBERED,
+  REPLACE_GAIN_DB,
+  ROOT_PATH,
+  SAFETY,
+  SHORTEST_S,
+  SILENCE_S,
+} from "../generated/constants.ts";
+import { TransportError } from "../media/errors.ts";
+import {
+  type Arrival,
+  type Arrived,
+  type Downloader,
+  type GiveUp,
+  isComplete,
+  type Request,
+  type SessionEvent,
+  type Shown,
+} from "./downloader.ts";
+import type { Decision, Option } from "./ladder.ts";
+import { type Batch, filesOf, type Offers } from "./offers.ts";
+import { ConfigError, type Playout, type SessionSettings, type Slot } from "./playout.ts";
+import { type Download, estimateThroughput, type PlayerState, type Policy } from "./policies/state.ts";
+import type { Stores } from "./stores.ts";
+
+/** What fetches and shows share of a package. */
+export interface Shared {
+  offers: Offers;
+  settings: SessionSettings;
+  playout: Playout;
+  stores: Stores;
+}
+
+export interface SessionParts extends Shared {
+  downloader: Downloader;
+  policy: Policy;
+}
 
 type Events<Result = void> = AsyncGenerator<SessionEvent, Result>;
 
 /** One run over positions; after a seek or another policy, a new one goes on with the same stores. */
 export class Session {
-  private readonly receiver: Receiver;
+  /** When the last batch was over, or when there was room for the next. */
+  private nowS: number;
   private givenUp = { position: Number.NaN, sizeBytes: 0 }; // nothing as large is asked for there again
 
   /** `first` is where it begins. Throws ConfigError where the policy needs quality that was not measured. */
   constructor(
     private readonly parts: SessionParts,
-    signal: AbortSignal,
+    private readonly signal: AbortSignal,
     private readonly first = 0,
   ) {
-    const { policy, offers } = parts;
+    const { policy, offers, downloader } = parts;
     if (policy.adapts && !offers.measured) {
       throw new ConfigError(`policy ${policy.name}: expected a package with measured quality`);
     }
-    this.receiver = new Receiver(parts, signal);
+    this.nowS = downloader.now();
   }
 
   /** All events until the last segment is fetched or the signal aborts. Rejects with TransportError. */
@@ -58,12 +87,8 @@ export class Session {
     if (!this.stopped) yield* this.shown(playout.started(null));
   }
 
-  private get nowS(): number {
-    return this.receiver.nowS;
-  }
-
   private get stopped(): boolean {
-    return this.receiver.signal.aborted;
+    return this.signal.aborted;
   }
 
   /** Replace what is buffered until there is room for another segment; gives the moment since when there is. */
@@ -74,7 +99,7 @@ export class Session {
       const earliestS = playout.earliestRequestS(position, this.nowS);
       if (this.nowS >= earliestS || this.stopped) return earliestS;
       if (yield* this.replaceBest()) continue;
-      await this.receiver.wait(earliestS);
+      await this.wait(earliestS);
     }
   }
 
@@ -93,7 +118,7 @@ export class Session {
       const askS = Math.max(this.nowS, (stores.rootS ?? 0) + Math.max(pauseS, longerS));
       while (this.nowS < askS && !this.stopped) {
         if (yield* this.replaceBest()) continue;
-        await this.receiver.wait(askS);
+        await this.wait(askS);
       }
       yield* this.shown(playout.started(this.nowS));
       if (!this.stopped) yield* this.fetchRoot(position, true);
@@ -109,7 +134,7 @@ export class Session {
   /** Fetch airgs.json, and, as a package grows, the pages that now say what the root said before. */
   private async *fetchRoot(position: number, grew: boolean): Events {
     this.parts.stores.rootS = this.nowS;
-    yield await this.receiver.fetchTables([ROOT_PATH], position);
+    yield await this.receiveTables([ROOT_PATH], position);
     if (grew || this.parts.offers.live) yield* this.fetchPages(position);
   }
 
@@ -119,7 +144,7 @@ export class Session {
     const from = Math.max(0, Math.min(playout.slots[0]?.position ?? position, position - 1));
     const missing = () => tables.missingPages(from, position);
     for (let pages = missing(); pages.length && !this.stopped; pages = missing()) {
-      yield await this.receiver.fetchTables(pages, position);
+      yield await this.receiveTables(pages, position);
       if (pages.some((path) => unusable.has(path))) {
         throw new TransportError(`${pages.join(", ")}: expected the index of the growing package`);
       }
@@ -130,7 +155,7 @@ export class Session {
   private async *fetchTables(position: number): Events {
     for (let wanted = this.wantedTables(position); wanted.length; wanted = this.wantedTables(position)) {
       if (this.stopped) return;
-      yield await this.receiver.fetchTables(wanted, position);
+      yield await this.receiveTables(wanted, position);
     }
   }
 
@@ -155,10 +180,8 @@ export class Session {
 
   /** Choose a rung of the next segment and fetch it; false: it did not come whole, choose again. */
   private async *fetchNext(position: number, latencyS: number): Events<boolean> {
-    const { offers, planner, playout, policy, stores } = this.parts;
-    const plan = stores.tables.has(position) ? planner.plan(position, this.sentS(latencyS)) : null;
-    const tiles = plan ? obtainable(stores, position, plan) : offers.tiles;
-    const state = plan ? this.state(position, latencyS, tiles) : null;
+    const { offers, playout, policy, stores } = this.parts;
+    const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
     if (!state?.options.length) {
       if (position === this.first) offers.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
@@ -167,47 +190,43 @@ export class Session {
     }
     const decision = policy.choose(state);
     const tables = position > this.first ? this.wantedTables(position + 1) : []; // nothing delays the first picture
-    const batch = { ...stores.keys.missing(position, decision.index, tiles), tables };
-    if (filesOf(batch).some((path) => stores.coming.has(path))) {
-      await this.receiver.wait(this.nowS + REPAIR_S);
-      return false;
-    }
+    const batch = { ...stores.keys.missing(position, decision.index), tables };
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
       const kind = batch.keys.length ? "group" : "state";
       const sentS = this.sentS(latencyS);
       const request: Request = { kind, position, rung: decision.index, batch, sentS, latencyS };
-      const arrival = await this.receiver.receive(request, this.giveUp(state, decision));
+      const arrival = await this.receive(request, this.giveUp(state, decision));
       yield { type: "arrived", arrival, throughputBps: estimateThroughput(state.history) };
       if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
       if (this.stopped || !isComplete(arrival)) return false;
     }
-    playout.enqueue(position, decision.index, this.nowS, tiles);
+    playout.enqueue(position, decision.index, this.nowS);
     return true;
   }
 
-  private state(position: number, latencyS: number, tiles: readonly number[]): PlayerState {
-    const { offers, playout, policy, stores } = this.parts;
+  private state(position: number, latencyS: number): PlayerState {
+    const { offers, playout, policy, settings, stores } = this.parts;
     return {
-      ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end), tiles),
+      ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end)),
       decoded: stores.keys.decoded(position),
-      options: this.options(position, tiles),
+      options: this.options(position),
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
-      bufferLimitS: playout.limitS(position),
+      bufferLimitS: settings.bufferS,
       requestLatencyS: latencyS,
       shownQuality: playout.last && slotQuality(offers, playout.last),
-      history: this.receiver.history(this.sentS(latencyS)),
-      speed: playout.speed,
+      history: this.history(this.sentS(latencyS)),
+      speed: playout.schedule.speed,
     };
   }
 
-  /** The rungs of tiles of the next segment that can be had and are smaller than what was given up. */
-  private options(position: number, tiles: readonly number[]): readonly Option[] {
+  /** The rungs of the next segment that can be had and are smaller than what was given up. */
+  private options(position: number): readonly Option[] {
     const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
-    const options = stores.keys.options(position, tiles);
-    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index, tiles)));
+    const options = stores.keys.options(position);
+    return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
   }
 
   /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that
@@ -228,27 +247,114 @@ export class Session {
     };
   }
 
+  /** Wait until a moment; less long where the playout changes, or the signal aborts. */
+  private async wait(untilS: number): Promise<void> {
+    await this.parts.downloader.wait(untilS, this.parts.playout, this.signal);
+    this.nowS = this.parts.downloader.now();
+  }
+
+  private async receiveTables(tables: readonly string[], position: number): Promise<Arrived> {
+    const batch = { keys: [], state: [], tables };
+    const { rttS: latencyS } = this.parts.downloader;
+    const arrival = await this.receive({ kind: "tables", position, rung: 0, batch, sentS: this.nowS, latencyS }, null);
+    return { type: "arrived", arrival, throughputBps: 0 };
+  }
+
+  /** The last downloads that are over when a request is sent, oldest first; before there is one, the tables. */
+  private history(sentS: number): Download[] {
+    const { downloads, first } = this.parts.stores;
+    const past = downloads.slice(-REMEMBERED).filter(({ atS }) => atS <= sentS + SHORTEST_S);
+    return past.length ? past.map(({ download }) => download) : [first];
+  }
+
+  /** Fetch a batch and take in what is of use; time goes on. */
+  private async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
+    const { downloader, stores } = this.parts;
+    const arrival = await downloader.fetch(request, giveUp, this.signal);
+    for (const path of arrival.refused.keys()) if (!isSound(path)) stores.unusable.add(path);
+    this.nowS = arrival.atS;
+    stores.tables.add(arrival);
+    const { atS, firstByteS, bytes } = arrival;
+    if (request.kind === "tables") {
+      const bound = { bytes, seconds: Math.max(atS - request.sentS, SHORTEST_S) };
+      // What comes in one burst is too short to tell the rate, but not that it is no less.
+      if (!arrival.cached && bytes / bound.seconds > stores.first.bytes / stores.first.seconds) stores.first = bound;
+      return arrival;
+    }
+    if (!arrival.cached && !this.signal.aborted) {
+      stores.downloads.push({ atS, download: { bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) } });
+      if (stores.downloads.length > REMEMBERED) stores.downloads.shift();
+    }
+    stores.keys.add(arrival);
+    this.useKeys(request);
+    return arrival;
+  }
+
+  /** Show what is buffered of a group with its best keys, where they are decoded in time. */
+  private useKeys({ position, rung }: Request): void {
+    const { offers, playout, settings, stores } = this.parts;
+    const { levels } = offers.tables.root;
+    const quality = offers.rungs[rung][0];
+    const groupOf = (at: number) => {
+      const { loop, segment } = offers.place(at);
+      return `${loop}: ${offers.tables.groupOf(segment)}`;
+    };
+    for (const slot of playout.pending()) {
+      const inTime = playout.startS(slot, this.nowS) >= this.nowS + settings.decodeFrameS;
+      if (!inTime || groupOf(slot.position) !== groupOf(position)) continue;
+      const [shownQuality, level] = offers.rungs[slot.rung ?? 0];
+      if (quality < shownQuality && stores.keys.shownTiers(position, quality) >= levels[level].tiers) {
+        playout.replace(slot, quality * levels.length + level);
+      }
+    }
+  }
+
   /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
   private async *replaceBest(): Events<boolean> {
-    const { offers: c, downloader, playout, policy, settings, stores } = this.parts;
+    const { downloader, playout, policy, settings } = this.parts;
     if (!(settings.replace && policy.adapts)) return false;
-    const estimateBps = estimateThroughput(this.receiver.history(this.nowS));
-    if (!estimateBps) return false;
-    const { rttS } = downloader;
-    const best = bestReplacement(c, playout, stores, { nowS: this.nowS, rttS, rateBps: SAFETY * estimateBps });
+    const estimateBps = estimateThroughput(this.history(this.nowS));
+    const best = estimateBps ? this.bestReplacement(SAFETY * estimateBps) : null;
     if (!best) return false;
-    const { slot, option } = best;
-    const rung = option.index;
-    const batch = replacing(c, stores, slot, rung);
+    const { slot, rung } = best;
     const { position } = slot;
-    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS: rttS };
-    const arrival = await this.receiver.receive(request, null);
+    const [batch, latencyS] = [this.replacing(slot, rung), downloader.rttS];
+    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS };
+    const arrival = await this.receive(request, null);
     yield { type: "arrived", arrival, throughputBps: estimateBps };
     const late = slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS);
     if (this.stopped || !isComplete(arrival) || late) return true; // what it replaces stays
     yield { type: "replaced", position, before: slot.rung ?? 0, after: rung };
     playout.replace(slot, rung);
     return true;
+  }
+
+  /** The better rung of a buffered segment that gains most dB seconds a byte among those expected in time. */
+  private bestReplacement(rateBps: number): { slot: Slot; rung: number } | null {
+    const { offers: c, downloader, playout, settings, stores } = this.parts;
+    let best: { slot: Slot; rung: number; worth: number } | null = null;
+    for (const slot of playout.pending()) {
+      const startS = playout.startS(slot, this.nowS);
+      if (!(this.nowS < startS && startS < Infinity)) continue;
+      const { rungs } = c.of(c.index(slot.position));
+      for (const { index: rung, sizeBytes, quality } of stores.keys.options(slot.position)) {
+        // The state is decoded where only the keys would be better.
+        const size = sizeBytes - (rungs[rung].level === rungs[slot.rung ?? 0].level ? rungs[rung].stateBytes : 0);
+        const gain = quality - (slotQuality(c, slot) ?? 0);
+        const worth = (gain * slot.seconds) / Math.max(1, size);
+        const comesS = this.nowS + downloader.rttS + (8 * size) / rateBps + settings.decodeFrameS;
+        if (gain < REPLACE_GAIN_DB || comesS > startS || (best && worth <= best.worth)) continue;
+        if (usable(stores, this.replacing(slot, rung))) best = { slot, rung, worth };
+      }
+    }
+    return best;
+  }
+
+  /** The files that it takes to show another rung of a buffered segment: with the same level, only its keys. */
+  private replacing(slot: Slot, rung: number): Batch {
+    const { offers, stores } = this.parts;
+    const batch = stores.keys.missing(slot.position, rung);
+    return offers.rungs[rung][1] === offers.rungs[slot.rung ?? 0][1] ? { ...batch, state: [] } : batch;
   }
 
   private *shown(slots: readonly Slot[]): Generator<Shown> {
@@ -262,3 +368,11 @@ export class Session {
     }
   }
 }
+
+/** Whether no file of a batch was found missing or corrupt. */
+const usable = (stores: Stores, batch: Batch): boolean =>
+  !stores.unusable.size || filesOf(batch).every((path) => !stores.unusable.has(path));
+
+/** dB, null of a lost segment. */
+const slotQuality = (o: Offers, slot: Slot): number | null =>
+  slot.rung === null ? null : o.of(o.index(slot.position)).rungs[slot.rung].psnr;

@@ -6,7 +6,7 @@ import { Recent } from "../format/recent.ts";
 import { packetsOf, readSound } from "../format/sound.ts";
 import { PACKET_TICKS, SOUND_RATE, WARM_UP } from "../generated/constants.ts";
 import { UnsupportedError } from "../media/errors.ts";
-import type { Playback, Voice } from "./playback.ts";
+import type { Playback } from "./playback.ts";
 import type { Slot } from "./playout.ts";
 
 /** So much of what follows is decoded and handed to the browser. */
@@ -28,7 +28,7 @@ interface Piece {
   node: AudioBufferSourceNode | null;
 }
 
-export class Sound implements Voice {
+export class Sound {
   readonly #pieces = new Map<Slot, Piece>();
   readonly #files = new Recent<number, Promise<Uint8Array[]>>(MOST_GROUPS);
   readonly #end = new AbortController();
@@ -57,14 +57,17 @@ export class Sound implements Voice {
     return new Sound(playback);
   }
 
+  /** Whether the browser lets it be heard. */
   get allowed(): boolean {
     return this.#context?.state === "running";
   }
 
+  /** Whether it is heard, so that pictures follow it. */
   get leads(): boolean {
     return this.#zeroS !== null;
   }
 
+  /** Take in whether it is wanted, and how loud; somebody may have touched the page. */
   follow(): void {
     const { muted, volume } = this.playback.wishes;
     if (!muted && !this.#context) this.#begin();
@@ -72,6 +75,7 @@ export class Sound implements Voice {
     if (this.#gain) this.#gain.gain.value = muted ? 0 : volume;
   }
 
+  /** Play what is due, and keep the pictures beside it; `calm`: these were in time lately. */
   step(nowS: number, calm: boolean): void {
     const { playout, wishes } = this.playback;
     this.#trim();
@@ -79,11 +83,11 @@ export class Sound implements Voice {
       this.#silence();
       return;
     }
-    const at = playout.placeAt(nowS);
+    const at = playout.schedule.at(nowS);
     for (const slot of playout.slots) {
       if (slot.startAt < at + AHEAD_S && slot.startAt + slot.seconds > at && !this.#pieces.has(slot)) this.#load(slot);
     }
-    if (playout.held || wishes.speed !== 1 || !calm) {
+    if (playout.schedule.held || wishes.speed !== 1 || !calm) {
       this.#silence();
       return;
     }
@@ -93,7 +97,7 @@ export class Sound implements Voice {
       const off = heardS - this.#zeroS - at;
       const most = PULL * (nowS - this.#beforeS);
       if (Math.abs(off) > APART_S) this.#silence();
-      else playout.shift(nowS, Math.max(-most, Math.min(most, off)));
+      else playout.schedule.shift(nowS, Math.max(-most, Math.min(most, off)));
     }
     this.#beforeS = nowS;
     this.#zeroS ??= Math.round((heardS - at) * sampleRate) / sampleRate;
@@ -126,14 +130,14 @@ export class Sound implements Voice {
   /** Drop what has passed, or is not due any more; all of it stops where the schedule stands still. */
   #trim(): void {
     const { playout } = this.playback;
-    const at = playout.placeAt(performance.now() / 1e3);
+    const at = playout.schedule.at(performance.now() / 1e3);
     const slots = new Set(playout.slots);
     for (const [slot, piece] of this.#pieces) {
       if (slots.has(slot) && slot.startAt + slot.seconds > at - AHEAD_S) continue;
       stop(piece);
       this.#pieces.delete(slot);
     }
-    if (playout.held) this.#silence();
+    if (playout.schedule.held) this.#silence();
   }
 
   #silence(): void {

@@ -1,7 +1,6 @@
 // Figures of a session, for viewers who want to see them.
 
 import type { Arrived } from "./downloader.ts";
-import type { Offers } from "./offers.ts";
 import type { Clip } from "./pipeline.ts";
 import type { Playout } from "./playout.ts";
 import type { Cause } from "./policies/drops.ts";
@@ -31,18 +30,8 @@ export interface PlayerStats {
   stallS: number;
   /** The best rung that is chosen now, since frames of better ones were dropped, and by what; null: any may be. */
   held: { rung: number; by: Cause } | null;
-  /** Tiles of the scene that are on the screen, and how many there are; null: not known. */
-  tiles: { shown: number; all: number } | null;
   /** What this browser does to the luma of pictures. */
   luma: "exact" | "invertible" | null;
-}
-
-/** Of the tiles of a clip that have rows: those on the screen, and all. */
-function tilesOf(offers: Offers, { layers, shown, position }: Clip): PlayerStats["tiles"] {
-  const segment = offers.index(position);
-  if (!offers.knows(segment)) return null;
-  const there = layers.filter((layer) => layer.shown === shown);
-  return { shown: there.length, all: offers.tilesWithRows(segment).length };
 }
 
 export class Statistics {
@@ -107,7 +96,6 @@ export class Statistics {
       stalls: playout?.stalls ?? 0,
       stallS: playout?.stallS ?? 0,
       held,
-      tiles: playout && clip && tilesOf(playout.offers, clip),
       luma,
     };
   }

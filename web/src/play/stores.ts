@@ -1,4 +1,4 @@
-// What a player has of a package beside states: which tables it has read, which key units it has decoded, what it knows
+// What a player has of a package beside states: which tables it has read, which key tiers it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
 import { groupPath, isSound, isTable } from "../format/paths.ts";
 import { Recent } from "../format/recent.ts";
@@ -69,10 +69,10 @@ export class TableStore {
   }
 }
 
-/** Units of a loop that are known; those of more were played long ago. */
-const MOST_UNITS = 32768;
+/** Key tiers of a loop that are known; more were played long ago. */
+const MOST_KEYS = 32768;
 
-/** Key units are decoded once a loop over the sequence: a group that is played again is asked for again, and comes from
+/** Key tiers are decoded once a loop over the sequence: a group that is played again is asked for again, and comes from
  * what is kept as far as there is room.
  */
 export class KeyStore {
@@ -86,61 +86,40 @@ export class KeyStore {
     for (const loop of this.loops.keys()) if (loop < first) this.loops.delete(loop);
   }
 
-  /** The units that are decoded in the loop of a position. */
+  /** The key tiers that are decoded in the loop of a position. */
   decoded(position: number): Recent<number, true> {
     const { loop } = this.offers.place(position);
-    const units = this.loops.get(loop) ?? new Recent<number, true>(MOST_UNITS);
-    this.loops.set(loop, units);
-    return units;
+    const keys = this.loops.get(loop) ?? new Recent<number, true>(MOST_KEYS);
+    this.loops.set(loop, keys);
+    return keys;
   }
 
-  /** How many tiers of a tile in a key quality, from the first on, can be shown in the group of a position. */
-  shownTiers(position: number, quality: number, tile: number): number {
+  /** How many tiers of a key quality, from the first on, can be shown in the group of a position. */
+  shownTiers(position: number, quality: number): number {
     const { levels, tiers } = this.offers.tables.root;
     const { rungs } = this.offers.of(this.offers.index(position));
     const decoded = this.decoded(position);
-    const wanted = rungs[quality * levels.length].units.filter((unit) => unit.tile === tile && !decoded.has(unit.unit));
+    const wanted = rungs[quality * levels.length].keys.filter(({ tier, number }) => tier >= 0 && !decoded.has(number));
     return Math.min(tiers, ...wanted.map(({ tier }) => tier));
   }
 
-  /** The files that a rung of the segment at a position still needs of some tiles. */
-  missing(position: number, rung: number, tiles = this.offers.tiles): Batch {
-    return missing(this.offers.of(this.offers.index(position), tiles), rung, this.decoded(position));
+  /** The files that a rung of the segment at a position still needs. */
+  missing(position: number, rung: number): Batch {
+    return missing(this.offers.of(this.offers.index(position)), rung, this.decoded(position));
   }
 
-  /** Every rung of the segment at a position, with the bytes that it still needs of some tiles. */
-  options(position: number, tiles = this.offers.tiles): Option[] {
-    return optionsOf(this.offers.of(this.offers.index(position), tiles), this.decoded(position));
+  /** Every rung of the segment at a position, with the bytes that it still needs. */
+  options(position: number): Option[] {
+    return optionsOf(this.offers.of(this.offers.index(position)), this.decoded(position));
   }
 
-  /** Take in what arrived: a unit counts once its files are there, and sound that cannot be had, which is silence. */
+  /** Take in what arrived: a key tier counts once its files are there, and sound that cannot be had, which is silence. */
   add(arrival: Arrival): void {
     const { position, rung } = arrival.request;
     const segment = this.offers.index(position);
     const there = new Set([...usableFiles(arrival), ...[...arrival.refused.keys()].filter(isSound)]);
-    for (const { unit, files } of this.offers.of(segment).rungs[rung].units) {
-      if (files.every((path) => there.has(path))) this.decoded(position).set(unit, true);
-    }
-  }
-}
-
-export class Coming {
-  private readonly counts = new Map<string, number>();
-
-  has(path: string): boolean {
-    return this.counts.has(path);
-  }
-
-  add(paths: readonly string[]): void {
-    for (const path of paths) this.counts.set(path, (this.counts.get(path) ?? 0) + 1);
-  }
-
-  /** They have come, or will not come, of those asked for together. */
-  remove(paths: readonly string[]): void {
-    for (const path of paths) {
-      const count = (this.counts.get(path) ?? 0) - 1;
-      if (count > 0) this.counts.set(path, count);
-      else this.counts.delete(path);
+    for (const { number, files } of this.offers.of(segment).rungs[rung].keys) {
+      if (files.every((path) => there.has(path))) this.decoded(position).set(number, true);
     }
   }
 }
@@ -152,7 +131,6 @@ export class Stores {
   readonly downloads: { atS: number; download: Download }[] = [];
   /** The fastest of tables and poster, the wait for its first byte included. */
   first: Download = { bytes: 0, seconds: 1 };
-  readonly coming = new Coming();
   readonly unusable = new Set<string>();
   /** When airgs.json was asked for; null: not yet. */
   rootS: number | null = null;

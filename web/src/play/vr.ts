@@ -1,7 +1,7 @@
 // A headset in the place of the page, by WebXR: its frames show what is due, once for each eye. Both eyes take one order
 // in depth, that of whom is between them.
 import type { Playback } from "./playback.ts";
-import { eyeCamera, seatOf, viewFrom, widest } from "./seat.ts";
+import { eyeCamera, seatOf, viewFrom } from "./seat.ts";
 
 /** Puts the headset on, for as long as its wearer likes; call `left` then. `select`: he pulled a trigger.
  *
@@ -32,10 +32,9 @@ export async function enter(playback: Playback, left: () => void, select: () => 
 function show(playback: Playback, session: XRSession, layer: XRWebGLLayer, room: XRReferenceSpace): void {
   const { screen } = playback;
   const seat = seatOf(playback.media.tables.root);
+  playback.resize(layer.framebufferWidth, layer.framebufferHeight);
   const look = ({ transform, views }: XRViewerPose): boolean => {
-    const [across, down] = widest(views.map((view) => view.projectionMatrix));
-    playback.resize(across, down);
-    playback.look(viewFrom(seat, transform.matrix, (360 / Math.PI) * Math.atan(down)));
+    playback.look(viewFrom(seat, transform.matrix));
     const eyes = views.flatMap((view) => {
       const { x, y, width, height } = layer.getViewport(view) ?? { x: 0, y: 0, width: 0, height: 0 };
       if (!width || !height) return []; // an eye that the headset leaves out

@@ -101,8 +101,7 @@ export class Renderer {
     prepareKeys(this.#programs, degree);
   }
 
-  /** A tile of a group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an
-   * order.
+  /** A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
    *
    * Throws RenderError for more rows or pages than this machine's textures hold.
    */
@@ -119,12 +118,7 @@ export class Renderer {
    */
   ready(scene: Scene): boolean {
     if (this.lost || scene.freed || !this.#finishKeys(scene) || !scene.ordered) return false;
-    return this.#programs.done([PROJECTION + scene.degree]) && this.#finishes;
-  }
-
-  /** Whether what pictures of any scenes take is compiled. */
-  get #finishes(): boolean {
-    return this.#programs.done(["splats", "canvas"]);
+    return this.#programs.done([PROJECTION + scene.degree, "splats", "canvas"]);
   }
 
   /** The whole canvas. */
@@ -133,14 +127,14 @@ export class Renderer {
     return { framebuffer: null, x: 0, y: 0, width, height };
   }
 
-  /** Draws scenes into one picture, the furthest first, if all are ready; else it stays as it is. */
-  draw(scenes: readonly Scene[], camera: Camera, surface = this.canvas): boolean {
-    if (this.lost || !this.#finishes || !scenes.every((scene) => this.ready(scene))) return false;
+  /** Draws a scene, if it is ready; else the picture stays as it is. */
+  draw(scene: Scene, camera: Camera, surface = this.canvas): boolean {
+    if (!this.ready(scene)) return false;
     const gl = this.#gl;
     const { framebuffer, x, y, width, height } = surface;
-    for (const scene of scenes) this.#project(scene, camera, [width, height]);
+    this.#project(scene, camera, [width, height]);
     this.#clear(width, height);
-    for (const scene of scenes) this.#splat(scene, [width, height]);
+    this.#splat(scene, [width, height]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.disable(gl.BLEND);

@@ -1,4 +1,4 @@
-// What the GPU holds of a tile of a group: the canonical space, the picture of a state, an order. N rows, C colour
+// What the GPU holds of a group: the canonical space, the picture of a state, an order. N rows, C colour
 // channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
@@ -19,7 +19,7 @@ export interface LevelView {
   readonly codes: CodeTable;
 }
 
-/** A tile of a group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
+/** A group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
 export class Scene {
   readonly rows: number;
   readonly degree: number;
@@ -96,7 +96,7 @@ export class Scene {
       return;
     }
     this.#drop();
-    const atlas = this.group.tiles[this.canonical.tile].levels[level];
+    const atlas = this.group.levels[level];
     const codes = codeTable(atlas, stateSteps(this.root, this.group, level), STATE_AT.colour);
     this.#next = { level, atlas, codes, samples: new Samples(this.gl, atlas) };
   }

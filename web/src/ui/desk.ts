@@ -1,9 +1,8 @@
 // What the parts of the element know of it, and what it asks of a player.
 import type { PlayerOptions } from "../play/playback.ts";
 import type { Player } from "../play/player.ts";
-import type { RungInfo } from "../play/rungs.ts";
 import { readAddress, writeAddress } from "./address.ts";
-import type { Orbit } from "./orbit.ts";
+import type { View } from "./view.ts";
 
 /** `Player`, or one that only pretends, in tests. */
 export type PlayerLike = EventTarget &
@@ -12,66 +11,23 @@ export type PlayerLike = EventTarget &
   Pick<Player, "region" | "camera" | "stats" | "resize" | "vr" | "enterVr" | "leaveVr"> &
   Pick<Player, "hasSound" | "muted" | "volume">;
 
-export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "viewAdaptive" | "muted" | "volume">;
+export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "muted" | "volume">;
 
 /** A part of the time line, in seconds, and the number of its rung. */
 export type Part = Player["buffered"][number];
 
 /** What a player tells. */
-export const EVENTS = [
-  "open",
-  "poster",
-  "firstpicture",
-  "rung",
-  "stall",
-  "resume",
-  "time",
-  "progress",
-  "ended",
-  "vr",
-  "volumechange",
-  "pause",
-  "play",
-  "problem",
-  "lost",
-  "restored",
-] as const;
+export const EVENTS =
+  "open poster firstpicture rung stall resume time progress ended vr volumechange pause play problem lost restored".split(
+    " ",
+  );
 
-export interface Desk {
-  readonly player: PlayerLike;
-  readonly orbit: Orbit;
-  /** Ends with this life of the element. */
-  readonly signal: AbortSignal;
-  /** The rungs of the package, as they were known a moment ago, and the colour of each. */
-  readonly rungs: readonly RungInfo[];
-  readonly colours: readonly string[];
-  readonly ready: boolean;
-  readonly full: boolean;
-  /** Whether there is a headset to put on. */
-  readonly headset: boolean;
-  /** The share of the display's pixels in each direction that is drawn, and how many these are. */
-  readonly scale: number;
-  readonly picture: readonly [number, number];
-  toggle(): void;
-  seek(seconds: number): void;
-  skip(seconds: number): void;
-  frame(count: number): void;
-  /** Back to where the viewer began; `first`: to the first place of the region, to begin there again. */
-  home(first?: boolean): void;
-  beginHere(): void;
-  turnOver(): void;
-  /** Whether the address of the page says where to begin, and copies of it can. */
-  readonly linked: boolean;
-  copyLink(): void;
-  toggleFull(): void;
-  toggleVr(): void;
-  toggleInfo(): void;
-  toggleSound(): void;
-  /** Changes an attribute of the element, and with it the player. */
-  set(attribute: "loop" | "quality" | "policy" | "view-region", value: string | boolean): void;
-  /** Something has changed: look at everything in the next animation frame. */
-  wake(): void;
-}
+/** The view as its parts know it. */
+export type Desk = Readonly<
+  Pick<View, "player" | "orbit" | "signal" | "rungs" | "colours" | "ready" | "full" | "headset" | "scale" | "picture"> &
+    Pick<View, "toggle" | "seek" | "skip" | "frame" | "home" | "beginHere" | "turnOver" | "linked" | "copyLink"> &
+    Pick<View, "toggleFull" | "toggleVr" | "toggleInfo" | "toggleSound" | "set" | "wake">
+>;
 
 /** The moment that is shown, as text. */
 export function momentOf({ player, orbit }: Desk): string {

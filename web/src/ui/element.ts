@@ -24,7 +24,7 @@ const ASKED = { paused: true, ended: false, duration: 0 } as const;
 
 /** An element with a player and its controls; a subclass says which player. */
 export abstract class PlayerElement extends Base implements Owner {
-  static readonly observedAttributes = ["all-tiles", "budget", "view-region", "src", ...FLAGS, ...TEXTS.keys()];
+  static readonly observedAttributes = ["budget", "view-region", "src", ...FLAGS, ...TEXTS.keys()];
   declare readonly paused: boolean;
   declare readonly ended: boolean;
   declare readonly duration: number;
@@ -141,8 +141,7 @@ export abstract class PlayerElement extends Base implements Owner {
     }
     const { src, autoplay, controls, poster, quality, split, loop, muted, volume, policy, hash: linked } = this;
     const budget = Number(this.getAttribute("budget") ?? Infinity);
-    const viewAdaptive = !this.hasAttribute("all-tiles");
-    const settings = { loop, muted, volume, budget, viewAdaptive, ...(policy ? { policy } : {}) };
+    const settings = { loop, muted, volume, budget, ...(policy ? { policy } : {}) };
     const free = this.viewRegion === "free";
     const plan = {
       src,

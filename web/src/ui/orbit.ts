@@ -1,5 +1,5 @@
 // A camera that goes round what is looked at, without any page: gestures and keys push it, `step` lets time go by.
-import { keepInside, upright } from "../format/region.ts";
+import { keepInside, upright, type ViewState } from "../format/region.ts";
 import type { Place, Region } from "../format/types.ts";
 import {
   along,
@@ -16,7 +16,6 @@ import {
   vector,
 } from "../format/vector.ts";
 import type { CameraPath } from "../play/keyframes.ts";
-import type { ViewState } from "../play/sight.ts";
 import type { Stance } from "./address.ts";
 
 /** From where, and in what direction (length 1). */

@@ -20,7 +20,6 @@ const ROWS: readonly (readonly [string, (desk: Desk, stats: PlayerStats) => stri
   ["Throughput", (_, { throughputBps }) => rate(throughputBps)],
   ["Buffer", (_, { bufferS }) => `${bufferS.toFixed(1)} s`],
   ["Received", (_, { bytes }) => size(bytes)],
-  ["Tiles shown", (_, { tiles }) => (tiles && tiles.all > 1 ? `${tiles.shown} of ${tiles.all}` : null)],
   [
     "Frames shown",
     (_, { framesShown, displayFps: fps }) => `${framesShown} (${fps.toFixed(fps < 10 ? 1 : 0)} pictures/s)`,

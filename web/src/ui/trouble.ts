@@ -16,11 +16,14 @@ const DAMAGED = "is not what the package says it is. It may be damaged, or still
 const BROKEN = "breaks the format. Whoever made the package has to make it again.";
 const INEXACT =
   "What it decodes is not what was sent, so that the scene would fall apart. Chrome and Edge decode exactly.";
-const UNDRAWN = {
-  icon: OTHERS.browser,
-  title: "This browser cannot draw it",
-  text: "It lacks WebGL 2, or hardware acceleration is switched off in its settings.",
-} as const;
+const UNREACHED =
+  "Look at the address and the connection. From another site, its server has to allow this page (CORS).";
+const UNPLAYED = "This browser cannot play it";
+const UNDRAWN = [
+  OTHERS.browser,
+  "This browser cannot draw it",
+  "It lacks WebGL 2, or hardware acceleration is switched off in its settings.",
+] as const;
 const REASONS: Readonly<Partial<Record<Reason, string>>> = {
   not_json: "is not a table. The address may lead to something else than a package.",
   too_large: "is larger than any player may accept.",
@@ -31,79 +34,50 @@ const REASONS: Readonly<Partial<Record<Reason, string>>> = {
   bad_picture: "holds pictures that cannot be decoded.",
 };
 
+/** Makes troubles with the same details. */
+const telling =
+  (details: string) =>
+  (icon: string, title: string, text: string, again = false): Trouble => ({ icon, title, text, details, again });
+
 /** Says what this browser lacks to play anything; null: nothing. */
 export function lacking(): Trouble | null {
-  const here = { details: navigator.userAgent, again: false };
+  const told = telling(navigator.userAgent);
   if (!window.isSecureContext) {
-    return {
-      ...here,
-      icon: OTHERS.lock,
-      title: "This page needs HTTPS",
-      text: "Browsers decode video for a page only over HTTPS or on localhost. Open it with https:// in front.",
-    };
+    const text = "Browsers decode video for a page only over HTTPS or on localhost. Open it with https:// in front.";
+    return told(OTHERS.lock, "This page needs HTTPS", text);
   }
   if (typeof VideoDecoder === "undefined") {
-    return {
-      ...here,
-      icon: OTHERS.browser,
-      title: "This browser cannot play it",
-      text: /Android/.test(navigator.userAgent)
-        ? "It lacks WebCodecs, as Firefox on Android does. Chrome on the same phone has it."
-        : "It lacks WebCodecs. Current versions of Chrome, Edge, Firefox and Safari have it.",
-    };
+    const text = /Android/.test(navigator.userAgent)
+      ? "It lacks WebCodecs, as Firefox on Android does. Chrome on the same phone has it."
+      : "It lacks WebCodecs. Current versions of Chrome, Edge, Firefox and Safari have it.";
+    return told(OTHERS.browser, UNPLAYED, text);
   }
-  if (typeof WebGL2RenderingContext === "undefined") {
-    return { ...here, ...UNDRAWN };
-  }
-  return null;
+  return typeof WebGL2RenderingContext === "undefined" ? told(...UNDRAWN) : null;
 }
 
 export function troubleOf(error: unknown, src: string): Trouble {
   const name = error instanceof Error ? error.name : "Error";
   const message = error instanceof Error ? error.message : String(error);
-  const details = `${name}: ${message}\n${src}\n${navigator.userAgent}`;
+  const told = telling(`${name}: ${message}\n${src}\n${navigator.userAgent}`);
   if (name === "FormatError") {
     const { reason, where } = error as FormatError;
-    const newer = reason === "unknown_version";
     const nothing = where.endsWith("airgs.json") && reason === "missing_file";
-    return {
-      icon: OTHERS.file,
-      title: newer ? "Made for another player" : nothing ? "No package is there" : "This package cannot be played",
-      text: `${where} ${REASONS[reason] ?? BROKEN}${nothing ? " Look at the address." : ""}`,
-      details,
-      again: reason === "missing_file" || REASONS[reason] === DAMAGED,
-    };
+    const known = nothing ? "No package is there" : "This package cannot be played";
+    const title = reason === "unknown_version" ? "Made for another player" : known;
+    const text = `${where} ${REASONS[reason] ?? BROKEN}${nothing ? " Look at the address." : ""}`;
+    return told(OTHERS.file, title, text, reason === "missing_file" || REASONS[reason] === DAMAGED);
   }
   if (name === "UnsupportedError") {
-    const inexact = /\bluma\b/.test(message);
-    return {
-      icon: OTHERS.browser,
-      title: inexact ? "This browser changes the pictures" : "This browser cannot play it",
-      text: inexact ? INEXACT : `${message[0].toUpperCase()}${message.slice(1)}.`,
-      details,
-      again: false,
-    };
+    if (/\bluma\b/.test(message)) return told(OTHERS.browser, "This browser changes the pictures", INEXACT);
+    return told(OTHERS.browser, UNPLAYED, `${message[0].toUpperCase()}${message.slice(1)}.`);
   }
   if (name === "TransportError" || error instanceof TypeError) {
-    return {
-      icon: OTHERS.offline,
-      title: navigator.onLine ? "The package cannot be reached" : "There is no network",
-      text: "Look at the address and the connection. From another site, its server has to allow this page (CORS).",
-      details,
-      again: true,
-    };
+    const title = navigator.onLine ? "The package cannot be reached" : "There is no network";
+    return told(OTHERS.offline, title, UNREACHED, true);
   }
-  if (name === "ConfigError") {
-    return {
-      icon: OTHERS.warn,
-      title: "It cannot be played with these settings",
-      text: message,
-      details,
-      again: false,
-    };
-  }
-  if (/\bWebGL2\b/.test(message)) return { ...UNDRAWN, details, again: true };
-  return { icon: OTHERS.warn, title: "Something went wrong", text: message, details, again: true };
+  if (name === "ConfigError") return told(OTHERS.warn, "It cannot be played with these settings", message);
+  if (/\bWebGL2\b/.test(message)) return told(...UNDRAWN, true);
+  return told(OTHERS.warn, "Something went wrong", message, true);
 }
 
 const COPIED_MS = 2000;

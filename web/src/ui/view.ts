@@ -3,7 +3,7 @@
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import { rungColours } from "./colours.ts";
-import { type Desk, EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
+import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
 import { loadMore, type More } from "./more.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, type Sharpness } from "./sharpness.ts";
@@ -51,13 +51,16 @@ export interface Owner extends HTMLElement {
   again(): void;
 }
 
-export class View implements Desk {
+export class View {
   readonly player: PlayerLike;
   orbit = new Orbit();
+  /** The rungs of the package, as they were known a moment ago, and the colour of each. */
   rungs: readonly RungInfo[] = [];
   colours: readonly string[] = [];
   ready = false;
+  /** Whether there is a headset to put on. */
   headset = false;
+  /** Pixels that are drawn. */
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
@@ -93,6 +96,7 @@ export class View implements Desk {
     this.#open();
   }
 
+  /** Ends with this life of the element. */
   get signal(): AbortSignal {
     return this.#end.signal;
   }
@@ -101,6 +105,7 @@ export class View implements Desk {
     return !!this.#full?.on;
   }
 
+  /** The share of the display's pixels in each direction that is drawn. */
   get scale(): number {
     return this.#sharpness?.scale ?? 1;
   }
@@ -141,6 +146,7 @@ export class View implements Desk {
     this.seek(this.player.currentTime + count / this.player.fps);
   }
 
+  /** Back to where the viewer began; `first`: to the first place of the region, to begin there again. */
   home(first = false): void {
     if (first) this.orbit.begin(null);
     else this.orbit.reset();
@@ -157,6 +163,7 @@ export class View implements Desk {
     this.#look();
   }
 
+  /** Whether the address of the page says where to begin, and copies of it can. */
   get linked(): boolean {
     return this.plan.linked;
   }
@@ -206,7 +213,8 @@ export class View implements Desk {
     });
   }
 
-  set(attribute: string, value: string | boolean): void {
+  /** Changes an attribute of the element, and with it the player. */
+  set(attribute: "loop" | "quality" | "policy" | "view-region" | "muted", value: string | boolean): void {
     if (typeof value === "string") this.owner.setAttribute(attribute, value);
     else this.owner.toggleAttribute(attribute, value);
   }
@@ -226,6 +234,7 @@ export class View implements Desk {
     this.wake();
   }
 
+  /** Something has changed: look at everything in the next animation frame. */
   wake(): void {
     if (!this.#request && !this.signal.aborted) this.#request = requestAnimationFrame((now) => this.#tick(now));
   }

@@ -33,7 +33,7 @@ export function spoken(seconds: number): string {
 
 /** Three digits: 0.52, 5.2, 52, 520. */
 function short(value: number): string {
-  return value >= 99.5 ? value.toFixed(0) : value >= 9.95 ? value.toFixed(0) : value.toFixed(value < 0.995 ? 2 : 1);
+  return value.toFixed(value >= 9.95 ? 0 : value < 0.995 ? 2 : 1);
 }
 
 export function rate(bps: number): string {

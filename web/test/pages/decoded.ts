@@ -100,14 +100,14 @@ export class Decoded {
   #canonical({ quality, tiers, groups }: RungTable, group: number, tables: Group[]): Canonical {
     const { means, units, depths, parts } = groups[group].canonical;
     return {
-      ...{ group, tile: 0, quality, tiers },
+      ...{ group, quality, tiers },
       means: this.#array(means),
       units: this.#array(units),
       depths: this.#array(depths),
       parts: parts.map((part) => {
         const { keeps } = tables[group];
         const key = (picture: PictureTable, number: number, difference: KeyPart | null): KeyPart => {
-          const { qualities, factor } = tables[number].tiles[0].tiers[part.tier];
+          const { qualities, factor } = tables[number].tiers[part.tier];
           const luma = this.#array<Uint8Array>(picture.luma!);
           return { atlas: qualities[quality], factor, luma, bases: this.#changes(picture), difference };
         };

@@ -75,12 +75,12 @@ async function watched(step: Record<string, unknown>): Promise<unknown> {
   const came: number[] = [];
   let said = "";
   try {
-    await engine.canonical({ group: 0, tile: 0, quality: 0, tiers }, context);
+    await engine.canonical({ group: 0, quality: 0, tiers }, context);
     const emit = ({ t }: { t: number }) => {
       came.push(t);
       if (t === abortAt) stop.abort();
     };
-    await engine.segment({ index: 0, level, of: { group: 0, tile: 0, quality: 0, tiers } }, { id: 2, signal, emit });
+    await engine.segment({ index: 0, level, of: { group: 0, quality: 0, tiers } }, { id: 2, signal, emit });
   } catch (error) {
     said = (error as Error).message;
   } finally {

@@ -2,11 +2,11 @@
 
 import { atlasSamples, basesAfter } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
+import { readStates } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, StateFrame } from "../../src/format/types.ts";
-import { readStateUnit } from "../../src/format/units.ts";
-import { FrameReader, joined } from "../../src/frames.ts";
+import { FrameReader } from "../../src/frames.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
 import { PictureDecoder } from "../../src/media/pictures.ts";
 import { probeBrowser } from "../../src/media/probe.ts";
@@ -45,17 +45,15 @@ async function digests(luma: Uint8Array, atlas: Atlas): Promise<string[]> {
   return found;
 }
 
-/** The canonical space of a tile, whose key files it fetches. */
+/** A canonical space, whose key files it fetches. */
 async function canonicalOf(media: Media, of: CanonicalName) {
-  const first = of.tile * media.tables.root.tiers;
-  const units = Array.from({ length: of.tiers }, (_, tier) => first + tier);
-  demand(await media.fetch(media.tables.keysOf(of.group, of.quality, units), { attempts: 1 }));
+  demand(await media.fetch(media.tables.keysOf(of.group, of.quality, of.tiers), { attempts: 1 }));
   return media.canonical(of);
 }
 
 async function framesOf(media: Media, segment: number, level: number, of: CanonicalName) {
   const frames: (StateFrame | null)[] = [];
-  demand(await media.fetch(media.tables.stateFiles(segment, level, [of.tile]), { attempts: 1 }));
+  demand(await media.fetch(media.tables.stateFiles(segment, level), { attempts: 1 }));
   const count = await media.segment(segment, level, of, (t, frame) => {
     if (t !== frames.length) throw new Error(`expected frame ${frames.length}, got ${t}`);
     frames.push(frame);
@@ -72,25 +70,22 @@ async function luma({ url }: Step): Promise<unknown> {
   const found: Record<string, string[]> = {};
   for (let group = 0; group < index.groups; group++) {
     await openGroup(media, group);
-    for (const tile of media.tables.tiles) {
-      const of = { group, tile, quality: 0, tiers: root.tiers };
-      for (let quality = 0; quality < root.qualities.length; quality++) {
-        const canonical = await canonicalOf(media, { ...of, quality });
-        const keeps = media.tables.base(group) !== null;
-        const own = canonical.parts.flatMap((part) => (keeps ? (part.difference ?? []) : part));
-        const units = Array.from({ length: root.tiers }, (_, tier) => tile * root.tiers + tier);
-        const files = units.flatMap((unit) => media.tables.keyFiles(group, unit, quality));
-        const pictures = files.filter((path) => path.endsWith(".m4s"));
-        for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
-      }
-      const { start, stop } = media.tables.segmentsOf(group);
-      for (let segment = start; segment < stop; segment++) {
-        for (const [level, atlas] of media.tables.group(group).tiles[tile].levels.entries()) {
-          const frames = await framesOf(media, segment, level, of);
-          const parts = await Promise.all(frames.map((frame) => (frame ? digests(frame.luma, atlas) : [])));
-          const [path] = media.tables.stateFiles(segment, level, [tile]);
-          if (path) found[path] = parts[0].flatMap((_, page) => parts.map((pages) => pages[page]));
-        }
+    const of = { group, quality: 0, tiers: root.tiers };
+    for (let quality = 0; quality < root.qualities.length; quality++) {
+      const canonical = await canonicalOf(media, { ...of, quality });
+      const keeps = media.tables.base(group) !== null;
+      const own = canonical.parts.flatMap((part) => (keeps ? (part.difference ?? []) : part));
+      const tiers = Array.from({ length: root.tiers }, (_, tier) => media.tables.keyFiles(group, tier, quality));
+      const pictures = tiers.flat().filter((path) => path.endsWith(".m4s"));
+      for (const [i, part] of own.entries()) found[pictures[i]] = await digests(part.luma, part.atlas);
+    }
+    const { start, stop } = media.tables.segmentsOf(group);
+    for (let segment = start; segment < stop; segment++) {
+      for (const [level, atlas] of media.tables.group(group).levels.entries()) {
+        const frames = await framesOf(media, segment, level, of);
+        const parts = await Promise.all(frames.map((frame) => (frame ? digests(frame.luma, atlas) : [])));
+        const [path] = media.tables.stateFiles(segment, level);
+        if (path) found[path] = parts[0].flatMap((_, page) => parts.map((pages) => pages[page]));
       }
     }
   }
@@ -113,17 +108,12 @@ async function frames(step: Step): Promise<unknown> {
   let frame = 0;
   for (let group = 0; group < media.tables.index.groups; group++) {
     await openGroup(media, group);
-    const spaces = await Promise.all(
-      media.tables.tiles.map((tile) => canonicalOf(media, { group, tile, quality, tiers })),
-    );
+    const canonical = await canonicalOf(media, { group, quality, tiers });
     const { start, stop } = media.tables.segmentsOf(group);
     for (let segment = start; segment < stop; segment++) {
-      const tiles = await Promise.all(spaces.map((canonical) => tileOf(media, segment, level, canonical)));
-      for (let t = 0; t < tiles[0].length; t++) {
-        const got = joined(tiles.map((shown) => shown[t].gaussians));
-        const sorted = tiles.flatMap((shown) => Array.from(shown[t].sorted));
+      for (const { gaussians, sorted } of await shownOf(media, segment, level, canonical)) {
         const data = await (await fetch(`${expected}/${frame++}`)).arrayBuffer();
-        compare(got, new Float32Array(data), worst, Float32Array.from(sorted));
+        compare(gaussians, new Float32Array(data), worst, sorted);
       }
     }
   }
@@ -131,12 +121,12 @@ async function frames(step: Step): Promise<unknown> {
   return { worst, frames: frame };
 }
 
-/** Every frame of a tile of a segment, and the means that it is sorted by. */
-async function tileOf(media: Media, segment: number, level: number, canonical: Canonical) {
+/** Every frame of a segment, and the means that it is sorted by. */
+async function shownOf(media: Media, segment: number, level: number, canonical: Canonical) {
   const { root } = media.tables;
   const table = media.tables.group(canonical.group);
   const base = canonicalGaussians(root, table, canonical);
-  const samples = atlasSamples(table.tiles[canonical.tile].levels[level]);
+  const samples = atlasSamples(table.levels[level]);
   const changes: (BaseChanges | null)[] = [];
   return (await framesOf(media, segment, level, canonical)).map((shown) => {
     changes.push(shown?.bases ?? null);
@@ -224,7 +214,7 @@ async function growing({ url }: Step): Promise<unknown> {
 async function ahead({ url }: Step): Promise<unknown> {
   const media = await Media.open(url, { aheadBytes: 1 });
   await openGroup(media, 0);
-  const of = { group: 0, tile: 0, quality: 0, tiers: media.tables.root.tiers };
+  const of = { group: 0, quality: 0, tiers: media.tables.root.tiers };
   await canonicalOf(media, of);
   const [path] = media.tables.stateFiles(0, 0);
   demand(await media.fetch([path]));
@@ -261,7 +251,7 @@ async function mistakes({ url }: Step): Promise<unknown> {
   const early = await media.fetch(["key/T0/1.bin", "nothing/1.bin"]);
   for (const error of early.refused.values()) say(error);
   await openGroup(media, 0);
-  const of = { group: 0, tile: 0, quality: 0, tiers: 1 };
+  const of = { group: 0, quality: 0, tiers: 1 };
   said.push((await media.canonical(of)).depths.length);
   const late = media.canonical(of).catch(say);
   media.close();
@@ -284,11 +274,11 @@ async function flips(step: Step): Promise<unknown> {
   await openGroup(media, 0);
   const [path] = media.tables.stateFiles(0, level);
   const bytes = new Uint8Array(await (await fetch(new URL(path, new URL(url, location.href)))).arrayBuffer());
-  const read = () => readStateUnit(media.tables.group(0), { segment: 0, place: 0, tile: 0, level }, bytes.slice());
+  const read = () => readStates(media.tables.group(0), { segment: 0, place: 0, level }, bytes.slice());
   const decoder = new PictureDecoder(await probeBrowser());
-  const decode = async (unit: ReturnType<typeof read>) => {
+  const decode = async (states: ReturnType<typeof read>) => {
     const pictures: Uint8Array[] = [];
-    await decoder.decode({ ...unit, where: path }, (t, luma) => (pictures[t] = luma));
+    await decoder.decode({ ...states, where: path }, (t, luma) => (pictures[t] = luma));
     return pictures;
   };
   const right = await decode(read());
@@ -300,12 +290,12 @@ async function flips(step: Step): Promise<unknown> {
     return Math.floor((state / 2 ** 32) * below);
   };
   while (came.tried < count && performance.now() < end) {
-    const unit = read();
-    const samples = unit.pages.flat();
+    const states = read();
+    const samples = states.pages.flat();
     const { data } = samples[chance(samples.length)];
     data[chance(data.length)] ^= 1 << chance(8);
     came.tried++;
-    const got = await decode(unit).catch((error: Error) => error);
+    const got = await decode(states).catch((error: Error) => error);
     if (got instanceof Error) {
       came.refused++;
       if (!(got instanceof FormatError && got.reason === "bad_picture")) came.unlike.push(String(got));

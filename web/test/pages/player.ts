@@ -1,7 +1,6 @@
 // What the player does on a page, one check a visit. Query: src, check, and what the check takes.
 import { open, type Player } from "../../src/airgs.ts";
-import { firstView } from "../../src/format/region.ts";
-import { cameraOf } from "../../src/play/sight.ts";
+import { cameraOf } from "../../src/format/region.ts";
 import { canvas, gl, number, query, shown, sleep, src, start, until } from "../support/player-page.ts";
 
 let draws = 0; // into the canvas, since somebody looked
@@ -98,22 +97,6 @@ const checks: Record<string, () => Promise<unknown>> = {
       pictures.push({ frame, picture: base64(await settled(player)) });
     }
     return { ...log.report(), pictures, camera: seenBy(player) };
-  },
-
-  /** Looks away from most of a scene, and after a request for /turned, with the picture of a frame, at all of it. */
-  async turn() {
-    const log = await start({ loop: false }, { ...JSON.parse(query.get("away") ?? ""), fovY: 60, near: 0.01 });
-    const { player } = log;
-    player.quality = query.get("rung") ?? "";
-    await until("the end", () => player.ended);
-    const away = { ...player.stats.tiles, picture: base64(await settled(player)), camera: seenBy(player) };
-    await fetch("/turned");
-    const { region } = player;
-    if (!region) throw new Error("no region");
-    player.camera = { ...firstView(region), near: region.near };
-    await until("all tiles", () => player.stats.tiles?.shown === player.stats.tiles?.all);
-    const back = { ...player.stats.tiles, picture: base64(await settled(player)), camera: seenBy(player) };
-    return { ...log.report(), away, back };
   },
 
   /** Loses the WebGL context, gets it back, and goes on. */

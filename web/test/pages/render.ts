@@ -64,7 +64,7 @@ class Stage {
 
   draw(scene: Scene, camera: Camera): void {
     [canvas.width, canvas.height] = [camera.width, camera.height];
-    if (!this.renderer.draw([scene], camera)) this.errors.push("draw: nothing was drawn");
+    if (!this.renderer.draw(scene, camera)) this.errors.push("draw: nothing was drawn");
     this.look("draw");
   }
 
@@ -88,7 +88,7 @@ async function play(stage: Stage, data: Decoded, rung: Rung, number: number, eve
       stage.look("level");
       for (const frame of frames) {
         const shown = ++count % every === 0;
-        stage.step(scene, frame, shown, group.tiles[0].levels[rung.level]);
+        stage.step(scene, frame, shown, group.levels[rung.level]);
         for (const [n, camera] of shown ? data.cameras.entries() : []) {
           await stage.order(scene, frame.means, camera);
           stage.draw(scene, camera);
@@ -130,7 +130,7 @@ async function levels(data: Decoded) {
         const after = readFloat(stage.renderer, canvas);
         if (before.some((value, i) => value !== after[i])) stage.errors.push("level: drawn at once");
       }
-      stage.step(scene, frame, true, group.tiles[0].levels[level]);
+      stage.step(scene, frame, true, group.levels[level]);
       await stage.order(scene, frame.means, camera);
       stage.draw(scene, camera);
       found.push({ rung: n, frame: t, camera: 0, ...compare(stage.renderer, frame.pictures[0]) });
@@ -148,14 +148,14 @@ async function change(data: Decoded) {
   const { level } = data.rungs[0];
   const old = stage.renderer.scene(data.root, first.group, first.canonical);
   old.begin(level);
-  stage.step(old, frames[0], true, first.group.tiles[0].levels[level]);
+  stage.step(old, frames[0], true, first.group.levels[level]);
   await stage.order(old, frames[0].means, camera);
   stage.draw(old, camera);
   const before = readBytes(stage.renderer, canvas);
   const next = stage.renderer.scene(data.root, second.group, second.canonical);
   next.begin(level);
-  stage.step(next, frames[1], true, second.group.tiles[0].levels[level]);
-  const early = stage.renderer.ready(next) || stage.renderer.draw([next], camera);
+  stage.step(next, frames[1], true, second.group.levels[level]);
+  const early = stage.renderer.ready(next) || stage.renderer.draw(next, camera);
   stage.draw(old, camera);
   const between = compare(stage.renderer, frames[0].pictures[0]);
   const same = readBytes(stage.renderer, canvas).every((value, i) => value === before[i]);
@@ -163,8 +163,8 @@ async function change(data: Decoded) {
   stage.renderer.free(old);
   stage.draw(next, camera);
   const after = compare(stage.renderer, frames[1].pictures[0]);
-  old.state(first.group.tiles[0].levels[level], frames[0].luma);
-  const freed = stage.renderer.draw([old], camera);
+  old.state(first.group.levels[level], frames[0].luma);
+  const freed = stage.renderer.draw(old, camera);
   stage.look("freed");
   return { early, same, between, after, freed, errors: stage.errors };
 }
@@ -179,7 +179,7 @@ async function lost(data: Decoded) {
   const show = async (on: Stage) => {
     const scene = on.renderer.scene(data.root, group, canonical);
     scene.begin(level);
-    on.step(scene, frame, true, group.tiles[0].levels[level]);
+    on.step(scene, frame, true, group.levels[level]);
     await on.order(scene, frame.means, camera);
     on.draw(scene, camera);
     return scene;
@@ -196,10 +196,10 @@ async function lost(data: Decoded) {
   for (const one of [scene, dead]) {
     one.begin(level);
     one.change({ texels: Uint32Array.of(1), bases: Int32Array.of(1) });
-    one.state(group.tiles[0].levels[level], frame.luma);
+    one.state(group.levels[level], frame.luma);
     one.sort(Uint32Array.of(0));
   }
-  const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw([scene], camera)];
+  const idle = [renderer.lost, renderer.busy, renderer.ready(dead), renderer.draw(scene, camera)];
   const sizes = [readBytes(renderer, canvas).length, readFloat(renderer, canvas).length];
   renderer.free(dead);
   const back = heard("webglcontextrestored");
@@ -222,17 +222,17 @@ async function sizes(data: Decoded) {
   const halves = { fx: camera.fx / 2, fy: camera.fy / 2, cx: camera.cx / 2, cy: camera.cy / 2 };
   stage.draw(scene, camera);
   const whole = readBytes(stage.renderer, canvas);
-  stage.renderer.draw([scene], { ...half, ...halves }); // the canvas keeps its size
+  stage.renderer.draw(scene, { ...half, ...halves }); // the canvas keeps its size
   stage.look("size");
   const scaled = readBytes(stage.renderer, canvas);
   [canvas.width, canvas.height] = [37, 91];
-  const odd = stage.renderer.draw([scene], camera);
+  const odd = stage.renderer.draw(scene, camera);
   stage.look("odd size");
   const corner = Array.from(readBytes(stage.renderer, canvas).subarray(0, 4));
   const length = readBytes(stage.renderer, canvas).length;
   stage.renderer.dispose();
   stage.renderer.dispose();
-  const disposed = stage.renderer.draw([scene], camera);
+  const disposed = stage.renderer.draw(scene, camera);
   stage.look("disposed");
   const same = scaled.every((value, i) => value === whole[i]);
   return { same, odd, corner, length, disposed, segments: segments.length, errors: stage.errors };
@@ -243,7 +243,7 @@ async function refusals(data: Decoded) {
   const stage = new Stage();
   const { group, canonical, segments } = data.rungs[0].groups[0];
   const { level } = data.rungs[0];
-  const atlas = group.tiles[0].levels[level];
+  const atlas = group.levels[level];
   const luma = segments[0][0].luma!;
   const scene = stage.renderer.scene(data.root, group, canonical);
   const told = (act: () => void) => {

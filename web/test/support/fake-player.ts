@@ -1,8 +1,9 @@
 // A player that only pretends: a ring of coloured balls, seen from its camera on a 2D canvas, and a network that can fail.
+
+import type { ViewState } from "../../src/format/region.ts";
 import type { Region } from "../../src/format/types.ts";
 import type { Problem } from "../../src/play/playback.ts";
 import type { RungInfo } from "../../src/play/rungs.ts";
-import type { ViewState } from "../../src/play/sight.ts";
 import type { PlayerStats } from "../../src/play/statistics.ts";
 import type { Part, PlayerLike } from "../../src/ui/desk.ts";
 
@@ -198,7 +199,6 @@ export class FakePlayer extends EventTarget implements PlayerLike {
       stalls: 1,
       stallS: 0.4,
       held: null,
-      tiles: { shown: 1, all: 1 },
       luma: "exact",
     };
   }

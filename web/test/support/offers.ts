@@ -1,20 +1,12 @@
 // What a package offers a player, from numbers alone: `Offers` without files or tables. All count from 0.
 import { GroupIndex } from "../../src/format/index.ts";
-import {
-  keyMediaPath,
-  keySidecarPath,
-  locate,
-  pagePath,
-  soundPath,
-  stateMediaPath,
-  tileFolder,
-} from "../../src/format/paths.ts";
+import { keyMediaPath, keySidecarPath, locate, pagePath, soundPath, stateMediaPath } from "../../src/format/paths.ts";
 import { PAGE } from "../../src/generated/constants.ts";
 import type { OfferTables } from "../../src/play/offers.ts";
 
 export interface SegmentNumbers {
   frames: number;
-  /** One a level, of each tile after the other; 0: nothing to fetch. */
+  /** One a level; 0: nothing to fetch. */
   bytes: number[];
   /** dB, by level and quality. */
   psnr: number[][];
@@ -25,14 +17,12 @@ export interface GroupNumbers {
   table: number;
   /** Of a package with sound. */
   sound?: number;
-  /** Gaussians, one a unit, where a test counts them. */
+  /** Gaussians, one a key tier, where a test counts them. */
   rows?: number[];
-  /** One a unit; 0: no rows. */
+  /** One a key tier; 0: no rows. */
   sidecars: number[];
-  /** By unit and quality. */
+  /** By key tier and quality. */
   pictures: number[][];
-  /** One a tile, where a test looks at them. */
-  boxes?: { low: number[]; high: number[] }[];
   segments: SegmentNumbers[];
   /** The group, from 1, that its keys are differences to. */
   keeps?: number;
@@ -46,8 +36,6 @@ export interface PackageNumbers {
   page_bytes: number;
   qualities: string[];
   levels: { id: string; tiers: number; pruned: number }[];
-  /** 1 where nothing is said. */
-  tiles?: number;
   groups: GroupNumbers[];
 }
 
@@ -94,16 +82,11 @@ export class NumberTables implements OfferTables {
       frame_rate,
       live,
       levels,
-      tiers: groups[0].sidecars.length / this.tiles,
-      tiles: this.tiles,
+      tiers: groups[0].sidecars.length,
       frames: this.index.frames,
       views: { reference: "original" },
       qualities: qualities.map((id) => ({ id })),
     };
-  }
-
-  private get tiles(): number {
-    return this.numbers.tiles ?? 1;
   }
 
   has(_group: number): boolean {
@@ -127,21 +110,10 @@ export class NumberTables implements OfferTables {
     return rows ?? sidecars.map(() => 0);
   }
 
-  boxes(group: number) {
-    return this.numbers.groups[group].boxes ?? [];
-  }
-
-  unitsOf(level: number, tiles = Array.from({ length: this.tiles }, (_, tile) => tile)): number[] {
-    const tiers = Array.from({ length: this.root.levels[level].tiers }, (_, tier) => tier);
-    return tiles.flatMap((tile) => tiers.map((tier) => tile * this.root.tiers + tier));
-  }
-
-  keyFiles(group: number, unit: number, quality: number): string[] {
+  keyFiles(group: number, tier: number, quality: number): string[] {
     const { sidecars, pictures } = this.numbers.groups[group];
-    const tier = unit % this.root.tiers;
-    const folder = tileFolder((unit - tier) / this.root.tiers, this.tiles);
-    const files = sidecars[unit] ? [keySidecarPath(folder, tier, group + 1)] : [];
-    return pictures[unit][quality] ? [...files, keyMediaPath(folder, tier, quality, group + 1)] : files;
+    const files = sidecars[tier] ? [keySidecarPath(tier, group + 1)] : [];
+    return pictures[tier][quality] ? [...files, keyMediaPath(tier, quality, group + 1)] : files;
   }
 
   base(group: number): number | null {
@@ -153,14 +125,13 @@ export class NumberTables implements OfferTables {
     return this.numbers.groups[group].sound ? [soundPath(group + 1)] : [];
   }
 
-  stateFiles(segment: number, level: number, tiles = Array.from({ length: this.tiles }, (_, tile) => tile)): string[] {
-    const there = tiles.filter((tile) => this.stateBytes(segment, level, tile));
-    return there.map((tile) => stateMediaPath(tileFolder(tile, this.tiles), level, segment + 1));
+  stateFiles(segment: number, level: number): string[] {
+    return this.stateBytes(segment, level) ? [stateMediaPath(level, segment + 1)] : [];
   }
 
-  private stateBytes(segment: number, level: number, tile: number): number {
+  private stateBytes(segment: number, level: number): number {
     const { entry, part } = this.part(segment);
-    return part.segments[segment - entry.firstSegment].bytes[tile * this.root.levels.length + level];
+    return part.segments[segment - entry.firstSegment].bytes[level];
   }
 
   entry(path: string): { bytes: number } {
@@ -171,11 +142,9 @@ export class NumberTables implements OfferTables {
     const group = this.numbers.groups[number];
     if (found.what === "group") return { bytes: group.table };
     if (found.what === "sound") return { bytes: group.sound ?? 0 };
-    const [named, first, second] = found.numbers;
-    const tile = Math.max(0, named - 1);
-    if (found.what === "state") return { bytes: this.stateBytes(number, first, tile) };
-    const unit = tile * this.root.tiers + first;
-    return { bytes: found.what === "sidecar" ? group.sidecars[unit] : group.pictures[unit][second] };
+    const [first, second] = found.numbers;
+    if (found.what === "state") return { bytes: this.stateBytes(number, first) };
+    return { bytes: found.what === "sidecar" ? group.sidecars[first] : group.pictures[first][second] };
   }
 
   private part(segment: number) {
@@ -184,15 +153,15 @@ export class NumberTables implements OfferTables {
   }
 }
 
-/** An offer of manifests/vectors/policies.json, whose sizes are those of whole units on the wire. */
+/** An offer of manifests/vectors/policies.json, whose sizes are those of whole key tiers on the wire. */
 export interface PolicyOffer {
   levels: { tiers: number; pruned: number }[];
   groups: number[][][];
   segments: { group: number; seconds: number; state_bytes: number[]; psnr: number[][] }[];
 }
 
-/** Such an offer as a package of units of one file each, at four frames a second. */
-export class UnitTables extends NumberTables {
+/** Such an offer as a package of key tiers of one file each, at four frames a second. */
+export class TierTables extends NumberTables {
   constructor(offer: PolicyOffer) {
     const fps = 4;
     const groups = offer.groups.map((sizes, group) => ({
@@ -216,6 +185,6 @@ export class UnitTables extends NumberTables {
   }
 
   override keyFiles(group: number, tier: number, quality: number): string[] {
-    return this.numbers.groups[group].pictures[tier][quality] ? [keyMediaPath("", tier, quality, group + 1)] : [];
+    return this.numbers.groups[group].pictures[tier][quality] ? [keyMediaPath(tier, quality, group + 1)] : [];
   }
 }

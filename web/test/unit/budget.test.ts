@@ -1,11 +1,10 @@
 // A budget of Gaussians: rungs that show more are neither fetched nor shown.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { whole } from "../../src/play/fetch-plan.ts";
 import { NONE, Offers, optionsOf } from "../../src/play/offers.ts";
+import { ConfigError } from "../../src/play/playout.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
-import { ConfigError } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables } from "../support/offers.ts";
@@ -33,7 +32,7 @@ async function levels(budget: number, name: string): Promise<(number | null)[]> 
   const offers = new Offers(tables(), 0, budget);
   const settings = rulesOf({ loops: 2, startupS: 0 });
   const downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, offers);
-  const parts = { offers, settings, downloader, playout: playoutOf(offers, settings), planner: whole(offers) };
+  const parts = { offers, settings, downloader, playout: playoutOf(offers, settings) };
   const made = { ...parts, stores: new Stores(offers), policy: makePolicy(name, offers) };
   const shown: (number | null)[] = [];
   for await (const event of new Session(made, new AbortController().signal).run()) {

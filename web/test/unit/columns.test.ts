@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
+import { readEscapes } from "../../src/format/files.ts";
 import { ColumnReader } from "../../src/format/rangecoder.ts";
 import { canonicalMeans, mortonIndex, readDetail, readSidecar } from "../../src/format/sidecar.ts";
-import { readEscapes } from "../../src/format/units.ts";
 import { fromBase64, joined, readVectors, runs } from "./files.ts";
 
 const refused = { name: "FormatError", reason: "bad_sidecar" };

@@ -1,7 +1,6 @@
 // Where frames are dropped, coarser levels are offered; finer ones are tried again, seldom enough.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { type Cause, DropRule } from "../../src/play/policies/drops.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
@@ -116,7 +115,7 @@ test("no policy chooses a level that is not offered, though a link has room for 
     const offers = new Offers(new NumberTables(DRAWN));
     const settings = rulesOf({ loops: 1, startupS: 0 });
     const downloader = new SimulatedDownloader({ trace: new Trace([0], [1e9], 3600), rttS: 0.05 }, offers);
-    const parts = { offers, settings, downloader, playout: playoutOf(offers, settings), planner: whole(offers) };
+    const parts = { offers, settings, downloader, playout: playoutOf(offers, settings) };
     const session = new Session(
       { ...parts, stores: new Stores(offers), policy: makePolicy(name, offers) },
       new AbortController().signal,

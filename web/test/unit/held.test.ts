@@ -1,8 +1,7 @@
 // What a player fetches for groups that keep rows of an earlier one: numbers that can be added up by hand.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { whole } from "../../src/play/fetch-plan.ts";
-import { NONE, Offers, optionsOf, sizesOf, type Units } from "../../src/play/offers.ts";
+import { type Keys, NONE, Offers, optionsOf, sizesOf } from "../../src/play/offers.ts";
 import { sizesAfter } from "../../src/play/policies/mpc.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
@@ -44,7 +43,6 @@ class Viewer {
     groups: [BASE, SOME, ONE],
   });
   readonly offers = new Offers(this.tables, 0);
-  readonly planner = whole(this.offers);
   readonly settings = rulesOf({ loops: 2, startupS: 0 });
   readonly playout = playoutOf(this.offers, this.settings);
   readonly stores = new Stores(this.offers);
@@ -68,7 +66,7 @@ const all = (quality: number, ...groups: number[]) =>
 test("the bytes of a group that keeps rows depend on what is held of the other", () => {
   const { offers } = new Viewer();
   const both = new Set([0, 1]);
-  const sizes = (segment: number, decoded: Units) => [...sizesOf(offers.of(segment), decoded)];
+  const sizes = (segment: number, decoded: Keys) => [...sizesOf(offers.of(segment), decoded)];
   assert.deepEqual(sizes(2, NONE), [3387, 1163, 1252, 428]);
   assert.deepEqual(sizes(2, both), [87, 63, 1252, 428]);
   assert.deepEqual(sizes(2, new Set([0, 1, 4, 5])), [7, 3, 1252, 428]);
@@ -144,11 +142,11 @@ test("a tier is shown when what it keeps is there as well", async () => {
   const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0, latencyS: 0 };
   const arrival = await downloader.fetch(request, null, new AbortController().signal);
   stores.keys.add({ ...arrival, whole: batch.keys.slice(0, 5) }); // no table of tier 1 of the other group
-  const decoded = [0, 1, 4, 5].filter((unit) => stores.keys.decoded(2).has(unit));
-  assert.deepEqual([decoded, stores.keys.shownTiers(2, 0, 0)], [[0, 4, 5], 1]);
+  const decoded = [0, 1, 4, 5].filter((number) => stores.keys.decoded(2).has(number));
+  assert.deepEqual([decoded, stores.keys.shownTiers(2, 0)], [[0, 4, 5], 1]);
   assert.deepEqual(stores.keys.missing(2, 0).keys, ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
   stores.keys.add(arrival);
-  assert.equal(stores.keys.shownTiers(2, 0, 0), 2);
+  assert.equal(stores.keys.shownTiers(2, 0), 2);
   assert.deepEqual([offers.knows(2), playout.end], [true, 12]);
 });
 

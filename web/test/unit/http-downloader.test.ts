@@ -4,7 +4,6 @@ import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
 import type { Fetched, FetchOptions } from "../../src/media/client.ts";
 import type { Partial, Request } from "../../src/play/downloader.ts";
-import { whole as allTiles } from "../../src/play/fetch-plan.ts";
 import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
 import { missing, NONE, Offers } from "../../src/play/offers.ts";
 import { Session } from "../../src/play/session.ts";
@@ -132,7 +131,7 @@ test("a session over a connection plays to the end", async () => {
   const playout = playoutOf(offers, settings);
   const stores = new Stores(offers);
   const policy = makePolicy("robust-mpc", offers);
-  const parts = { offers, downloader, policy, settings, playout, stores, planner: allTiles(offers) };
+  const parts = { offers, downloader, policy, settings, playout, stores };
   const kinds = new Set<string>();
   for await (const event of new Session(parts, never).run()) kinds.add(event.type);
   assert.deepEqual([...kinds], ["arrived", "shown"]);

@@ -55,8 +55,8 @@ const NOTHING = { bytes: 0, sha256: "" };
 function keeping(base: Group, group: Group, keeps: number, pictures: boolean[]): Group {
   const { grid, key_steps, colour_transform, count } = base;
   const table: Group = { ...structuredClone(group), grid, key_steps, colour_transform, count, keeps };
-  for (const [t, tier] of table.tiles[0]!.tiers.entries()) {
-    const { count, factor } = base.tiles[0]!.tiers[t]!;
+  for (const [t, tier] of table.tiers.entries()) {
+    const { count, factor } = base.tiers[t]!;
     Object.assign(tier, { count, factor });
     for (const atlas of tier.qualities) {
       atlas.centres.unshift(0, 0, 0);
@@ -78,16 +78,16 @@ async function fox(pictures: boolean[], keeps = 1): Promise<Tables> {
   return tables;
 }
 
-test("the files of a key unit, and those of the base", async () => {
+test("the files of a key tier, and those of the base", async () => {
   const tables = await fox([true, false]);
   assert.deepEqual([tables.base(0), tables.base(1)], [null, 0]);
   assert.deepEqual(
     [tables.keyFiles(1, 0, 1), tables.keyFiles(1, 1, 1)],
     [["key/T0/2.bin", "key/T0/Q1/2.m4s"], ["key/T1/2.bin"]],
   );
-  assert.deepEqual(tables.keysOf(0, 0, [1]), ["key/T1/1.bin", "key/T1/Q0/1.m4s"]);
+  assert.deepEqual(tables.keysOf(0, 0, 1), ["key/T0/1.bin", "key/T0/Q0/1.m4s"]);
   const files = ["key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s", "key/T1/2.bin"];
-  assert.deepEqual(tables.keysOf(1, 1, [0, 1]), [...files, "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
+  assert.deepEqual(tables.keysOf(1, 1, 2), [...files, "key/T1/1.bin", "key/T1/Q1/1.m4s"]);
 });
 
 test("a base must be there, keep none itself and be laid out alike, whichever is read first", async () => {
@@ -102,7 +102,7 @@ test("a base must be there, keep none itself and be laid out alike, whichever is
     grid: (table) => Object.assign(table.grid, { bits: 3 }),
     key_steps: (table) => Object.assign(table.key_steps, { opacity: 0.5 }),
     colour_transform: (table) => Object.assign(table, { colour_transform: "" }),
-    factor: (table) => Object.assign(table.tiles[0]!.tiers[1]!, { factor: 2.5 }),
+    factor: (table) => Object.assign(table.tiers[1]!, { factor: 2.5 }),
   };
   for (const change of Object.values(changed)) {
     const other = structuredClone(second);
@@ -124,9 +124,9 @@ test("without the table of the base nothing of it can be said", async () => {
   const whole = await fox([true, false]);
   const tables = Tables.parse(read("airgs.json"));
   await tables.addGroup(1, packed(whole.group(1)));
-  assert.throws(() => tables.keysOf(1, 0, [0]), /group\/1.json.gz has not been read/);
+  assert.throws(() => tables.keysOf(1, 0, 1), /group\/1.json.gz has not been read/);
   await tables.add(groupPath(1), read(groupPath(1)));
-  assert.deepEqual(tables.keysOf(1, 0, [0]).slice(2), tables.keyFiles(0, 0, 0));
+  assert.deepEqual(tables.keysOf(1, 0, 1).slice(2), tables.keyFiles(0, 0, 0));
 });
 
 // Values
@@ -143,7 +143,7 @@ test("what differs is added to the base: scales, alpha and colours by sum, rotat
   const base = partOf(rows([1, 0, 0, 1, 0, 0, 2, 4, 5, 6]), 2);
   const difference = partOf(rows([7, 7, 7, 1, 0, 0, 0, 1, 0, 3, 1, 2, 3]), 2);
   const canonical: Canonical = {
-    ...{ group: 1, tile: 0, quality: 0, tiers: 1 },
+    ...{ group: 1, quality: 0, tiers: 1 },
     means: new Float32Array(9).fill(9),
     units: new Float32Array(3).fill(1),
     depths: new Uint8Array(3),

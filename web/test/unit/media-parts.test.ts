@@ -44,34 +44,24 @@ async function isKept(promise: Promise<void>): Promise<boolean> {
 test("pictures wait for those ahead, segments for those before", async () => {
   const ahead = new Ahead(100, 2);
   const { signal } = new AbortController();
-  ahead.give(1, 0, 0, 60);
+  ahead.give(1, 0, 60);
   assert.ok(await isKept(ahead.room(1, signal)));
-  ahead.give(2, 1, 0, 60);
+  ahead.give(2, 0, 60);
   const room = ahead.room(2, signal);
-  const place = ahead.place(2, signal);
+  const place = ahead.place(signal);
   assert.deepEqual([await isKept(room), await isKept(place)], [false, false]);
   ahead.taken(2, 0);
   ahead.taken(2, 0); // twice is once
   assert.deepEqual([await isKept(room), await isKept(place)], [true, true]);
-  ahead.give(2, 1, 1, 60);
-  assert.ok(!(await isKept(ahead.room(1, signal))));
+  ahead.give(2, 1, 60);
+  assert.deepEqual([await isKept(ahead.room(1, signal)), await isKept(ahead.room(3, signal))], [false, true]);
   ahead.drop(1);
   assert.ok(await isKept(ahead.room(2, signal)));
 });
 
-test("a tile waits for no other tile of its segment", async () => {
-  const ahead = new Ahead(100, 1);
-  const { signal } = new AbortController();
-  ahead.give(1, 7, 0, 200);
-  assert.deepEqual([await isKept(ahead.room(1, signal)), await isKept(ahead.room(2, signal))], [false, true]);
-  assert.deepEqual([await isKept(ahead.place(7, signal)), await isKept(ahead.place(8, signal))], [true, false]);
-  ahead.give(2, 7, 0, 200);
-  assert.ok(!(await isKept(ahead.room(2, signal))));
-});
-
 test("who gave up waits no longer", async () => {
   const ahead = new Ahead(1, 1);
-  ahead.give(1, 0, 0, 1);
+  ahead.give(1, 0, 1);
   const stop = new AbortController();
   const waiting = ahead.room(1, stop.signal);
   assert.ok(!(await isKept(waiting)));

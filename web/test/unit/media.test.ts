@@ -2,11 +2,11 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { annexB, isIdr, nalUnits, pageSamples, readParameters } from "../../src/format/avc.ts";
 import { FormatError } from "../../src/format/errors.ts";
+import { checkCount, readKeyTier, readStates } from "../../src/format/files.ts";
 import { type Media, readMedia } from "../../src/format/mp4.ts";
 import type { Tables } from "../../src/format/package.ts";
 import { locate } from "../../src/format/paths.ts";
 import type { Atlas } from "../../src/format/types.ts";
-import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
 import { OWN_UUID } from "../../src/generated/constants.ts";
 import { readBytes, readVectors } from "./files.ts";
 import { readTables } from "./walk.ts";
@@ -17,17 +17,16 @@ const KEY = "key/T0/Q0/1.m4s";
 const open = (path: string, folder = FOX): Media => readMedia(readBytes(`${folder}/${path}`), path);
 
 /** Atlas, frames and span of a file. */
-function unitOf(tables: Tables, path: string): { atlas: Atlas; start: number; stop: number } {
+function placeOf(tables: Tables, path: string): { atlas: Atlas; start: number; stop: number } {
   const { what, numbers } = locate(path)!;
   const number = numbers.at(-1)! - 1;
-  const [named, first, second] = numbers as [number, number, number];
-  const tile = Math.max(0, named - 1);
+  const [first, second] = numbers as [number, number];
   if (what === "state") {
     const { start, stop } = tables.segment(number);
-    return { atlas: tables.group(tables.groupOf(number)).tiles[tile]!.levels[first]!, start, stop };
+    return { atlas: tables.group(tables.groupOf(number)).levels[first]!, start, stop };
   }
-  const { tiles, start, stop } = tables.group(number);
-  return { atlas: tiles[tile]!.tiers[first]!.qualities[second]!, start, stop };
+  const { tiers, start, stop } = tables.group(number);
+  return { atlas: tiers[first]!.qualities[second]!, start, stop };
 }
 
 for (const one of readVectors("packages").units) {
@@ -36,7 +35,7 @@ for (const one of readVectors("packages").units) {
     const { checksums, columns, samples } = open(one.path, one.package);
     assert.equal(columns && Buffer.from(columns).toString("base64"), one.columns);
     assert.equal(checksums.length, samples.length);
-    const { atlas, start, stop } = unitOf(tables, one.path);
+    const { atlas, start, stop } = placeOf(tables, one.path);
     const frames = one.path.startsWith("key") ? 1 : stop - start;
     const pages = pageSamples(samples, atlas, frames, one.path);
     // `height` is that of the atlas' pages together.
@@ -49,7 +48,7 @@ for (const one of readVectors("packages").units) {
 
   test(`times of ${one.path} of ${one.package}`, async () => {
     const tables = await readTables(one.package);
-    const { start, stop } = unitOf(tables, one.path);
+    const { start, stop } = placeOf(tables, one.path);
     const ticks = (tables.root.timescale * tables.root.frame_rate[1]!) / tables.root.frame_rate[0]!;
     const { samples } = open(one.path, one.package);
     const shown = [...samples].sort((a, b) => a.time - b.time);
@@ -71,7 +70,7 @@ test("a sample as Annex B has the same NAL units behind start codes", () => {
 });
 
 test("a picture of another size, and another number of them, are refused", async () => {
-  const { atlas } = unitOf(await readTables(FOX), KEY);
+  const { atlas } = placeOf(await readTables(FOX), KEY);
   const { samples } = open(KEY);
   assert.throws(() => pageSamples(samples, { ...atlas, width: atlas.width + 16 }, 1, KEY), refused);
   assert.throws(() => pageSamples([], atlas, 1, KEY), refused);
@@ -79,7 +78,7 @@ test("a picture of another size, and another number of them, are refused", async
 });
 
 test("a sample without parameter sets, or that is no IDR, is refused", async () => {
-  const { atlas, start, stop } = unitOf(await readTables(FOX), "state/L0/1.m4s");
+  const { atlas, start, stop } = placeOf(await readTables(FOX), "state/L0/1.m4s");
   const { samples } = open("state/L0/1.m4s");
   assert.throws(() => pageSamples([...samples].reverse(), atlas, stop - start, "x"), refused);
   const unit = nalUnits(samples[0]!.data, "x").find((one) => (one[0]! & 31) === 5)!;
@@ -218,14 +217,11 @@ test("a damaged file is refused for a reason of the format, wherever it is damag
   const tables = await readTables(FOX);
   const table = tables.group(0);
   const sidecar = readBytes(`${FOX}/key/T0/1.bin`);
-  const place = { group: 0, tile: 0, tier: 0, quality: 0 };
+  const place = { group: 0, tier: 0, quality: 0 };
   const attempts: [Uint8Array, (data: Uint8Array) => void][] = [
-    [sidecar, (data) => readKeyUnit(tables.root, table, place, data, readBytes(`${FOX}/${KEY}`))],
-    [readBytes(`${FOX}/${KEY}`), (data) => readKeyUnit(tables.root, table, place, sidecar, data)],
-    [
-      readBytes(`${FOX}/state/L0/1.m4s`),
-      (data) => readStateUnit(table, { segment: 0, place: 0, tile: 0, level: 0 }, data),
-    ],
+    [sidecar, (data) => readKeyTier(tables.root, table, place, data, readBytes(`${FOX}/${KEY}`))],
+    [readBytes(`${FOX}/${KEY}`), (data) => readKeyTier(tables.root, table, place, sidecar, data)],
+    [readBytes(`${FOX}/state/L0/1.m4s`), (data) => readStates(table, { segment: 0, place: 0, level: 0 }, data)],
   ];
   let refusals = 0;
   for (const [data, read] of attempts) {
@@ -248,13 +244,10 @@ test("a damaged file is refused for a reason of the format, wherever it is damag
 test("rows of fewer tiers than a level asks for are some of its rows, of all tiers all of them", async () => {
   const tables = await readTables(FOX);
   const [root, table] = [tables.root, tables.group(0)];
-  const rows = table.tiles[0]!.levels[0]!.rows;
-  checkCount(root, table, 0, { tile: 0, tiers: root.tiers }, new Uint8Array(rows));
-  checkCount(root, table, 0, { tile: 0, tiers: root.tiers - 1 }, new Uint8Array(rows - 1));
+  const rows = table.levels[0]!.rows;
+  checkCount(root, table, 0, root.tiers, new Uint8Array(rows));
+  checkCount(root, table, 0, root.tiers - 1, new Uint8Array(rows - 1));
   const mismatch = { reason: "count_mismatch" };
-  assert.throws(() => checkCount(root, table, 0, { tile: 0, tiers: root.tiers }, new Uint8Array(rows - 1)), mismatch);
-  assert.throws(
-    () => checkCount(root, table, 0, { tile: 0, tiers: root.tiers - 1 }, new Uint8Array(rows + 1)),
-    mismatch,
-  );
+  assert.throws(() => checkCount(root, table, 0, root.tiers, new Uint8Array(rows - 1)), mismatch);
+  assert.throws(() => checkCount(root, table, 0, root.tiers - 1, new Uint8Array(rows + 1)), mismatch);
 });

@@ -21,7 +21,7 @@ const DECODED = ["bad_picture-checksum"];
 const OTHERWISE: Record<string, { reason?: string; where?: string }> = {
   unsafe_path: { reason: "size_mismatch" }, // the link leads to another file of the package
   "bad_value-index-level": { where: "airgs.json.entries of the last level of the index" },
-  count_mismatch: { where: "tiles[0].levels[0]" }, // found before the states are read
+  count_mismatch: { where: "levels[0]" }, // found before the states are read
 };
 
 const CASES = refusals();

@@ -92,7 +92,7 @@ test("frames whose time passes in a wait for the display are missed, unless the 
   made.freeze(1.75, "pause");
   assert.deepEqual(on(made, 2), [0, 5]);
   made.thaw(5.75, "pause");
-  assert.ok(made.held);
+  assert.ok(made.schedule.held);
   made.thaw(6.25, "display");
   assert.deepEqual(on(made, 6.3), [0, 5]);
   assert.deepEqual(made.missed, { decoder: 0, display: 7 });

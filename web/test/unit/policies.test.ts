@@ -5,7 +5,7 @@ import { HORIZON_SEGMENTS } from "../../src/generated/constants.ts";
 import { Offers, optionsOf } from "../../src/play/offers.ts";
 import { discountedThroughput } from "../../src/play/policies/mpc.ts";
 import { estimateThroughput, type PlayerState } from "../../src/play/policies/state.ts";
-import { type PolicyOffer, UnitTables } from "../support/offers.ts";
+import { type PolicyOffer, TierTables } from "../support/offers.ts";
 import { ADAPTIVE, makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
@@ -26,7 +26,7 @@ interface State {
 }
 
 const { offers, states } = readVectors("policies") as { offers: PolicyOffer[]; states: State[] };
-const all = offers.map((offer) => new Offers(new UnitTables(offer), 0));
+const all = offers.map((offer) => new Offers(new TierTables(offer), 0));
 
 function playerState(state: State, speed = 1): PlayerState {
   const offers = all[state.offer];

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { Camera, Root, World } from "../../src/format/types.ts";
-import { eyeCamera, seatOf, viewFrom, widest } from "../../src/play/seat.ts";
+import { eyeCamera, seatOf, viewFrom } from "../../src/play/seat.ts";
 
 /** z is up; the subject is 5 units ahead, 3 of them down. */
 const REGION: Root["region"] = {
@@ -45,7 +45,7 @@ function seen({ worldToCamera: m, fx, fy, cx, cy }: Camera, [x, y, z]: readonly 
 }
 
 test("who sits down is at the first view, upright and level, the subject ahead", () => {
-  const view = viewFrom(seatOf(rootOf()), pose([0, 0, 0]), 90);
+  const view = viewFrom(seatOf(rootOf()), pose([0, 0, 0]));
   assertNear(view.position, [1, -4, 3]);
   assertNear(view.forward, [0, 1, 0]);
   assertNear(view.up, [0, 0, 1]);
@@ -56,7 +56,7 @@ test("where nobody told which way is up, a steep first view is straight ahead", 
   const others = [...Array(8)].map(() => REGION.places[0]!);
   const seated = (world?: World) => {
     const root = { ...rootOf(world), region: { ...REGION, places: [...places, ...others] } };
-    return viewFrom(seatOf(root), pose([0, 0, 0]), 90);
+    return viewFrom(seatOf(root), pose([0, 0, 0]));
   };
   assertNear(seated().forward, [0, 1 / Math.sqrt(17), -4 / Math.sqrt(17)]);
   assertNear(seated(WORLD).forward, [0, 1, 0]);
@@ -69,7 +69,7 @@ test("a scene has its real size where the package tells it, else its subject is 
 
 test("a step in the room is a step in the scene", () => {
   const seat = seatOf(rootOf(WORLD));
-  const view = viewFrom(seat, pose([0.5, 0.25, -1], Math.PI / 2), 90);
+  const view = viewFrom(seat, pose([0.5, 0.25, -1], Math.PI / 2));
   assertNear(view.position, [1 + 1, -4 + 2, 3 + 0.5]); // right, ahead, up
   assertNear(view.forward, [-1, 0, 0]); // to the left
   assertNear(view.up, [0, 0, 1]);
@@ -93,8 +93,4 @@ test("what is near moves more between the eyes", () => {
     return left! - right!;
   };
   assertNear([shift(1), shift(3)], [50 * 0.06, (50 * 0.06) / 3]); // focal length · 6 cm / distance
-});
-
-test("tiles are fetched for the widest sides of both eyes", () => {
-  assertNear(widest([lens(-1.5, 0.5, -1, 0.6), lens(-0.5, 1.4, -1, 0.6)]), [1.5, 1]);
 });

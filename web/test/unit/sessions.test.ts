@@ -4,7 +4,6 @@ import { test } from "node:test";
 import type { Reason } from "../../src/format/errors.ts";
 import { ROOT_PATH } from "../../src/generated/constants.ts";
 import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
-import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";
@@ -72,7 +71,7 @@ async function played(play: Play): Promise<Row[]> {
   const playout = playoutOf(offers, settings);
   const stores = new Stores(offers);
   const rows: Row[] = [];
-  const parts = { offers, downloader, policy, settings, playout, stores, planner: whole(offers) };
+  const parts = { offers, downloader, policy, settings, playout, stores };
   for await (const event of new Session(parts, new AbortController().signal).run()) rows.push(row(event));
   return rows;
 }

@@ -6,15 +6,7 @@ import { FormatError } from "../../src/format/errors.ts";
 import { MissingTableError } from "../../src/format/index.ts";
 import { Tables } from "../../src/format/package.ts";
 import { checkTable, inflate } from "../../src/format/parse.ts";
-import {
-  groupPath,
-  keyMediaPath,
-  keySidecarPath,
-  locate,
-  pagePath,
-  stateMediaPath,
-  tileFolder,
-} from "../../src/format/paths.ts";
+import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, stateMediaPath } from "../../src/format/paths.ts";
 import { group, page, root } from "../../src/generated/schema.ts";
 import { readBytes, readJson, readVectors } from "./files.ts";
 import { readTables } from "./walk.ts";
@@ -114,9 +106,9 @@ test("paths", () => {
   const paths: [string, string, number[]][] = [
     [pagePath(2, 7), "page", [2, 7]],
     [groupPath(1), "group", [1]],
-    [keySidecarPath("", 0, 12), "sidecar", [0, 0, 12]],
-    [keyMediaPath(tileFolder(63, 64), 63, 1, 9_999_999), "key", [64, 63, 1, 9_999_999]],
-    [stateMediaPath(tileFolder(0, 2), 10, 3), "state", [1, 10, 3]],
+    [keySidecarPath(0, 12), "sidecar", [0, 12]],
+    [keyMediaPath(63, 1, 9_999_999), "key", [63, 1, 9_999_999]],
+    [stateMediaPath(10, 3), "state", [10, 3]],
   ];
   for (const [path, what, numbers] of paths) assert.deepEqual(locate(path), { what, numbers });
   const strange = [
@@ -184,10 +176,9 @@ for (const one of readVectors("packages").startup) {
     const number = tables.index.groupAt("frames", one.frame);
     assert.throws(() => tables.group(number), MissingTableError);
     await add(groupPath(number + 1));
-    const units = Array.from({ length: one.tiers }, (_, unit) => unit);
     const { keeps } = tables.group(number);
     if (keeps) await add(groupPath(keeps));
-    files.push(...tables.keysOf(number, one.quality, units));
+    files.push(...tables.keysOf(number, one.quality, one.tiers));
     files.push(...tables.stateFiles(tables.segmentAt(one.frame), one.level));
     assert.deepEqual(files, one.files);
   });
@@ -233,7 +224,7 @@ test("the segments of an unread page are guessed, and found once it is read", as
 test("a key with rows and no plane is refused", async () => {
   const tables = await readTables("tests/golden/fox");
   const table = structuredClone(tables.group(0));
-  table.tiles[0]!.tiers[0]!.qualities[0]!.planes = [];
+  table.tiers[0]!.qualities[0]!.planes = [];
   const bytes = new Uint8Array(gzipSync(encode(table)));
   await assert.rejects(
     tables.addGroup(0, bytes),

@@ -12,11 +12,11 @@ import {
   rowOffsets,
   slopeCodes,
 } from "../../src/format/atlas.ts";
+import { Bases, levelRows, readEscapes } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { ColumnReader } from "../../src/format/rangecoder.ts";
 import { motionUnits } from "../../src/format/sidecar.ts";
 import type { Atlas, BaseChanges, Canonical, Gaussians, Group, Root } from "../../src/format/types.ts";
-import { Bases, levelRows, readEscapes } from "../../src/format/units.ts";
 import { fromBase64, readVectors, runs } from "./files.ts";
 
 interface Case {
@@ -126,7 +126,6 @@ for (const one of readVectors("keys").cases) {
     const { rows } = atlas;
     const canonical: Canonical = {
       group: 0,
-      tile: 0,
       quality: 0,
       tiers: 1,
       means: new Float32Array(3 * rows),
@@ -152,7 +151,6 @@ for (const one of readVectors("states").cases) {
   };
   const canonical: Canonical = {
     group: 0,
-    tile: 0,
     quality: 0,
     tiers: 1,
     means: base.means,
@@ -167,7 +165,7 @@ for (const one of readVectors("states").cases) {
     const slopes = rising ? slopeCodes(rising.luma, rising.changes) : null;
     for (const [t, { codes, values, tolerance }] of one.frames.entries()) {
       const { atlas, luma, changes } = pictureOf(codes);
-      const table = { ...group, tiles: [{ levels: new Array(8).fill(atlas) }] } as Group;
+      const table = { ...group, levels: new Array(8).fill(atlas) } as Group;
       const time = slopes ? (2 * t) / (one.frames.length - 1) - 1 : 0;
       const state = { level: one.level, luma, bases: basesAfter(luma.length, [changes]), slopes, time };
       near(shownGaussians(root, table, base, canonical, state), values, tolerance);
@@ -181,7 +179,7 @@ test("numbers that are not finite are refused", () => {
   const parts = [{ ...pictureOf(readVectors("keys").cases[0].codes), factor: 1, bases: null, difference: null }];
   const rows = parts[0]!.atlas.rows;
   const still = { units: new Float32Array(rows), depths: new Uint8Array(rows), means: new Float32Array(3 * rows) };
-  const canonical = { group: 0, tile: 0, quality: 0, tiers: 1, ...still, parts };
+  const canonical = { group: 0, quality: 0, tiers: 1, ...still, parts };
   assert.throws(() => canonicalGaussians(root, group, canonical), { reason: "bad_value" });
 });
 

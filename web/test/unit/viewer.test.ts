@@ -2,11 +2,9 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
-import { whole } from "../../src/play/fetch-plan.ts";
 import { Offers } from "../../src/play/offers.ts";
-import type { Playout } from "../../src/play/playout.ts";
+import { type Playout, sessionSettings } from "../../src/play/playout.ts";
 import { Session } from "../../src/play/session.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
@@ -49,7 +47,6 @@ class Viewer {
   readonly settings;
   readonly playout: Playout;
   readonly stores = new Stores(this.offers);
-  readonly planner = whole(this.offers);
   readonly downloader: Watched;
 
   constructor(settings = {}, trace = FAST) {

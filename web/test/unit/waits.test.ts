@@ -121,11 +121,11 @@ test("sound that is heard goes on without a picture for a moment, then waits as 
   page.run(2.5, { lack: "decoder" });
   heard = false; // it ends with the schedule
   page.run(2.8);
-  assert.ok(page.playout.held === false && !page.waits.calm(2.8) && page.waits.calm(3.1));
-  assert.ok(page.playout.placeAt(2.8) < 2.6);
+  assert.ok(page.playout.schedule.held === false && !page.waits.calm(2.8) && page.waits.calm(3.1));
+  assert.ok(page.playout.schedule.at(2.8) < 2.6);
 });
 
 test("while sound is heard, a display that takes a picture seldom holds nothing up", () => {
   const page = new Page([0, 0, 0], () => true).run(2.9, { everyS: 0.7 });
-  assert.ok(Math.abs(page.playout.placeAt(2.9) - 2.9) < 1e-9);
+  assert.ok(Math.abs(page.playout.schedule.at(2.9) - 2.9) < 1e-9);
 });

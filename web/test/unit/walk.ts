@@ -1,9 +1,9 @@
 // Reads a whole package as a player does, but for its pictures.
 import { FormatError } from "../../src/format/errors.ts";
+import { checkCount, readKeyTier, readStates } from "../../src/format/files.ts";
 import { Tables } from "../../src/format/package.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import { packetsOf, readSound } from "../../src/format/sound.ts";
-import { checkCount, readKeyUnit, readStateUnit } from "../../src/format/units.ts";
 import { ROOT_PATH } from "../../src/generated/constants.ts";
 import { type Files, readFiles } from "./files.ts";
 
@@ -33,36 +33,35 @@ async function tablesOf(files: Files): Promise<Tables> {
   return tables;
 }
 
-/** Reads the key units of a tile of a group in a quality, and what they say of every level. Returns how many files. */
-async function walkKeys(tables: Tables, files: Files, place: { group: number; tile: number; quality: number }) {
+/** Reads the key tiers of a group in a quality, and what they say of every level. Returns how many files. */
+async function walkKeys(tables: Tables, files: Files, group: number, quality: number) {
   const { root } = tables;
-  const { group, tile, quality } = place;
   const table = tables.group(group);
   const depths: number[] = [];
   let count = 0;
   for (let tier = 0; tier < root.tiers; tier++) {
-    const paths = tables.keyFiles(group, tile * root.tiers + tier, quality);
+    const paths = tables.keyFiles(group, tier, quality);
     if (!paths.length) continue;
     const [sidecar, media = null] = await Promise.all(paths.map((path) => fetched(tables, files, path)));
-    depths.push(...readKeyUnit(root, table, { ...place, tier }, sidecar!, media).depths);
+    depths.push(...readKeyTier(root, table, { group, tier, quality }, sidecar!, media).depths);
     count += paths.length;
   }
   root.levels.forEach((_, level) => {
-    checkCount(root, table, level, { tile, tiers: root.tiers }, Uint8Array.from(depths));
+    checkCount(root, table, level, root.tiers, Uint8Array.from(depths));
   });
   return count;
 }
 
-/** Reads the states of a tile of a group. Returns how many files. */
-async function walkStates(tables: Tables, files: Files, group: number, tile: number): Promise<number> {
+/** Reads the states of a group. Returns how many files. */
+async function walkStates(tables: Tables, files: Files, group: number): Promise<number> {
   const { start, stop } = tables.segmentsOf(group);
   let count = 0;
   for (let segment = start; segment < stop; segment++) {
     for (let level = 0; level < tables.root.levels.length; level++) {
-      for (const path of tables.stateFiles(segment, level, [tile])) {
-        const place = { segment, place: segment - start, tile, level };
-        const unit = readStateUnit(tables.group(group), place, await fetched(tables, files, path));
-        for (let t = 0; t < unit.frames; t++) unit.bases.next(t);
+      for (const path of tables.stateFiles(segment, level)) {
+        const place = { segment, place: segment - start, level };
+        const states = readStates(tables.group(group), place, await fetched(tables, files, path));
+        for (let t = 0; t < states.frames; t++) states.bases.next(t);
         count++;
       }
     }
@@ -82,12 +81,10 @@ export async function walk(files: Files): Promise<number> {
       readSound(await fetched(tables, files, path), path, packetsOf(root, tables.group(group)));
       count++;
     }
-    for (const tile of tables.tiles) {
-      for (let quality = 0; quality < root.qualities.length; quality++) {
-        count += await walkKeys(tables, files, { group, tile, quality });
-      }
-      count += await walkStates(tables, files, group, tile);
+    for (let quality = 0; quality < root.qualities.length; quality++) {
+      count += await walkKeys(tables, files, group, quality);
     }
+    count += await walkStates(tables, files, group);
   }
   return count;
 }

@@ -15,8 +15,8 @@ import {
   SWITCH_DB,
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
-import { NONE, type Offers, type SegmentOffer, sizesOf, type Units } from "../offers.ts";
-import { ConfigError } from "../settings.ts";
+import { type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
+import { ConfigError } from "../playout.ts";
 import {
   bufferS,
   type Download,
@@ -110,15 +110,15 @@ function horizon(state: PlayerState): Step[] {
 
 /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r; (R) where that makes no difference.
  *
- * `known` are units that are decoded by then; of the group that goes on, rung p alone says what is.
+ * `known` are key tiers that are decoded by then; of the group that goes on, rung p alone says what is.
  */
-export function sizesAfter(offer: SegmentOffer, before: SegmentOffer, known: Units): Float64Array {
+export function sizesAfter(offer: SegmentOffer, before: SegmentOffer, known: Keys): Float64Array {
   if (offer.startsGroup && offer.base === null) return sizesOf(offer, NONE);
   const others = offer.startsGroup ? known : NONE;
   const table = new Float64Array(before.rungs.length * offer.rungs.length);
-  for (const [p, { units }] of before.rungs.entries()) {
-    const held = new Set(units.map(({ unit }) => unit));
-    table.set(sizesOf(offer, { has: (unit) => others.has(unit) || held.has(unit) }), p * offer.rungs.length);
+  for (const [p, { keys }] of before.rungs.entries()) {
+    const held = new Set(keys.map(({ number }) => number));
+    table.set(sizesOf(offer, { has: (number) => others.has(number) || held.has(number) }), p * offer.rungs.length);
   }
   return table;
 }

@@ -1,7 +1,7 @@
 // What a policy is, what it knows, and the estimates that several policies share.
 import { BUFFER_SHARE, HALF_LIVES_S, SAFETY } from "../../generated/constants.ts";
 import { buildLadder, type Decision, type Option } from "../ladder.ts";
-import type { SegmentOffer, Units } from "../offers.ts";
+import type { Keys, SegmentOffer } from "../offers.ts";
 
 /** A finished batch, as the throughput estimate sees it. */
 export interface Download {
@@ -14,8 +14,8 @@ export interface Download {
 export interface PlayerState {
   /** What the next segments offer, with their loops over the sequence: as many as the policy looks at, one at least. */
   ahead: readonly { offer: SegmentOffer; loop: number }[];
-  /** Key units that are decoded in the loop of the next segment. */
-  decoded: Units;
+  /** Key tiers that are decoded in the loop of the next segment. */
+  decoded: Keys;
   /** Every rung that can be had, with its wire bytes. */
   options: readonly Option[];
   nowS: number;

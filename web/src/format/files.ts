@@ -1,20 +1,20 @@
-// The files of key units and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6. T frames, P planes,
+// The files of key tiers and segments, read up to their pictures: FORMAT.md, sections 2, 3 and 6. T frames, P planes,
 // N rows, E escapes: jumps of bases, by which values leave 8 bits.
 import { STATIC } from "../generated/constants.ts";
 import { pages, planeCorner, rowOffsets } from "./atlas.ts";
 import { pageSamples } from "./avc.ts";
 import { FormatError } from "./errors.ts";
 import { type Media, readMedia, type Sample } from "./mp4.ts";
-import { keyMediaPath, keySidecarPath, stateMediaPath, tileFolder } from "./paths.ts";
+import { keyMediaPath, keySidecarPath, stateMediaPath } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, motionUnits, readDetail, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 
-/** What a unit without a picture has of one. */
+/** What a key tier without a picture has of one. */
 const NONE: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
 
-/** A key unit but for its picture. N rows; where keys are differences, M = 0 have a place, else M = N. */
-export interface KeyUnit {
+/** A key tier but for its picture. N rows; where keys are differences, M = 0 have a place, else M = N. */
+export interface KeyTier {
   atlas: Atlas;
   /** On the key steps, beside that of the key quality. */
   factor: number;
@@ -34,33 +34,24 @@ export interface KeyUnit {
   changes: BaseChanges | null;
 }
 
-/** Which key unit: group and tile count from 0. */
-export interface KeyPlace {
-  group: number;
-  tile: number;
-  tier: number;
-  quality: number;
-}
-
-/** A key unit of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
+/** A key tier of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
  *
  * Throws FormatError (bad_sidecar, bad_picture, bad_value).
  */
-export function readKeyUnit(
+export function readKeyTier(
   root: Root,
   table: Group,
-  { group, tile, tier, quality }: KeyPlace,
+  { group, tier, quality }: { group: number; tier: number; quality: number },
   sidecar: Uint8Array,
   media: Uint8Array | null,
-): KeyUnit {
-  const folder = tileFolder(tile, root.tiles);
-  const where = keyMediaPath(folder, tier, quality, group + 1);
-  const { count, factor, qualities } = table.tiles[tile]!.tiers[tier]!;
+): KeyTier {
+  const where = keyMediaPath(tier, quality, group + 1);
+  const { count, factor, qualities } = table.tiers[tier]!;
   const atlas = qualities[quality]!;
   const coarsest = root.qualities.at(-1)!.coarser;
   const coarser = table.keeps ? coarsest : root.qualities[quality]!.coarser; // a difference has no detail of positions
   const counts = { count, placed: table.keeps ? 0 : count };
-  const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(folder, tier, group + 1));
+  const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(tier, group + 1));
   const { checksums, columns, samples } = media ? readMedia(media, where) : NONE;
   const reader = new ColumnReader(columns, where);
   const rows = readDetail(reader, shared, table.grid, coarser, coarsest);
@@ -82,8 +73,8 @@ export function readKeyUnit(
   };
 }
 
-/** The states of a tile in a segment, but for their pictures. */
-export interface StateUnit {
+/** The states of a segment, but for their pictures. */
+export interface States {
   atlas: Atlas;
   frames: number;
   pages: Sample[][];
@@ -95,19 +86,19 @@ export interface StateUnit {
 }
 
 /** Segment `place` of a table; `segment` is its number, from 0. Throws FormatError (bad_sidecar, bad_picture). */
-export function readStateUnit(
+export function readStates(
   table: Group,
-  { segment, place, tile, level }: { segment: number; place: number; tile: number; level: number },
+  { segment, place, level }: { segment: number; place: number; level: number },
   media: Uint8Array,
-): StateUnit {
-  const where = stateMediaPath(tileFolder(tile, table.tiles.length), level, segment + 1);
-  const atlas = table.tiles[tile]!.levels[level]!;
+): States {
+  const where = stateMediaPath(level, segment + 1);
+  const atlas = table.levels[level]!;
   const { start, stop, levels } = table.segments[place]!;
   const { checksums, columns, samples } = readMedia(media, where);
   const reader = new ColumnReader(columns, where);
   const frames = stop - start;
   const basesOf = (count: number) => new Bases(readEscapes(reader, count, atlas.planes.length, atlas.rows), atlas);
-  const rising = levels[level]!.lines?.[tile] ? basesOf(1) : null;
+  const rising = levels[level]!.line ? basesOf(1) : null;
   const bases = basesOf(frames);
   reader.close();
   const front = rising ? pages(atlas) : 0;
@@ -120,7 +111,7 @@ export function readStateUnit(
   return { atlas, frames, pages: own, checksums: checksums.subarray(front), bases, line };
 }
 
-/** Rows of a tile that a level carries, ascending. `depths` (N) are those of all its rows, or of the first tiers. */
+/** Rows that a level carries, ascending. `depths` (N) are those of all its rows, or of the first tiers. */
 export function levelRows(depths: Uint8Array, level: number): Uint32Array {
   const rows = new Uint32Array(depths.length);
   let count = 0;
@@ -130,22 +121,16 @@ export function levelRows(depths: Uint8Array, level: number): Uint32Array {
   return rows.slice(0, count);
 }
 
-/** Throws FormatError(count_mismatch) unless the sidecars of the first tiers of a tile, `of`, give the rows that a
- * level's atlas has; with fewer tiers than the level asks for, no more than those.
+/** Throws FormatError(count_mismatch) unless the sidecars of the first `tiers` give the rows that a level's atlas has;
+ * with fewer tiers than the level asks for, no more than those.
  */
-export function checkCount(
-  root: Root,
-  table: Group,
-  level: number,
-  of: { tile: number; tiers: number },
-  depths: Uint8Array,
-): void {
+export function checkCount(root: Root, table: Group, level: number, tiers: number, depths: Uint8Array): void {
   const count = levelRows(depths, level).length;
-  const expected = table.tiles[of.tile]!.levels[level]!.rows;
-  const complete = of.tiers >= root.levels[level]!.tiers;
+  const expected = table.levels[level]!.rows;
+  const complete = tiers >= root.levels[level]!.tiers;
   if (count > expected || (complete && count !== expected)) {
     const detail = `the sidecars give ${count} rows, the table ${expected}`;
-    throw new FormatError("count_mismatch", `tiles[${of.tile}].levels[${level}]`, detail);
+    throw new FormatError("count_mismatch", `levels[${level}]`, detail);
   }
 }
 

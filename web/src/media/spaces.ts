@@ -1,12 +1,12 @@
-// What is decoded of tiles: canonical spaces (sidecars and key files, those of a base too) and segments over them (state
-// files). N rows of a tile, n of a level.
+// What is decoded: canonical spaces (sidecars and key files, those of a base too) and segments over them (state files).
+// N rows of a group, n of a level.
 import { planeCorner, slopeCodes } from "../format/atlas.ts";
 import { concat } from "../format/concat.ts";
 import { FormatError } from "../format/errors.ts";
+import { type Bases, checkCount, type KeyTier, levelRows, readKeyTier, readStates } from "../format/files.ts";
 import type { Tables } from "../format/package.ts";
 import { differenceSteps, stateSteps } from "../format/steps.ts";
 import type { Canonical, CanonicalName, KeyPart, StateFrame } from "../format/types.ts";
-import { type Bases, checkCount, type KeyUnit, levelRows, readKeyUnit, readStateUnit } from "../format/units.ts";
 import { ESCAPE_UNIT, GREY } from "../generated/constants.ts";
 import type { DecodeOptions } from "./decoder.ts";
 import type { PictureDecoder } from "./pictures.ts";
@@ -24,26 +24,26 @@ export async function decodeCanonical(
   decoder: PictureDecoder,
   options: DecodeOptions,
 ): Promise<Canonical> {
-  const decode = async ({ atlas, factor, pages, checksums, changes: bases, where }: KeyUnit) => {
+  const decode = async ({ atlas, factor, pages, checksums, changes: bases, where }: KeyTier) => {
     const found: KeyPart[] = [];
     const take = (_: number, luma: Uint8Array) => found.push({ atlas, factor, luma, bases, difference: null });
     if (pages.length) await decoder.decode({ pages, checksums, atlas, frames: 1, where }, take, options);
     return found[0] ?? null;
   };
   const base = tables.base(name.group);
-  const keys = readUnits(tables, read, name);
-  const whole = base === null ? keys : readUnits(tables, read, { ...name, group: base });
+  const keys = readTiers(tables, read, name);
+  const whole = base === null ? keys : readTiers(tables, read, { ...name, group: base });
   const steps = differenceSteps(tables.root, tables.group(name.group), name.quality);
   const parts: KeyPart[] = [];
   const means: Float32Array[] = [];
-  for (const [i, unit] of whole.entries()) {
+  for (const [i, tier] of whole.entries()) {
     const key = keys[i];
-    const part = await decode(unit);
-    const difference = key === unit ? null : await decode(key);
+    const part = await decode(tier);
+    const difference = key === tier ? null : await decode(key);
     parts.push({ ...part, difference });
     const rows = Uint32Array.from(key.depths, (_, row) => row);
     const scaled = steps.map((step) => step * key.factor);
-    const moved = difference ? movedMeans(unit, rows, key.bases, scaled, difference) : unit.means;
+    const moved = difference ? movedMeans(tier, rows, key.bases, scaled, difference) : tier.means;
     if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", key.where, "means are not finite");
     means.push(moved);
   }
@@ -52,34 +52,29 @@ export async function decodeCanonical(
     Uint8Array,
   );
   const units = concat(
-    whole.map((unit) => unit.units),
+    whole.map((tier) => tier.units),
     Float32Array,
   );
   return { ...name, means: concat(means, Float32Array), units, depths, parts };
 }
 
-function readUnits(tables: Tables, read: ReadFile, { group, tile, quality, tiers }: CanonicalName): KeyUnit[] {
-  const found: KeyUnit[] = [];
-  for (let tier = 0; tier < Math.min(tiers, tables.root.tiers); tier++) {
-    const [sidecar, media] = tables.keyFiles(group, tile * tables.root.tiers + tier, quality);
+function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyTier[] {
+  const found: KeyTier[] = [];
+  for (let tier = 0; tier < tiers; tier++) {
+    const [sidecar, media] = tables.keyFiles(group, tier, quality);
     if (!sidecar) continue;
-    const place = { group, tile, tier, quality };
-    found.push(readKeyUnit(tables.root, tables.group(group), place, read(sidecar), media ? read(media) : null));
+    const place = { group, tier, quality };
+    found.push(readKeyTier(tables.root, tables.group(group), place, read(sidecar), media ? read(media) : null));
   }
   return found;
 }
 
 const AXES = 3; // the first state channels: means
 
-/** A state file and the canonical space that it changes. */
-export interface StateFile {
-  /** Segment and group, counted from 0. */
+/** A state file and the canonical space that it changes, as far as `positions` have its tiers; segments count from 0. */
+export interface StateFile extends CanonicalName {
   segment: number;
-  group: number;
   level: number;
-  tile: number;
-  /** How many key tiers of the tile `positions` has. */
-  tiers: number;
   positions: Positions;
   bytes: Uint8Array;
   where: string;
@@ -93,27 +88,26 @@ export async function decodeStates(
   take: (t: number, frame: StateFrame) => void,
   options: DecodeOptions,
 ): Promise<void> {
-  const { segment, group, tile, level, where } = file;
+  const { segment, group, level, positions, where } = file;
   const table = tables.group(group);
-  checkCount(tables.root, table, level, file, file.positions.depths);
+  checkCount(tables.root, table, level, file.tiers, positions.depths);
   const place = segment - tables.segmentsOf(group).start;
-  const unit = readStateUnit(table, { segment, place, tile, level }, file.bytes);
-  const { bases, frames, line } = unit;
-  const { positions } = file;
+  const states = readStates(table, { segment, place, level }, file.bytes);
+  const { bases, frames, line } = states;
   const carried = levelRows(positions.depths, level);
   const steps = stateSteps(tables.root, table, level);
   let slopes: Int32Array | null = null;
   const rise = (_: number, luma: Uint8Array) => {
     slopes = slopeCodes(luma, line!.bases);
   };
-  if (line) await decoder.decode({ ...unit, ...line, frames: 1, where }, rise, options);
+  if (line) await decoder.decode({ ...states, ...line, frames: 1, where }, rise, options);
   const show = (t: number, luma: Uint8Array) => {
     const time = line ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
     const means = movedMeans(positions, carried, bases, steps, { luma, slopes, time });
     take(t, { luma, bases: changes, time, means });
   };
-  await decoder.decode({ ...unit, where }, show, options);
+  await decoder.decode({ ...states, where }, show, options);
 }
 
 /** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are its atlas's. */
