@@ -1,4 +1,4 @@
-"""What is done before a scene is trained: poses are found, cameras out of step matched, those plainly wrong named."""
+"""What is done before a scene is trained: cameras out of step are matched, those plainly wrong named."""
 
 from __future__ import annotations
 
@@ -9,26 +9,9 @@ from pathlib import Path
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.trainer.data.between import in_step, read_offsets
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of
-from airgs_codec.trainer.data.readers import is_unposed
-from airgs_codec.trainer.data.rig import find_poses
 from airgs_codec.trainer.settings import AUTO, OFF
 
 SHOWN = 4  # cameras that a line names, those furthest out of step
-
-
-def pose_rig(scene: Path, *, frame: int = 0, shared_lens: bool = False, quiet: bool) -> None:
-    """Find the poses of a rig that has none (`find_poses`), and say what came of it; other scenes are left alone."""
-    if not is_unposed(scene):
-        return
-    if not quiet:
-        say(f"{scene}: videos without poses; COLMAP finds them from frame {frame}, which takes minutes")
-    with closing(Bar(quiet)) as bar:
-        report = find_poses(scene, frame=frame, shared_lens=shared_lens, progress=bar)
-    if not quiet:
-        say("\n".join([*report.lines(), f"{scene / 'sparse'}: {report.summary()}"]))
-    if report.failed:
-        names = ", ".join(camera.name for camera in report.failed)
-        warn(f"warning: trained without cameras that have no pose: {names}")
 
 
 def match_cameras(

@@ -23,7 +23,7 @@ from airgs_codec.cli.common import (
     report,
 )
 from airgs_codec.cli.common import frames as frames_option
-from airgs_codec.cli.matching import match_cameras, pose_rig
+from airgs_codec.cli.matching import match_cameras
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
@@ -55,7 +55,7 @@ class Train:
 
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
-        "or poses_bounds.npy, and pictures or a video of each camera; or videos alone, which COLMAP finds poses for"
+        "or poses_bounds.npy, and pictures or a video of each camera"
     )
     output: Path | None = setting(None, "model folder (default: SCENE.gaussians)", short="-o", metavar="DIR")
     resume: bool = setting(False, "go on with the run in the model folder")
@@ -90,10 +90,6 @@ class Train:
         metavar="UNITS",
         topic="scene",
     )
-    lenses: str = setting(
-        "own", "videos without poses: whether cameras have one lens", choices=("own", "shared"), topic="scene"
-    )
-    pose_frame: int = setting(0, "videos without poses: frame that poses are found from", topic="scene")
     sync: str = setting(
         AUTO,
         "whether cameras that are not in step are matched, by what moves: auto, off, or a JSON file with an object of "
@@ -189,9 +185,6 @@ def _scene(options: Train) -> MultiviewScene:
     expect_rate("--fps", options.fps)
     if options.near is not None and not 0 < options.near < float("inf"):
         raise ConfigError(f"--near: expected a positive distance, got {options.near}")
-    if options.pose_frame < 0:
-        raise ConfigError(f"--pose-frame: expected a frame of at least 0, got {options.pose_frame}")
-    pose_rig(options.scene, frame=options.pose_frame, shared_lens=options.lenses == "shared", quiet=options.json)
     scene = open_scene(options.scene, fps=options.fps)
     frames_of(scene, parse_frames(options.frames))  # those that are not there are told before anything is read
     names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
@@ -259,7 +252,6 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.record import known_offsets
 
-    pose_rig(scene, quiet=quiet)
     views, folder = with_held_out(open_scene(scene, fps=fps), None), default_model(scene)
     device = open_renderer(device).device
     views = match_cameras(views, (0, None), AUTO, known_offsets(folder), quiet=quiet)

@@ -60,23 +60,3 @@ def _picture(camera: Camera, walls: list[np.ndarray]) -> np.ndarray:
         warped = cv2.warpPerspective(picture, homography, (camera.width, camera.height), flags=cv2.INTER_AREA)
         out[ones > 0] = warped[ones > 0]
     return out
-
-
-def aligned_errors(found: list[Camera], truth: list[Camera]) -> tuple[float, float]:
-    """Largest rotation in degrees and largest distance over the rig's size, after the best similarity (Umeyama 1991).
-
-    Cameras are compared by name.
-    """
-    by_name = {c.name: c for c in truth}
-    pairs = [(c, by_name[c.name]) for c in found]
-    a, b = (np.stack([pair[i].position for pair in pairs]) for i in range(2))
-    middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
-    u, s, vt = np.linalg.svd((b - middle_b).T @ (a - middle_a))
-    signs = np.array([1, 1, np.sign(np.linalg.det(u @ vt))])
-    rotation = u * signs @ vt
-    scale = (s * signs).sum() / ((a - middle_a) ** 2).sum()
-    moved = scale * (a - middle_a) @ rotation.T + middle_b
-    size = np.linalg.norm(b[:, None] - b[None], axis=2).max()
-    turns = [y.world_to_camera[:3, :3] @ rotation @ x.world_to_camera[:3, :3].T for x, y in pairs]
-    angles = [np.degrees(np.arccos(np.clip((np.trace(t) - 1) / 2, -1, 1))) for t in turns]
-    return max(angles), float(np.linalg.norm(moved - b, axis=1).max() / size)

@@ -25,7 +25,6 @@ from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames
 from airgs_codec.trainer.data.colmap import has_colmap, has_hifi4g, read_colmap, read_hifi4g
 from airgs_codec.trainer.data.multiview import MultiviewScene, Points, Shot, Source, frames_of, in_frames
-from airgs_codec.trainer.data.rig import has_rig, read_rig
 from airgs_codec.trainer.data.videos import VIDEO_SUFFIXES, CameraFilm, read_poses_bounds, scene_from_films
 
 POINT_FILES = (
@@ -103,7 +102,6 @@ FORMATS = (  # the first that recognises a folder reads it
     Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
     Format("COLMAP's sparse/", has_colmap, read_colmap),
     Format(llff.NAME, _has(llff.NAME), read_poses_bounds),
-    Format("videos of several cameras", has_rig, read_rig),
 )
 
 
@@ -112,11 +110,6 @@ def is_multiview(folder: Path) -> bool:
     if not folder.is_dir() or has_frames(folder, apart_from=POINT_FILES):
         return False
     return any(entry.recognise(folder) for entry in FORMATS)
-
-
-def is_unposed(folder: Path) -> bool:
-    """Whether a folder has videos of cameras whose poses must be found first (`train.data.rig.find_poses`)."""
-    return has_rig(folder) and not any(entry.recognise(folder) for entry in FORMATS if entry.recognise is not has_rig)
 
 
 def open_scene(
