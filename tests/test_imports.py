@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "gsply": {"scene/formats/spz.py"},
     "pygltflib": set(),  # of tests alone
     "av": {"media/h264.py", "media/movie.py", "media/sound.py"},
-    "cv2": {"media/image.py", "media/masks.py"},
+    "cv2": {"media/image.py"},
     "PIL": {"media/image.py"},
     "colour": {"media/colour.py"},
     "numba": {

@@ -138,8 +138,7 @@ def train(options: Train) -> int:
     scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
     if options.work.part:
         return _train_part(options, scene, settings, device)
-    with closing(Bar(options.json)) as bar:
-        run = open_run(scene, folder, settings, resume=options.resume, device=device, progress=bar)
+    run = open_run(scene, folder, settings, resume=options.resume, device=device)
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 

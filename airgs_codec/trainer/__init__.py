@@ -55,7 +55,7 @@ def train(
     if views is not scene:
         known = known_offsets(model) if resume else None
         views = in_step(views, find_timing(views, progress=tell).offsets if known is None else known)
-    run = open_run(views, model, chosen, resume=resume, device=found, progress=tell)
+    run = open_run(views, model, chosen, resume=resume, device=found)
     for _ in train_frames(run, tell):
         pass
     return run.model

@@ -19,7 +19,6 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.beside import Usage
 from airgs_codec.trainer.capture import Capture, First
-from airgs_codec.trainer.data.foreground import finds_masks, with_found_masks
 from airgs_codec.trainer.data.multiview import (
     Contents,
     MultiviewScene,
@@ -32,7 +31,7 @@ from airgs_codec.trainer.data.multiview import (
 from airgs_codec.trainer.data.plates import Plate, find_plate, plate_sources
 from airgs_codec.trainer.fit.points import expect_overlap
 from airgs_codec.trainer.frames import chunks, position_after, train_chunk, train_first
-from airgs_codec.trainer.record import MASKS_NAME, FrameRecord, Model, Record, Span, TrainedFrame, open_model
+from airgs_codec.trainer.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.trainer.settings import OFF, TrainSettings
 
 
@@ -121,26 +120,12 @@ def open_run(
     *,
     resume: bool = False,
     device: str = "cpu",
-    progress: Progress = silent,
 ) -> Run:
-    """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises.
-
-    Masks that the scene lacks and shall have are found, and lie in the folder.
-    """
-    capture, finds = Capture.of(scene, settings, device), finds_masks(scene, settings)
-    whole = replace(settings, foreground=OFF, background=None)
-    check_pictures(Capture.of(scene, whole, device) if finds else capture)
+    """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises."""
+    capture = Capture.of(scene, settings, device)
+    check_pictures(capture)
     model = open_model(folder, Record.of(scene, capture.pictures.background, settings), resume)
     model.write_cameras(capture.pictures.cameras())
-    if finds:
-        try:
-            scene = with_found_masks(scene, folder / MASKS_NAME, progress)
-        except AirgsError:
-            if not model.record.frames:
-                model.discard()
-            raise
-        capture = Capture.of(scene, settings, device)
-        check_pictures(capture)  # masks may have been mended
     return Run(capture, model)
 
 
@@ -183,15 +168,10 @@ def train_part(scene: MultiviewScene, settings: TrainSettings, device: str, work
     """Do the jobs of `train_in_jobs` without a model folder; with the same store, that then only has to write it.
 
     Several runs with one store share the jobs: `work.part` says which come first here. Each ends when all are done.
-    Raises what `train_in_jobs` does, ConfigError on cuda, where no two runs would find the same first frame, and
-    where masks had to be found, which lie in a model folder.
+    Raises what `train_in_jobs` does, ConfigError on cuda, where no two runs would find the same first frame.
     """
     if device == "cuda":
         raise ConfigError("--part: expected --device cpu, where all parts find the same first frame, got cuda")
-    if finds_masks(scene, settings):
-        raise ConfigError(
-            "--part: expected masks beside the pictures with --foreground auto, which writes found ones into the model"
-        )
     capture = Capture.of(scene, settings, device)
     check_pictures(capture)
     farm = Farm.of(capture, work)

@@ -4,7 +4,6 @@
     sequence.json     frame rate and keyframes; transforms.json  cameras at training size
     usage.npz         usage of every Gaussian, when the run is complete
     networks-T.npz    weights of the MLPs after frame T, the last one, while there are frames to come
-    masks/            CAMERA/000000.png, where they were found; they may be mended
     training.json     settings and a record of every finished frame; written last, so that it names only whole frames
 
 A run that was killed goes on behind the last record. All that the next frame depends on is in these files.
@@ -13,7 +12,6 @@ A run that was killed goes on behind the last record. All that the next frame de
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
@@ -35,7 +33,6 @@ from airgs_codec.trainer.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
 CAMERAS_NAME = "transforms.json"
-MASKS_NAME = "masks"
 VERSION = 3
 
 Span = tuple[int, int]  # frames [start, stop)
@@ -172,7 +169,6 @@ class Model:
         """Remove the folder of a run that has no frame yet, unless something else is in it."""
         for path in (self.folder / RECORD_NAME, self.folder / CAMERAS_NAME):
             path.unlink(missing_ok=True)
-        shutil.rmtree(self.folder / MASKS_NAME, ignore_errors=True)
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 

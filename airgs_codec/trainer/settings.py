@@ -20,7 +20,7 @@ UNITS = ("step", "raw")
 STATIC = ("auto", "off")
 MATCHES = AUTO, ON, OFF = ("auto", "on", "off")
 GIVEN = "given"
-FOREGROUNDS = (OFF, GIVEN, AUTO)
+FOREGROUNDS = (OFF, GIVEN)
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
 PAPER_CAPACITY = 1_000_000  # where nothing but the inflation loss shall hold Gaussians back
 RANDOM = "random"  # a background: another colour at every step
@@ -133,8 +133,7 @@ class TrainSettings:
     )
     foreground: str = setting(
         OFF,
-        "train only what masks show: those of the scene (given), or else those found where its cameras stand still "
-        "(auto)",
+        "train all (off), or only what the masks of the scene show (given)",
         choices=FOREGROUNDS,
     )
     match_exposure: str = setting(
