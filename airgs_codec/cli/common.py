@@ -20,7 +20,7 @@ from airgs_codec.scene.beside import MAX_FPS, exact_number
 
 if TYPE_CHECKING:
     from airgs_codec.jobs.engines import Engine
-    from airgs_codec.jobs.work import Part, Work
+    from airgs_codec.jobs.work import Work
     from airgs_codec.package.tables import World
     from airgs_codec.progress import Progress
 
@@ -175,7 +175,7 @@ class WorldOptions:
 
 @dataclass(frozen=True, slots=True)
 class WorkOptions:
-    """Who does the work (docs/farm.md): processes of this machine, a Dask cluster, a share of several runs."""
+    """Who does the work (docs/farm.md): processes of this machine, or a Dask cluster."""
 
     jobs: int = setting(1, "processes that share the work")
     work: str | None = setting(
@@ -190,16 +190,10 @@ class WorkOptions:
         "processes on this machine",
         metavar="dask[:ADDRESS]",
     )
-    part: str | None = setting(
-        None,
-        "one of N runs that share --work, counted from 1, which do the jobs together; a run without --part, or "
-        "airgs-manifest merge, makes a whole of them",
-        metavar="I/N",
-    )
 
     def shared_by(self) -> str | None:
         """Returns the first of the options that is given; None where one process does everything by itself."""
-        given = {"--jobs": self.jobs != 1, "--executor": self.executor, "--work": self.work, "--part": self.part}
+        given = {"--jobs": self.jobs != 1, "--executor": self.executor, "--work": self.work}
         return next((name for name, value in given.items() if value), None)
 
     @contextmanager
@@ -210,25 +204,13 @@ class WorkOptions:
 
         if self.jobs < 1:
             raise ConfigError(f"--jobs: expected at least one process, got {self.jobs}")
-        if self.part and not self.work:
-            raise ConfigError("--part: expected --work, a place that all parts share, got none")
         with tempfile.TemporaryDirectory(prefix="airgs-work-") as folder:
             store = open_store(self.work) if self.work else open_store(Path(folder), lasting=False)
             engine = self._engine()
             try:
-                yield Work(store, engine, self._share(), progress)
+                yield Work(store, engine, progress)
             finally:
                 engine.close()
-
-    def _share(self) -> Part:
-        from airgs_codec.jobs.work import Part
-
-        if self.part is None:
-            return Part()
-        found = re.fullmatch(r"(\d+)/(\d+)", self.part)
-        if not found or not 1 <= int(found[1]) <= int(found[2]):
-            raise ConfigError(f"--part: expected I/N with 1 <= I <= N, got {self.part!r}")
-        return Part(int(found[1]) - 1, int(found[2]))
 
     def _engine(self) -> Engine:
         from airgs_codec.jobs.engines import InProcess, Processes

@@ -33,7 +33,7 @@ from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.cli.train import train_by_default
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import hold_frames
-from airgs_codec.encoder.publish import EncodeReport, encode_part
+from airgs_codec.encoder.publish import EncodeReport
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
@@ -43,13 +43,10 @@ from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import summarise
 from airgs_codec.inspect.text import format_ladder, format_summary
-from airgs_codec.jobs.report import NAME as JOBS_NAME
-from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.media.sound import encode_sound
-from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.package import open_package
 from airgs_codec.package.region import place_view
 from airgs_codec.places.place import is_address
-from airgs_codec.progress import Progress
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.trainer.data.readers import is_multiview
@@ -150,12 +147,9 @@ def encode(options: Encode) -> int:
         warn(line)
     prepare()
     with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
-        if options.work.part:
-            done = encode_part(sequence, settings, work, goal=goal)
-        else:
-            done = publish(sequence, target, settings, goal=goal, work=work)
+        done = publish(sequence, target, settings, goal=goal, work=work)
         if options.report:
-            _report(options.report, sequence, None if options.work.part else open_package(target), done, bar)
+            write_report(options.report, sequence, open_package(target), done, bar)
     if options.contact_sheet:
         region = done.manifest.region
         places = [place_view(region, place, f"place {i}") for i, place in enumerate(region.places)]
@@ -163,27 +157,12 @@ def encode(options: Encode) -> int:
     for line in done.manifest.decisions:
         if line.startswith(GUESS):
             warn(line)
-    if options.work.part:
-        place = options.work.work
-        say(f"{place}: all jobs are done; airgs-manifest merge {place} -o {target} publishes the package")
-        return 0
     say(
         json.dumps(_as_json(done, target) | {"cameras": cameras})
         if options.json
         else _as_words(done, target, options.verbose)
     )
     return 0
-
-
-def _report(
-    folder: Path, given: GaussianSequence, package: Package | None, done: EncodeReport, progress: Progress
-) -> None:
-    """Write the page of a package; of a part, which publishes none, that of its jobs."""
-    if package:
-        write_report(folder, given, package, done, progress)
-    else:
-        folder.mkdir(parents=True, exist_ok=True)
-        write_jobs(folder / JOBS_NAME, done.records)
 
 
 def _settings(options: Encode) -> EncodeSettings:

@@ -118,33 +118,12 @@ def export_page(options: ExportPage) -> int:
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class Merge:
-    """Options of merge."""
-
-    work: str = required("what was --work of the parts: a folder, or s3://, gs://, az:// and a prefix, theirs alone")
-    output: str = required(PACKAGE, short="-o")
-
-
-@takes(Merge)
-def merge(options: Merge) -> int:
-    """Publish the package that runs of airgs-encode --part have made."""
-    from airgs_codec.encoder.publish import merge as publish
-    from airgs_codec.inspect.summary import summarise
-    from airgs_codec.inspect.text import format_summary
-    from airgs_codec.places.results import open_store
-
-    manifest, size = publish(open_store(options.work), options.output)
-    say(f"{format_summary(summarise(manifest, size))}\n\n{options.output}: {manifest.frames} frames")
-    return 0
-
-
 def make_manifest() -> App:
     """Returns the program with its commands."""
     app = make_app(
         "airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page."
     )
-    for command, name in ((inspect, "inspect"), (validate, "validate"), (export_page, "export-page"), (merge, "merge")):
+    for command, name in ((inspect, "inspect"), (validate, "validate"), (export_page, "export-page")):
         app.command(command, name=name)
     for place, words in (
         ("compare:compare", "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."),

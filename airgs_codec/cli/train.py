@@ -28,8 +28,6 @@ from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.job import Record
-from airgs_codec.jobs.report import NAME as JOBS_NAME
-from airgs_codec.jobs.report import write_report as write_jobs
 from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
@@ -136,8 +134,6 @@ def train(options: Train) -> int:
     folder = options.output or default_model(options.scene)
     known = known_offsets(folder) if options.resume else None
     scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
-    if options.work.part:
-        return _train_part(options, scene, settings, device)
     run = open_run(scene, folder, settings, resume=options.resume, device=device)
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
@@ -164,20 +160,6 @@ def _train_in_jobs(options: Train, run: Run) -> list[Record]:
     with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
         follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
         return work.records()
-
-
-def _train_part(options: Train, scene: MultiviewScene, settings: TrainSettings, device: str) -> int:
-    """Do the jobs, and write no model."""
-    from airgs_codec.trainer.pipeline import train_part
-
-    with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
-        train_part(scene, settings, device, work)
-        records = work.records()
-    if options.report:
-        options.report.mkdir(parents=True, exist_ok=True)
-        write_jobs(options.report / JOBS_NAME, records)
-    say(f"{options.work.work}: all jobs are done; the same command without --part writes the model")
-    return 0
 
 
 def _scene(options: Train) -> MultiviewScene:

@@ -32,7 +32,7 @@ from airgs_codec.encoder.pipeline import (
     with_rows_of_others,
 )
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
-from airgs_codec.encoder.publish import finish
+from airgs_codec.encoder.publish import write_package
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, join_surveys, plan_views
 from airgs_codec.encoder.verify import Attempt, encode_verified
@@ -223,7 +223,7 @@ def _begin(
         verified = encode_verified(attempt)
         decisions = [*verified.manifest.decisions, *found.decisions, *verified.stories]
         manifest = replace(verified.manifest, live=True, decisions=decisions)
-        finish(verified, manifest).write(work.store, Folder(stage), LiveClock(available, datetime.now(UTC)))
+        write_package(Folder(stage), verified.encoded, manifest, LiveClock(available, datetime.now(UTC)))
         base = verified.encoded.base_key(), verified.encoded.group(0)
         needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, verified.settings))
         shared = verified.settings.keys == KEPT and not any(frame in sequence.orders for frame in range(stop))

@@ -3,46 +3,34 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
-from airgs_codec.encoder.batch import EncodeProgress, calibrate_sequence
+from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence
 from airgs_codec.encoder.doubt import doubt_db
 from airgs_codec.encoder.measure import Rounds
-from airgs_codec.encoder.pipeline import GroupFiles
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.settings import DEFAULT_LEVELS, DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
-from airgs_codec.encoder.track import Tracked, tracked
-from airgs_codec.encoder.verify import Attempt, Verified, encode_verified
-from airgs_codec.errors import WorkError
-from airgs_codec.jobs.job import Record, Stored, code_digest, read_result
+from airgs_codec.encoder.track import tracked
+from airgs_codec.encoder.verify import Attempt, encode_verified
+from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.media.sound import SoundTrack, encode_sound
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import manifest_of, root_of, write_file
+from airgs_codec.package.package import write_file
 from airgs_codec.package.publish import staged_package, write_tables
-from airgs_codec.package.tables import Group, Root
 from airgs_codec.places.place import Folder, Place, place_at
-from airgs_codec.places.results import Store, pack, unpack
 from airgs_codec.progress import Progress, Stopwatch, silent, told
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
-PACKAGE_ENTRY = "package"  # of a store: what the last encode that was whole came to
-
-
-@dataclass(frozen=True, slots=True)
-class Beside:
-    """What goes into a package beside frames."""
-
-    attribution: str
-    sound: SoundTrack | None
+NO_FILES: Mapping[str, bytes] = {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,31 +92,6 @@ def doubt_words(unsure: float) -> str:
     return "whose doubt is not known" if math.isinf(unsure) else f"good to {doubt_db(unsure):.1f} dB"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Finished:
-    """A package whose files are results of jobs: all that is left is to write it."""
-
-    root: Root
-    groups: Sequence[Group]
-    shared: Mapping[str, bytes]  # files that are no group's
-    entries: Sequence[str]  # of a store: the `GroupFiles` of each group
-
-    def write(self, store: Store, place: Place, clock: LiveClock | None = None) -> int:
-        """Write all files, tables last; gives the length of tables and manifest.mpd together.
-
-        `clock`: of a package that grows. Raises WorkError where results are gone from the store.
-        """
-        for path, data in self.shared.items():
-            write_file(place, path, data)
-        for entry in self.entries:
-            group = read_result(store, Stored(entry))
-            if not isinstance(group, GroupFiles):
-                raise WorkError(f"{store.name}: expected the files of a group, got another result")
-            for path, data in group.files.items():
-                write_file(place, path, data)
-        return write_tables(place, manifest_of(self.root, self.groups), clock)
-
-
 def encode(
     sequence: GaussianSequence | str | Path,
     path: str | Path,
@@ -154,106 +117,56 @@ def encode(
     settings = argument("settings", settings, EncodeSettings, "EncodeSettings")
     if goal is not None:
         argument("goal", goal, Goal, "a Goal")
-    with staged_package(place_at(path)) as stage, _at(work, progress) as at:
-        report, finished = _encode(sequence, settings, goal, at)
-        at.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
-        return replace(report, manifest_bytes=finished.write(at.store, Folder(stage)))
-
-
-def encode_part(
-    sequence: GaussianSequence,
-    settings: EncodeSettings,
-    work: Work,
-    *,
-    goal: Goal | None = None,
-) -> EncodeReport:
-    """Do the jobs of `encode` without publishing anything; `merge` does that from the store of `work`.
-
-    Several runs with the same store share the jobs: `work.part` says which come first here. Each ends when all are
-    done, and does those that nobody else has done. Raises what `encode` raises.
-    """
-    work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), None)))  # what was there is not this package
-    report, finished = _encode(sequence, settings, goal, work)
-    work.store.write(PACKAGE_ENTRY, pack((code_digest(encode), finished)))
-    return report
-
-
-def merge(store: Store, path: str | Path) -> tuple[Manifest, int]:
-    """Publish what `encode_part` has left in a store; the tables, and the length of tables and manifest.mpd together.
-
-    Raises WorkError where there is no whole package, and what `encode` raises for `path`.
-    """
-    finished = _last_package(store)
-    with staged_package(place_at(path)) as stage:
-        size = finished.write(store, Folder(stage))
-    return manifest_of(finished.root, finished.groups), size
-
-
-def _last_package(store: Store) -> Finished:
-    data = store.read(PACKAGE_ENTRY)
-    try:
-        code, finished = (code_digest(encode), None) if data is None else unpack(data)
-    except (TypeError, ValueError):
-        code, finished = "", None
-    if code != code_digest(encode):
-        raise WorkError(f"{store.name}: expected a work folder of this version of airgs-codec, got one of another")
-    if not isinstance(finished, Finished):
-        raise WorkError(f"{store.name}: expected a work folder with all parts of a package, which no part has finished")
-    return finished
-
-
-@contextmanager
-def _at(work: Work | None, progress: Progress | type) -> Iterator[Work]:
-    if work is not None:
-        yield work
-        return
-    with temporary_work(told(progress)) as at:
-        yield at
+    working = temporary_work(told(progress)) if work is None else nullcontext(work)
+    with staged_package(place_at(path)) as stage, working as at:
+        return _encode(sequence, Folder(stage), settings, goal, at)
 
 
 def _encode(
-    sequence: GaussianSequence,
-    settings: EncodeSettings,
-    goal: Goal | None,
-    work: Work,
-) -> tuple[EncodeReport, Finished]:
-    beside = Beside(sequence.attribution, sequence.sound_track or _own_sound(sequence))
-    with tracked(hold_frames(sequence), settings, work) as found:
-        return _encode_rows(found, settings, goal, beside, work)
-
-
-def _encode_rows(
-    tracked: Tracked, settings: EncodeSettings, goal: Goal | None, beside: Beside, work: Work
-) -> tuple[EncodeReport, Finished]:
-    watch, sequence = Stopwatch(), tracked.sequence
-    held = hold_frames(sequence)
-    with closing(held):
+    sequence: GaussianSequence, place: Place, settings: EncodeSettings, goal: Goal | None, work: Work
+) -> EncodeReport:
+    """Track a sequence where its settings say so, encode it and write its files to a place."""
+    attribution, sound = sequence.attribution, sequence.sound_track or _own_sound(sequence)
+    with tracked(hold_frames(sequence), settings, work) as found, closing(hold_frames(found.sequence)) as held:
+        watch = Stopwatch()
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
-        original = prepare(ordered, settings, work, beside.attribution, tracked.views)
-        whole = EncodeProgress(work.progress, original, settings)
-        work = replace(work, progress=whole)
+        original = prepare(ordered, settings, work, attribution, found.views)
+        progress = EncodeProgress(work.progress, original, settings)
+        work = replace(work, progress=progress)
         if goal and goal.metric == DELTA_E:
             settings = weigh_colours(settings, original)
         survey_s = watch.lap()
-        found, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
+        calibrated, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
         rounds, given = Rounds(settings.measure_pictures), settings.levels != DEFAULT_LEVELS
-        attempt = Attempt(found.prepared, original, found.settings, work, found.expected, rounds, given)
+        attempt = Attempt(calibrated.prepared, original, calibrated.settings, work, calibrated.expected, rounds, given)
         if goal:
             attempt = search_quality(attempt, goal)
         search_s = watch.lap()
         verified = encode_verified(attempt)
-        whole.end()
-    decisions = [*tracked.notes, *verified.manifest.decisions, *found.decisions, *verified.stories]
-    manifest = replace(verified.manifest, decisions=decisions)
-    seconds = (rows_s, survey_s, calibrate_s, search_s, verified.encode_s, verified.measure_s)
-    rows = replace(ordered.rows, sequence=sequence)
-    finished = finish(verified, manifest)
-    if beside.sound:
-        manifest, files = add_sound(manifest, beside.sound)
-        groups, shared = list(manifest.groups), {**finished.shared, **files}
-        finished = replace(finished, root=root_of(manifest), groups=groups, shared=shared)
-    told = (found.saved, goal, attempt.trials, verified.stories, verified.unsure)
-    return EncodeReport(manifest, 0, rows, *seconds, found.cached, work.records(), *told), finished
+        progress.end()
+    decisions = [*found.notes, *verified.manifest.decisions, *calibrated.decisions, *verified.stories]
+    manifest, files = replace(verified.manifest, decisions=decisions), {}
+    if sound:
+        manifest, files = add_sound(manifest, sound)
+    size = write_package(place, verified.encoded, manifest, more_files=files)
+    return EncodeReport(
+        manifest,
+        size,
+        replace(ordered.rows, sequence=found.sequence),
+        rows_s,
+        survey_s,
+        calibrate_s,
+        search_s,
+        verified.encode_s,
+        verified.measure_s,
+        calibrated.cached,
+        work.records(),
+        calibrated.saved,
+        goal,
+        attempt.trials,
+        verified.stories,
+        verified.unsure,
+    )
 
 
 def _own_sound(sequence: GaussianSequence) -> SoundTrack | None:
@@ -262,8 +175,19 @@ def _own_sound(sequence: GaussianSequence) -> SoundTrack | None:
     return None if data is None else encode_sound(sequence.paths[0], len(sequence) / sequence.fps, data)
 
 
-def finish(verified: Verified, manifest: Manifest) -> Finished:
-    """A verified package with tables that say so."""
-    encoded = verified.encoded
-    entries = [one.entry for one in encoded.files]
-    return Finished(root_of(manifest), list(manifest.groups), encoded.shared, entries)
+def write_package(
+    place: Place,
+    encoded: Encoded,
+    manifest: Manifest,
+    clock: LiveClock | None = None,
+    more_files: Mapping[str, bytes] = NO_FILES,
+) -> int:
+    """Write all files of a package, its tables last; gives the length of tables and manifest.mpd together.
+
+    `manifest`: its tables, measured. `clock`: of a package that grows.
+    """
+    groups = (encoded.group(number).files for number in range(len(encoded.files)))
+    for files in (encoded.shared, more_files, *groups):
+        for path, data in files.items():
+            write_file(place, path, data)
+    return write_tables(place, manifest, clock)

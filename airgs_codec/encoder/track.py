@@ -117,8 +117,6 @@ def tracked(sequence: GaussianSequence, settings: EncodeSettings, work: Work) ->
         place = work.store.place
         within = place.path if isinstance(place, Folder) else Path(temporary)
         model = within / f"tracked-{digest(names, cameras)[:16]}"
-        if work.part.count > 1:  # each part writes what all of them have found
-            model = Path(temporary) / model.name
         yield _track(sequence, names, model, cameras, views, work)
 
 
@@ -130,7 +128,7 @@ def _track(
 
     scene = drawn_scene(sequence, names, cameras, views.renderer)
     run = open_run(scene, folder, track_settings(sequence), resume=True, device=views.renderer.device)
-    here = isinstance(work.engine, InProcess) and work.part.count == 1
+    here = isinstance(work.engine, InProcess)
     for frame in train_frames(run) if here else train_in_jobs(run, work):
         work.progress("tracking", frame.frame + 1, len(sequence))
     record = run.model.record

@@ -30,27 +30,12 @@ from airgs_codec.progress import Progress, silent
 LOSSES = 100  # results that are found to be gone while jobs of one kind are done, and made again
 
 
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Which jobs come first here, where several runs without an engine between them share a store."""
-
-    index: int = 0  # below count
-    count: int = 1
-
-    def order(self, jobs: Sequence[Job]) -> list[Job]:
-        """Its own jobs, then those of the others from the last one on, in case nobody else does them."""
-        own = list(jobs[self.index :: self.count])
-        others = [job for place, job in enumerate(jobs) if place % self.count != self.index]
-        return own + others[::-1]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Work:
     """Jobs are done by an engine, each once; results stay in a store."""
 
     store: Store
     engine: Engine = field(default_factory=InProcess)
-    part: Part = Part()
     progress: Progress = silent  # is told of jobs, and of what else goes on between them
     asked: dict[str, Job] = field(default_factory=dict)  # all jobs so far by their entries, in order
 
@@ -71,7 +56,7 @@ class Work:
                 self.run([lost])
 
     def _run_missing(self, unique: Sequence[Job]) -> None:
-        missing = [job for job in self.part.order(unique) if not self.store.has(job.entry)]
+        missing = [job for job in unique if not self.store.has(job.entry)]
         done = len(unique) - len(missing)
         if not missing:
             return

@@ -164,21 +164,6 @@ def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
     return _train(run, Farm.of(run.capture, work), work.progress)
 
 
-def train_part(scene: MultiviewScene, settings: TrainSettings, device: str, work: Work) -> None:
-    """Do the jobs of `train_in_jobs` without a model folder; with the same store, that then only has to write it.
-
-    Several runs with one store share the jobs: `work.part` says which come first here. Each ends when all are done.
-    Raises what `train_in_jobs` does, ConfigError on cuda, where no two runs would find the same first frame.
-    """
-    if device == "cuda":
-        raise ConfigError("--part: expected --device cpu, where all parts find the same first frame, got cuda")
-    capture = Capture.of(scene, settings, device)
-    check_pictures(capture)
-    farm = Farm.of(capture, work)
-    trained = farm.first()
-    work.run(list(farm.chunks(First(trained.gaussians, trained.exposure)).values()))
-
-
 def _train(run: Run, driver: Here | Farm, progress: Progress) -> Iterator[FrameRecord]:
     model = run.model
     if model.finished():

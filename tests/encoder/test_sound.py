@@ -114,11 +114,3 @@ def test_the_commands_take_it_and_say_it(folder, tmp_path, capsys):
         assert command.main(wrong) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line
-
-
-def test_it_goes_through_a_work_folder(folder, tmp_path):
-    scene, work = str(folder / "scene"), str(tmp_path / "work")
-    options = ["--preset", "quick", "--measure-pictures", "0", "--fps", "30", "--audio", str(folder / "a.wav")]
-    assert command.main([scene, "-o", str(tmp_path / "one"), *options, "--work", work, "--part", "1/1"]) == 0
-    assert manifest.main(["merge", work, "-o", str(tmp_path / "one")]) == 0
-    assert open_package(tmp_path / "one").manifest.sound and validate(tmp_path / "one") == []

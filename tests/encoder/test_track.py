@@ -11,12 +11,12 @@ import pytest
 from airgs_codec.analysis.flow import carry
 from airgs_codec.cli.encode import main as encode_command
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import encode, encode_part, merge
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, as_preview
 from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.work import Part, Work
+from airgs_codec.jobs.work import Work
 from airgs_codec.package.package import open_package
 from airgs_codec.places.results import open_store
 from airgs_codec.render import render
@@ -105,14 +105,11 @@ def test_chunks_are_tracked_alike_whoever_does_them(given, tmp_path, monkeypatch
     encode(given, tmp_path / "alone.airgs", SETTINGS)
     with closing(Processes(2)) as engine:
         encode(given, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), engine))
-    for index in (0, 1):
-        encode_part(given, SETTINGS, Work(open_store(tmp_path / "parts"), part=Part(index, 2)))
-    merge(open_store(tmp_path / "parts"), tmp_path / "parts.airgs")
-    alone, jobs, parts = (
+    alone, jobs = (
         {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-        for folder in (tmp_path / f"{name}.airgs" for name in ("alone", "jobs", "parts"))
+        for folder in (tmp_path / f"{name}.airgs" for name in ("alone", "jobs"))
     )
-    assert alone == jobs == parts
+    assert alone == jobs
     starts = [group.start for group in open_package(tmp_path / "alone.airgs").manifest.groups]
     assert 3 in starts
 

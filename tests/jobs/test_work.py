@@ -7,7 +7,7 @@ import pytest
 from airgs_codec.errors import FormatError, WorkError
 from airgs_codec.jobs.engines import DEATHS, InProcess, Processes
 from airgs_codec.jobs.job import Job, perform
-from airgs_codec.jobs.work import Part, Work
+from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import open_store, seal, unseal
 from tests.support.jobs import calls, die, die_once, refuse, square, total
 
@@ -69,15 +69,6 @@ def test_results_that_are_gone_when_others_read_them_are_made_again(tmp_path, pr
         file.write_bytes(file.read_bytes()[:-1])
     work.run(joined)
     assert [work.result(job) for job in joined] == [1 + 4, 4 + 9]
-
-
-def test_every_part_begins_with_its_own_jobs_and_ends_with_all(tmp_path):
-    jobs = squares(tmp_path, 7)
-    orders = [[int(job.entry, 16) for job in Part(index, 3).order(jobs)] for index in range(3)]
-    assert orders == [[0, 3, 6, 5, 4, 2, 1], [1, 4, 6, 5, 3, 2, 0], [2, 5, 6, 4, 3, 1, 0]]
-    for index in (1, 0, 2):
-        Work(open_store(tmp_path / "work"), part=Part(index, 3)).run(jobs)
-    assert calls(tmp_path) == {str(n): 1 for n in range(7)}
 
 
 @pytest.mark.parametrize("several", [False, True])

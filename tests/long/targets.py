@@ -22,7 +22,7 @@ import numpy as np
 
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.encoder.publish import encode_part, merge
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import AirgsError
 from airgs_codec.inspect.summary import summarise
@@ -217,12 +217,10 @@ def read_rig(files: Files) -> str:
 
 
 def read_store(files: Files) -> str:
-    """Read all results of an encode, and make a package of them."""
+    """Read all results of an encode."""
     store = Store(Memory("store", dict(files)))
     for name in files:
         load(store, name.rpartition("/")[2])
-    with tempfile.TemporaryDirectory() as folder:
-        merge(Store(Memory("store", dict(files))), Path(folder) / "out.airgs")
     return ""
 
 
@@ -280,7 +278,8 @@ def _stored() -> Files:
     place = Memory("store")
     settings = EncodeSettings(calibrate="none", measure_pictures=0, decide_pictures=1, preset="ultrafast", threads=1)
     with tempfile.TemporaryDirectory() as folder:
-        encode_part(open_sequence(write_sequence(Path(folder), moving_frames(60, 3))), settings, Work(Store(place)))
+        scene = open_sequence(write_sequence(Path(folder) / "scene", moving_frames(60, 3)))
+        encode(scene, Path(folder) / "out.airgs", settings, work=Work(Store(place)))
     return place.files
 
 

@@ -11,20 +11,20 @@ import pytest
 from dask.distributed import LocalCluster
 
 from airgs_codec.cli.train import main as train_main
-from airgs_codec.errors import ConfigError, WorkError
+from airgs_codec.errors import WorkError
 from airgs_codec.jobs import dask_engine
 from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.dask_engine import DaskEngine
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.jobs.job import Job
-from airgs_codec.jobs.work import Part, Work
+from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import read_picture, write_png
 from airgs_codec.places.results import open_store
 from airgs_codec.render.cpu import one_thread
 from airgs_codec.trainer import pipeline, train
 from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.pipeline import CHUNKS, FIRST, REST, Farm, Piece, open_run, train_in_jobs, train_part
+from airgs_codec.trainer.pipeline import CHUNKS, FIRST, REST, Farm, Piece, open_run, train_in_jobs
 from airgs_codec.trainer.record import read_model
 from tests.support.jobs import square
 from tests.support.training import SETTINGS
@@ -102,18 +102,6 @@ def test_networks_of_a_chunk_are_those_of_one_process(scene, tmp_path):
     train(scene, tmp_path / "whole", settings)
     train_with(scene, tmp_path / "jobs", Work(open_store(tmp_path / "work")), settings)
     assert files(tmp_path / "jobs") == files(tmp_path / "whole")
-
-
-def test_parts_in_any_order_leave_a_model_that_only_has_to_be_written(scene, expected, tmp_path, done):
-    store = open_store(tmp_path / "work")
-    for index in (1, 0):
-        train_part(scene, CHUNKED, "cpu", Work(store, part=Part(index, 2)))
-    assert [label for label in done if label.startswith("frames")] == SPANS[::-1]
-    done.clear()
-    train_with(scene, tmp_path / "m", Work(store))
-    assert not done and files(tmp_path / "m") == expected
-    with pytest.raises(ConfigError, match="--part: expected --device cpu"):
-        train_part(scene, CHUNKED, "cuda", Work(store))
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch, done):
@@ -239,7 +227,6 @@ def test_a_job_on_a_gpu_says_so(scene, tmp_path):
         (["--work", "somewhere"], "--work: expected --group-frames"),
         (["--executor", "dask"], "--executor: expected --group-frames"),
         (["--group-frames", "0"], "chunks of at least one frame"),
-        (["--group-frames", "2", "--part", "1/2"], "--part: expected --work"),
         (["--group-frames", "2", "--executor", "ray"], "expected dask or dask:ADDRESS"),
     ],
 )
@@ -250,13 +237,11 @@ def test_options_that_cannot_work_are_one_line_and_exit_2(blobs, tmp_path, capsy
     assert not list(tmp_path.glob("m/*.ply"))
 
 
-def test_the_command_trains_in_parts_and_reports(blobs, tmp_path, capsys):
+def test_the_command_trains_in_jobs_and_reports(blobs, tmp_path, capsys):
     words = [str(blobs), "--device", "cpu", "--iterations", "9,4,2", "--budget", "150", "--sh-degree", "0"]
     words += ["--min-psnr", "0", "--max-drop", "99", "--frames", "0:4"]
     words += ["--group-frames", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "r")]
-    assert train_main([*words, "--part", "1/1"]) == 0
-    assert "the same command without --part" in capsys.readouterr().out
-    assert "chunks of frames" in (tmp_path / "r" / "jobs.html").read_text()
     assert train_main([*words, "-o", str(tmp_path / "m"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["keyframes"] == [0, 2]
     assert 'href="jobs.html"' in (tmp_path / "r" / "index.html").read_text()
+    assert "chunks of frames" in (tmp_path / "r" / "jobs.html").read_text()

@@ -6,16 +6,13 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.cli import encode as command
-from airgs_codec.cli import manifest
-from airgs_codec.encoder.publish import PACKAGE_ENTRY, encode, encode_part, merge
-from airgs_codec.encoder.search import PSNR, Goal
+from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import WorkError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.work import Part, Work
-from airgs_codec.places.results import open_store, pack, unpack
+from airgs_codec.jobs.work import Work
+from airgs_codec.places.results import open_store
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.mutations import read_files
@@ -57,29 +54,9 @@ def test_processes_write_the_same_bytes(scene, expected, tmp_path):
     assert {kind: kinds.count(kind) for kind in ("survey", "keys", "states")} == {"survey": 3, "keys": 2, "states": 3}
 
 
-def test_parts_in_any_order_are_merged_to_the_same_bytes(scene, expected, tmp_path):
-    store = open_store(tmp_path / "work")
-    with pytest.raises(WorkError, match="which no part has finished"):
-        merge(store, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-    for index in (1, 0):
-        encode_part(open_sequence(scene), SETTINGS, Work(store, part=Part(index, 2)))
-    merge(store, tmp_path / "out")
-    assert read_files(tmp_path / "out") == expected
-    code, finished = unpack(store.read(PACKAGE_ENTRY))
-    store.write(finished.entries[0], pack(1))
-    with pytest.raises(WorkError, match="expected the files of a group"):
-        merge(store, tmp_path / "out")
-    store.write(PACKAGE_ENTRY, pack((code, 1)))
-    with pytest.raises(WorkError, match="which no part has finished"):
-        merge(store, tmp_path / "out")
-    assert read_files(tmp_path / "out") == expected
-
-
-def test_an_object_store_holds_the_work_of_parts(scene, expected, bucket, tmp_path):
+def test_an_object_store_holds_the_work(scene, expected, bucket, tmp_path):
     store = open_store(f"{bucket}/work")
-    encode_part(open_sequence(scene), SETTINGS, Work(pickle.loads(pickle.dumps(store))))
-    merge(store, tmp_path / "out")
+    encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(pickle.loads(pickle.dumps(store))))
     assert read_files(tmp_path / "out") == expected
     store.write("ab", b"1")
     store.place.write("ab/ab", b"damaged")
@@ -128,32 +105,19 @@ PLAIN = {
 }  # fmt: skip
 
 
-def test_a_goal_is_reached_with_the_same_bytes(scene, tmp_path):
-    sequence, goal = open_sequence(scene), Goal(PSNR, 41.5)
-    settings = EncodeSettings(**PLAIN)
-    encode(sequence, tmp_path / "whole", settings, goal=goal)
-    store = open_store(tmp_path / "work")
-    encode_part(sequence, settings, Work(store), goal=goal)
-    merge(store, tmp_path / "merged")
-    assert read_files(tmp_path / "merged") == read_files(tmp_path / "whole")
-
-
-def test_the_commands_share_work_and_merge(scene, tmp_path, capsys):
+def test_the_command_shares_the_work_and_reports_it(scene, tmp_path):
     words = [str(scene), "--preset", "quick", "--group-frames", "4", "--x264-preset", "ultrafast"]
-    page, shared = tmp_path / "jobs" / "jobs.html", ["--work", str(tmp_path / "work")]
-    for part in ("2/2", "1/2"):
-        assert command.main([*words, *shared, "--part", part, "--report", str(page.parent)]) == 0
-        assert "airgs-manifest merge" in capsys.readouterr().out
-    assert "<svg" in page.read_text() and "states" in page.read_text()
-    assert manifest.main(["merge", str(tmp_path / "work"), "-o", str(tmp_path / "merged")]) == 0
+    shared = ["--jobs", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "report")]
+    assert command.main([*words, "-o", str(tmp_path / "shared"), *shared]) == 0
+    page = (tmp_path / "report" / "jobs.html").read_text()
+    assert "<svg" in page and "states" in page
     assert command.main([*words, "-o", str(tmp_path / "out")]) == 0
-    assert read_files(tmp_path / "merged") == read_files(tmp_path / "out")
+    assert read_files(tmp_path / "shared") == read_files(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--part", "1/2"], "--part: expected --work"),
         (["--jobs", "0"], "--jobs: expected at least one"),
         (["--executor", "ray"], "--executor: expected dask or dask:ADDRESS, got 'ray'"),
         (["--executor", "dask:tcp://h:1"], "expected --work, a place that all workers see"),
