@@ -23,7 +23,6 @@ from airgs_codec.cli.common import (
     report,
 )
 from airgs_codec.cli.common import frames as frames_option
-from airgs_codec.cli.matching import match_cameras
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
@@ -33,7 +32,7 @@ from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
+from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.trainer.pipeline import Run
@@ -44,6 +43,7 @@ FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 MATCHED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
+SHOWN = 4  # cameras that a line names, those furthest out of step
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 
@@ -171,6 +171,32 @@ def _scene(options: Train) -> MultiviewScene:
     names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
     scene = with_held_out(scene, names)
     return scene if options.near is None else with_near(scene, options.near)
+
+
+def match_cameras(
+    scene: MultiviewScene, span: tuple[int, int | None], sync: str, known: Mapping[str, float] | None, *, quiet: bool
+) -> MultiviewScene:
+    """The frames [A, B) of a scene with its cameras in step, as --sync says; what was found is said.
+
+    `known`: what the run that goes on has found, after which nothing is looked for again; None: it is a new one.
+    Raises SceneError for a file of offsets, or a picture, that cannot be used.
+    """
+    from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets  # what they import takes a second
+
+    if sync not in (AUTO, OFF):
+        return in_step(scene, read_offsets(Path(sync)), span)
+    if known is not None:
+        return in_step(scene, known if sync == AUTO else {}, span)
+    with closing(Bar(quiet)) as bar:
+        found = find_offsets(scene, span, bar) if sync == AUTO else {}
+    matched = in_step(scene, found, span)
+    if found and not quiet:
+        order = sorted(found, key=lambda name: -abs(found[name]))
+        words = [f"{name} is {abs(found[name]):g} frames {'late' if found[name] > 0 else 'early'}" for name in order]
+        more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
+        left = f"all have {len(matched)} of {len(range(*frames_of(scene, span)))} frames"
+        say(f"{', '.join(words[:SHOWN])}{more}: matched, {left}; --sync off leaves it")
+    return matched
 
 
 def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
