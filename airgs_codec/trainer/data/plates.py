@@ -26,11 +26,11 @@ from airgs_codec.trainer.data.pictures import (
     Exposure,
     Picture,
     Pictures,
+    Recent,
     Target,
     View,
     exposed_alike,
 )
-from airgs_codec.trainer.data.recent import Recent
 
 FEWEST = 3  # frames of a run that has plates
 SAMPLES = 16  # most frames that a plate is the median of
