@@ -27,7 +27,6 @@ from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.job import Record
-from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
@@ -267,14 +266,14 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
 
 
 def run_training(run: Run, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
-    """Train frame after frame with a progress bar, and say what it takes and what is done.
+    """Train frame after frame with a progress bar, and say what is done.
 
     `page`: writes a page of the run so far, which it does now and then.
     """
     from airgs_codec.trainer.pipeline import train_frames
 
     if not quiet and not run.model.finished():
-        say(foretold(run))
+        say(to_train(run))
     bar = Bar(quiet)
     return follow_training(run, train_frames(run, bar), bar, quiet=quiet, page=page)
 
@@ -300,18 +299,13 @@ def follow_training(
     return run.model
 
 
-def foretold(run: Run) -> str:
-    """Return what there is to train, and about how long that takes and how much memory."""
-    from airgs_codec.trainer.plan import foretell
-
-    capture, done = run.capture, len(run.model.record.frames)
-    seconds, memory = foretell(capture.trainer, capture.views(0), len(capture.scene), done)
-    seen = capture.pictures.cameras()[0]
-    held_out = sum(camera.held_out for camera in capture.scene.cameras)
-    cameras = f"{len(capture.scene.cameras) - held_out} training cameras and {held_out} held out"
-    frames = f"{len(capture.scene) - done} frames of {seen.width}x{seen.height}"
-    takes = f"{about(*seconds)} and {memory / 1e9:.1f} GB"
-    return f"{capture.scene.path}: {frames}, {cameras}: {takes}"
+def to_train(run: Run) -> str:
+    """What there is to train."""
+    scene, seen = run.capture.scene, run.capture.pictures.cameras()
+    held_out = sum(camera.held_out for camera in seen)
+    cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
+    left = len(scene) - len(run.model.record.frames)
+    return f"{scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}"
 
 
 def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:

@@ -34,7 +34,7 @@ def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
     words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(tmp_path / "r"), *QUICK, "--frames", "0:2"]
     assert train_main(words) == 0
     out = capsys.readouterr().out
-    assert f"{blobs}: 2 frames of 40x40, 6 training cameras and 1 held out: about " in out
+    assert f"{blobs}: 2 frames of 40x40, 6 training cameras and 1 held out\n" in out
     assert "first frame" in out and "held-out" in out and out.count("\nframe") == 2
     assert "dB (mean over views and frames)" in out  # packages pool the squared error of all views instead
     assert {"index.html", "frame-000000.png", "frame-000001.png"} <= {p.name for p in (tmp_path / "r").iterdir()}

@@ -11,10 +11,10 @@ from airgs_codec.render import measure_contribution
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.beside import load_usage
 from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.trainer.capture import group_usage
 from airgs_codec.trainer.data.pictures import pictures_for
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.losses import codec_steps
-from airgs_codec.trainer.fit.usage import group_usage
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, open_model
 from airgs_codec.trainer.settings import TrainSettings
 from tests.support.multiview_files import write_views
