@@ -139,9 +139,6 @@ def _good(record: Record) -> str:
     limit, first = record.settings.get("budget"), frames[0].gaussians
     of = f" of a budget of {limit:,}" if limit else ""
     told.append(f"The model has {first:,} Gaussians{of} and took {about(sum(r.seconds for r in frames))}.")
-    if limit_s := record.settings.get("seconds_per_frame"):
-        late = sum(r.seconds > limit_s for r in frames[1:])
-        told.append(f"{late} of {len(frames) - 1} frames took longer than the {limit_s:g} s of --seconds-per-frame.")
     return " ".join(told)
 
 

@@ -64,12 +64,6 @@ class TrainSettings:
     )
     key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
-    seconds_per_frame: float | None = setting(
-        None,
-        "seconds that a fit of a frame behind the first takes at most, about, with fewer iterations where they are too "
-        "many; two runs are then no longer the same",
-        default="as many as its iterations need",
-    )
     iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
     deltas: str = setting(
         "direct",
@@ -181,10 +175,6 @@ class TrainSettings:
             (
                 self.group_frames is None or self.group_frames >= 1,
                 f"expected chunks of at least one frame, got {self.group_frames}",
-            ),
-            (
-                self.seconds_per_frame is None or self.seconds_per_frame > 0,
-                f"expected a positive number of seconds a frame, got {self.seconds_per_frame}",
             ),
             (self.iteration_views >= 1, f"expected at least one picture an iteration, got {self.iteration_views}"),
             (0 <= self.coarse <= 1, f"expected a coarse share of 0 to 1, got {self.coarse}"),

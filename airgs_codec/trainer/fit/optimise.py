@@ -7,8 +7,6 @@ N Gaussians, V views, H x W pixels.
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -28,8 +26,6 @@ from airgs_codec.trainer.data.pictures import Picture, Target, View
 from airgs_codec.trainer.fit.losses import LAMBDA, ExposureModel, photometric
 from airgs_codec.trainer.fit.parameters import Parameters, render_views
 
-TRIED = 10  # iterations that tell how long all take
-WHOLE_COST = 2.5  # times as long as one that sees half the size takes an iteration that sees all
 LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
 
 
@@ -60,14 +56,6 @@ class Schedule:
     views: int = 1  # pictures an iteration, whose losses are averaged
     ssim_weight: float = LAMBDA
     coarse: float = 0.0  # share of the iterations, the first ones, that see pictures of half the size
-    most_s: float = math.inf  # seconds that it may take, about; where it would take more there are fewer iterations
-
-    def within(self, tried: int, took_s: float) -> int:
-        """The iterations of a fit whose first `tried` ones took so long."""
-        if math.isinf(self.most_s):
-            return self.iterations
-        dear = self.coarse + (1 - self.coarse) * WHOLE_COST if self.coarse else 1.0
-        return min(self.iterations, max(tried + 1, tried + int((self.most_s - took_s) / (dear * took_s / tried))))
 
 
 class Deck:
@@ -125,16 +113,15 @@ def optimise(
     `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
     finite, on CUDA up to LOOK_EVERY iterations later.
     """
-    begun = time.perf_counter()
     deck = Deck(len(views), rng)
     losses: Losses | None = None
     count = min(schedule.views, len(views))
     schedule = schedule if can_be_halved(views) else replace(schedule, coarse=0.0)
-    iteration, iterations = 0, schedule.iterations
-    whole, views = views, [halve(view) for view in views] if round(schedule.coarse * iterations) else views
-    while iteration < iterations:
-        iteration += 1
-        if iteration > round(schedule.coarse * iterations):
+    iterations = schedule.iterations
+    halved = round(schedule.coarse * iterations)
+    whole, views = views, [halve(view) for view in views] if halved else views
+    for iteration in range(1, iterations + 1):
+        if iteration > halved:
             views = whole
         chosen = deck.take(count)
         for index in deck.ahead(count):
@@ -152,8 +139,6 @@ def optimise(
         variables.step(iteration, iterations)
         if exposure:
             exposure.step()
-        if iteration == TRIED < iterations:
-            iterations = schedule.within(TRIED, time.perf_counter() - begun)
         progress(schedule.stage, iteration, iterations)
 
 

@@ -5,9 +5,8 @@ N Gaussians, U of them those of the frame before.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -113,7 +112,7 @@ class Trainer:
             s.temporal.until,
             resting=scope.resting,
         )
-        schedule = self._bounded(self.schedule("motion", iterations, self.full_sh_degree, s.coarse))
+        schedule = self.schedule("motion", iterations, self.full_sh_degree, s.coarse)
         optimise(fitted, scope.views, schedule, self.rng(target.frame, 2), progress=progress)
         found = to_gaussians(fitted.detached())
         return better(before.gaussians, found, target.views[::2], self.renderer) if s.keep_better else found
@@ -160,7 +159,7 @@ class Trainer:
             densifier=Densifier(self.growth(most, scope.views), len(base["means"]), rng),
             resting=scope.resting,
         )
-        schedule = self._bounded(self.schedule("keyframe", s.key_iterations, self.full_sh_degree))
+        schedule = self.schedule("keyframe", s.key_iterations, self.full_sh_degree)
         optimise(variables, scope.views, schedule, rng, progress=progress)
         variables.remove_fainter(self.least_opacity)
         return to_moving(variables.detached())
@@ -237,10 +236,6 @@ class Trainer:
         """A fit of so many iterations, as the settings have it; see `Schedule`."""
         s = self.settings
         return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight, coarse)
-
-    def _bounded(self, schedule: Schedule) -> Schedule:
-        """The same that takes no longer than a frame may."""
-        return replace(schedule, most_s=self.settings.seconds_per_frame or math.inf)
 
     def full_sh_degree(self, done: float) -> int:
         """All SH bands from the start."""
