@@ -18,7 +18,7 @@ from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
-from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
+from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle
 from airgs_codec.trainer.fit.losses import codec_steps
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Parameters
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
@@ -105,9 +105,8 @@ class Capture:
 
     def with_plates(self, plates: Iterable[Plate]) -> Capture:
         """The same that knows what rests; `plates`: of every training camera, or none at all."""
-        names = [camera.name for camera in self.scene.cameras if not camera.held_out]
-        stored = [stored_plate(plate, len(names)) for plate in plates]
-        return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
+        names, found = [camera.name for camera in self.scene.cameras if not camera.held_out], list(plates)
+        return replace(self, plates=dict(zip(names, found, strict=True)) if found else {})
 
     def told(self, progress: Progress) -> RunProgress:
         """Progress of the whole run."""
@@ -126,7 +125,7 @@ class Capture:
         views = self.pictures.train(frame)
         if not views:
             raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return settle(views, self.plates, self.pictures.exposure).views if self.plates else views
+        return settle(views, self.plates, self.pictures.exposure)[0] if self.plates else views
 
     def first(self) -> FrameViews:
         """The first frame of the run as it is fitted: cameras that saw it before its time saw it after that, too."""
@@ -153,9 +152,9 @@ class Capture:
             return FrameViews(target.frame, [], Masks([]))
         seen, moving = self.pictures.train(frame), None
         if self.plates:
-            now = settle(seen, self.plates, self.pictures.exposure)
-            then = target.moving or now.moving
-            seen, moving = now.views, Masks(then[i] | now.moving[i] for i in early)
+            seen, now = settle(seen, self.plates, self.pictures.exposure)
+            then = target.moving or now
+            moving = Masks(then[i] | now[i] for i in early)
         return FrameViews(target.frame, [replace(seen[i], after=seen[i].after + 1) for i in early], moving)
 
     def target(self, frame: int, start: int) -> FrameViews:
@@ -166,10 +165,10 @@ class Capture:
         before = self._moving.pop(start, None)  # pictures of a frame that is past may be out of memory
         if before is None:
             before = find_moving(self.pictures.train(start), self.plates, exposure)
-        now = settle(self.pictures.train(frame), self.plates, exposure)
+        views, now = settle(self.pictures.train(frame), self.plates, exposure)
         self._moving.clear()
-        self._moving[frame] = now.moving
-        return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
+        self._moving[frame] = now
+        return FrameViews(frame, views, Masks(a | b for a, b in zip(before, now, strict=True)))
 
     def given(self, frame: int) -> Gaussians:
         """The Gaussians that the pictures of a frame are drawn from, repaired. Raises SceneError for a broken file."""

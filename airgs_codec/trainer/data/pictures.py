@@ -7,10 +7,8 @@ H x W pixels, n = 3 W interleaved samples a row.
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
@@ -43,56 +41,32 @@ Value = TypeVar("Value", bound=Sized)
 
 
 class Recent(Generic[Key, Value]):
-    """The values used last. Several threads may ask; values are made one at a time."""
+    """Values that are made when they are asked for, of which those used last stay in memory."""
 
     def __init__(self, make: Callable[[Key], Value], most: int) -> None:
         """`most`: bytes that stay together; the value that was asked for last stays whatever it takes."""
         self._make = make
         self._most = most
         self._values: OrderedDict[Key, Value] = OrderedDict()
-        self._making = threading.Lock()
-        self._changing = threading.Lock()
-        self._thread: ThreadPoolExecutor | None = None
 
     @property
     def nbytes(self) -> int:
-        """Return the bytes of the values in memory now."""
-        with self._changing:
-            return sum(value.nbytes for value in self._values.values())
-
-    def __contains__(self, key: Key) -> bool:
-        with self._changing:
-            return key in self._values
+        """The bytes of the values in memory now."""
+        return sum(value.nbytes for value in self._values.values())
 
     def get(self, key: Key) -> Value:
-        """Return the value of a key. Raises what making it raises."""
-        found = self._find(key)
-        if found is not None:
-            return found
-        with self._making:
-            found = self._find(key)  # somebody may have made it meanwhile
-            return self.put(key, self._make(key)) if found is None else found
-
-    def expect(self, key: Key) -> None:
-        """Make the value of a key in another thread, where it is not in memory; a failure is left for `get` to find."""
-        if key not in self:
-            if self._thread is None:
-                self._thread = ThreadPoolExecutor(1)
-            self._thread.submit(self.get, key)
-
-    def _find(self, key: Key) -> Value | None:
-        with self._changing:
-            if key in self._values:
-                self._values.move_to_end(key)
-            return self._values.get(key)
+        """The value of a key. Raises what making it raises."""
+        if key not in self._values:
+            return self.put(key, self._make(key))
+        self._values.move_to_end(key)
+        return self._values[key]
 
     def put(self, key: Key, value: Value) -> Value:
         """Hold a value that is known already, and return it."""
-        with self._changing:
-            self._values[key] = value
-            held = sum(v.nbytes for v in self._values.values())
-            while held > self._most and len(self._values) > 1:
-                held -= self._values.popitem(last=False)[1].nbytes
+        self._values[key] = value
+        held = self.nbytes
+        while held > self._most and len(self._values) > 1:
+            held -= self._values.popitem(last=False)[1].nbytes
         return value
 
 
@@ -102,8 +76,16 @@ class Picture(Protocol):
     def target(self) -> Target:
         """The picture in float32. Raises SceneError where it cannot be read."""
 
-    def expect(self) -> None:
-        """It will be asked for soon: it is read in another thread where it is not at hand."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Buffered:
+    """A picture that is made when it is asked for."""
+
+    buffer: Recent[Any, Target]
+    key: Hashable
+
+    def target(self) -> Target:
+        return self.buffer.get(self.key)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,7 +166,7 @@ class Pictures:
     def view(self, frame: int, index: int) -> View:
         """The view of a camera, counted as the scene does."""
         shot = self._scene.frames[frame][index]
-        return View(self._scaled(shot.camera), _Shown(self, (frame, index)), after=shot.after)
+        return View(self._scaled(shot.camera), Buffered(self._targets, (frame, index)), after=shot.after)
 
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame at training size."""
@@ -260,21 +242,6 @@ class Pictures:
         return resize(picture, camera.width, camera.height)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shown:
-    """A picture of a scene."""
-
-    pictures: Pictures
-    key: _Key
-
-    def target(self) -> Target:
-        return self.pictures._targets.get(self.key)
-
-    def expect(self) -> None:
-        if self.key not in self.pictures._targets:
-            self.pictures._stored.expect(self.key)
-
-
 def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
     """The pictures that a run with these settings is trained on."""
     masked = settings.foreground != OFF
@@ -318,9 +285,6 @@ class Target:
     def target(self) -> Target:
         """Itself: a picture that is at hand."""
         return self
-
-    def expect(self) -> None:
-        """Nothing: it is at hand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -70,10 +70,6 @@ class Deck:
         self._fill(count)
         return [self._next.pop() for _ in range(count)]
 
-    def ahead(self, count: int) -> list[int]:
-        """Up to so many of those that come next; fewer where they are not dealt yet."""
-        return self._next[-count:][::-1]
-
     def _fill(self, count: int) -> None:
         while len(self._next) < count:
             self._next = [*self._rng.permutation(self._views).tolist(), *self._next]
@@ -124,8 +120,6 @@ def optimise(
         if iteration > halved:
             views = whole
         chosen = deck.take(count)
-        for index in deck.ahead(count):
-            views[index].picture.expect()
         seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
         sh_degree = schedule.sh_degree(iteration / iterations)
         parts = []
@@ -176,10 +170,6 @@ class Halved:
         """The picture in float32. Raises SceneError where it cannot be read."""
         whole = self.whole.target()
         return Target(resize(whole.rgb, *self.size), None if whole.clear is None else resize(whole.clear, *self.size))
-
-    def expect(self) -> None:
-        """It will be asked for soon."""
-        self.whole.expect()
 
 
 def can_be_halved(views: Sequence[View]) -> bool:

@@ -83,10 +83,7 @@ def test_a_deck_deals_every_view_before_any_comes_again():
     deck = Deck(7, np.random.default_rng(0))
     dealt = []
     for _ in range(14):
-        expected = deck.ahead(3)
-        taken = deck.take(3)
-        assert taken[: len(expected)] == expected
-        dealt += taken
+        dealt += deck.take(3)
     assert [sorted(dealt[i : i + 7]) for i in range(0, 42, 7)] == [list(range(7))] * 6
     rng, alone = np.random.default_rng(0), Deck(5, np.random.default_rng(0))
     orders = [rng.permutation(5).tolist()[::-1] for _ in range(2)]
