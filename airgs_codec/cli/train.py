@@ -325,5 +325,4 @@ def frame_line(r: FrameRecord) -> str:
     if r.rejected_psnr is not None:
         other = "as a keyframe" if r.kind == "frame" else "in the old group"
         kind += f"  ({other} {r.rejected_psnr:.2f} dB)"
-    static = f", static {100 * sum(r.static.values()) / len(r.static):.0f} %" if r.static else ""
-    return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians{static}  {r.seconds:.1f} s{kind}"
+    return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians  {r.seconds:.1f} s{kind}"

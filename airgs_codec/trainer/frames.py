@@ -9,7 +9,7 @@ import itertools
 import math
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 from airgs_codec.analysis.flow import carry
 from airgs_codec.progress import Progress, silent
@@ -18,7 +18,7 @@ from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.given import KNOWN_DB, fit_common, follow, is_known, missing
-from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim, static_shares
+from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr, mean_ssim
 from airgs_codec.trainer.fit.parameters import InMotion, Parameters
 from airgs_codec.trainer.fit.trainer import FrameViews, Group, Trainer
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
@@ -47,7 +47,6 @@ class _Fitted:
     group: Group
     added: int = 0
     rejected_psnr: float | None = None  # as in `FrameRecord`
-    static: dict[str, float] = field(default_factory=dict)  # as in `FrameRecord`
 
 
 def chunks(frames: int, group_frames: int | None) -> list[Span]:
@@ -126,9 +125,8 @@ def _fit_next(capture: Capture, target: FrameViews, at: Position, progress: Prog
     g = _moved(capture, target, at, progress)
     moved = InMotion(g, g.means - before.gaussians.means)
     psnr = mean_psnr(moved, target.views, trainer.renderer)
-    static = static_shares(before.gaussians, g, group.steps)
     second = round(psnr, 3) if group.second_psnr is None else group.second_psnr  # as the record has it
-    fitted = _Fitted(moved, "frame", psnr, replace(group, second_psnr=second), static=static)
+    fitted = _Fitted(moved, "frame", psnr, replace(group, second_psnr=second))
     first = -math.inf if capture.scene.given else group.first_psnr
     known = first if group.second_psnr is None else group.second_psnr
     if psnr >= s.min_psnr_db and psnr >= known - s.max_drop_db:
@@ -234,7 +232,6 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
         held_out_matched=round(matched_psnr(shown, held_out, renderer), 3) if held_out else None,
         held_out_ssim=round(mean_ssim(shown, held_out, renderer), 5) if held_out else None,
         rejected_psnr=None if rejected is None else round(rejected, 3),
-        static={name: round(share, 4) for name, share in fitted.static.items()},
         seconds=round(seconds, 2),
     )
     return TrainedFrame(shown.gaussians, record, networks.arrays() if networks else None)

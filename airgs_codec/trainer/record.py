@@ -33,7 +33,7 @@ from airgs_codec.trainer.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
 CAMERAS_NAME = "transforms.json"
-VERSION = 3
+VERSION = 4
 
 Span = tuple[int, int]  # frames [start, stop)
 
@@ -51,7 +51,6 @@ class FrameRecord:
     held_out_matched: float | None  # dB, held-out views, each channel with the gain and offset that show most
     held_out_ssim: float | None  # mean over held-out views
     rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
-    static: dict[str, float]  # share of each attribute's channels that changed by less than half a codec step
     seconds: float
 
 

@@ -51,7 +51,7 @@ def test_motion_is_measured_against_the_middle_frame(tmp_path):
     wanted = Record({}, settings.table(), len(frames), "30")
     model = open_model(tmp_path / "model", wanted, resume=False)
     for t, frame in enumerate(frames):
-        record = FrameRecord(t, "frame" if t else "first", 40, 0, 30.0, None, None, None, None, {}, 0.0)
+        record = FrameRecord(t, "frame" if t else "first", 40, 0, 30.0, None, None, None, None, 0.0)
         model.commit(TrainedFrame(frame, record))
     pictures = pictures_for(scene, settings)
     usage = group_usage(model.read, pictures, CPU, (0, 4))

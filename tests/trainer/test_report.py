@@ -10,7 +10,7 @@ from airgs_codec.trainer.settings import TrainSettings
 def frame(number, psnr, held_out=None, **changes):
     """A record of a frame that moved, the first one but for number 0."""
     kind, exposed = "frame" if number else "first", None if held_out is None else held_out + 0.1
-    plain = FrameRecord(number, kind, 900, 0, psnr, held_out, exposed, None, None, {}, 2.0)
+    plain = FrameRecord(number, kind, 900, 0, psnr, held_out, exposed, None, None, 2.0)
     return replace(plain, **changes)
 
 
