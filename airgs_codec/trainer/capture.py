@@ -109,7 +109,6 @@ class Capture:
         return replace(self, plates=dict(zip(names, found, strict=True)) if found else {})
 
     def told(self, progress: Progress) -> RunProgress:
-        """Progress of the whole run."""
         cameras = [camera for camera in self.scene.cameras if not camera.held_out]
         first, later = self.settings.iterations_from_scratch(len(cameras)), FOLLOWED * self.settings.frame_iterations
         return RunProgress(progress, first, later, len(self.scene))

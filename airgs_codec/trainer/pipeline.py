@@ -124,11 +124,9 @@ class Here:
 
     @cached_property
     def _settled(self) -> Capture:
-        """The capture that knows what rests."""
         return rested(self.capture, self.progress)
 
     def first(self) -> TrainedFrame:
-        """Fit the first frame of the run."""
         seen = first_frames(self.capture.scene, self.capture.settings)
         return train_first(self._settled.within(seen), self.progress)
 
@@ -168,7 +166,6 @@ class Task:
     device: str  # cpu or cuda
 
     def capture(self) -> Capture:
-        """The same, open."""
         return Capture.of(self.scene, self.settings, self.device)
 
 
@@ -218,7 +215,6 @@ class Farm:
 
     @property
     def needs(self) -> Needs:
-        """What the worker of a job that fits must have."""
         return {"GPU": 1} if self.device == "cuda" else NOTHING
 
     @cached_property
@@ -228,13 +224,11 @@ class Farm:
 
     @cached_property
     def plates(self) -> tuple[Stored, ...]:
-        """Find what each training camera sees at rest."""
         jobs = self.rest_jobs()
         self.work.run(jobs)
         return tuple(job.result for job in jobs)
 
     def first(self) -> TrainedFrame:
-        """Fit the first frame of the run."""
         trained = self.work.result(self.first_job(*self.plates))
         assert isinstance(trained, TrainedFrame)
         return trained
@@ -265,7 +259,6 @@ class Farm:
         ]
 
     def first_job(self, *plates: Stored) -> Job:
-        """The first frame of the run."""
         return self._job("first frame", "frame 0", first_frames(self.scene, self.settings), fit_first, *plates)
 
     def chunk_job(self, span: Span, *reads: Stored) -> Job:

@@ -88,11 +88,9 @@ class Record:
 
     @property
     def complete(self) -> bool:
-        """Whether every frame is there."""
         return len(self.frames) == self.total
 
     def keyframes(self) -> list[int]:
-        """The frames that start a group."""
         return [f.frame for f in self.frames if f.kind != "frame"]
 
     def spans(self) -> list[Span]:
@@ -110,7 +108,6 @@ class Record:
         return f"qualities are those of the coding: the trained model is itself at {trained}{unseen}"
 
     def warnings(self) -> list[str]:
-        """Return what somebody should know who looks at the run, one sentence each."""
         low = self.settings["min_psnr_db"]
         starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
         short = [f for f in starts if f.psnr < low]
@@ -209,11 +206,9 @@ class Model:
         self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)
 
     def finished(self) -> bool:
-        """Whether nothing is left to do."""
         return self.record.complete and (self.folder / USAGE_NAME).is_file()
 
     def remove_leftovers(self) -> None:
-        """Remove what a killed run had not finished."""
         for leftover in self.folder.glob(f".*{PART_SUFFIX}"):
             leftover.unlink()
         for stray in sorted(self.folder.glob("*.ply"))[len(self.record.frames) :]:  # written, but not recorded

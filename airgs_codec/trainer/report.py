@@ -96,7 +96,6 @@ def _rendered(model: Model, frame: int, view: View, renderer: Renderer) -> NDArr
 
 
 def _seen(model: Model, pictures: Pictures, frame: int, renderer: Renderer) -> Iterator[tuple[float, View]]:
-    """PSNR in dB of each of the `_views` of a frame."""
     for view in _views(pictures, frame):
         yield psnr(float(np.mean((_rendered(model, frame, view, renderer) - view.target.rgb) ** 2))), view
 
@@ -171,7 +170,6 @@ def _wrong(record: Record, cameras: Mapping[str, float]) -> list[str]:
 
 
 def _advice(record: Record) -> list[str]:
-    """What would show more."""
     told, (gap, exposure, drift) = [], _shortfalls(record.frames)
     first, *others = record.frames
     if others and others[0].kind == "frame" and others[0].psnr > first.psnr:  # fitted on, though the scene moved
@@ -189,7 +187,6 @@ def _advice(record: Record) -> list[str]:
 
 
 def _over_frames(record: Record, axis: Any, name: str) -> None:
-    """Frames along a chart, with the keyframes in red."""
     for r in record.frames:
         if r.kind == "key":
             axis.axvline(r.frame, color=RED, alpha=0.4, linewidth=1)

@@ -198,7 +198,6 @@ class TrainSettings:
         return max(FIRST, FIRST_A_VIEW * views) if self.first_iterations is None else self.first_iterations
 
     def table(self) -> dict[str, Any]:
-        """The settings by name, as `settings_from_table` takes them."""
         return asdict(self)
 
 

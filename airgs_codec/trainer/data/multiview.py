@@ -62,12 +62,10 @@ class Source:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file itself."""
         return (self.path,)
 
     @property
     def content(self) -> int | None:
-        """The number of the frame."""
         return self.frame
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -88,7 +86,6 @@ class Source:
             raise SceneError(f"{self}: expected a picture of {size[0]}x{size[1]}, got {found[0]}x{found[1]}")
 
     def __str__(self) -> str:
-        """Name the place in a message."""
         return str(self.path) if self.frame is None else f"{self.path} frame {self.frame}"
 
 
@@ -278,7 +275,6 @@ class Drawn:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """None: the content is known."""
         return ()
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -289,7 +285,6 @@ class Drawn:
         """Nothing: there is one, of the size of its camera."""
 
     def __str__(self) -> str:
-        """Name the place in a message."""
         return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
 
 

@@ -51,7 +51,6 @@ class Recent(Generic[Key, Value]):
 
     @property
     def nbytes(self) -> int:
-        """The bytes of the values in memory now."""
         return sum(value.nbytes for value in self._values.values())
 
     def get(self, key: Key) -> Value:
@@ -140,7 +139,6 @@ class Pictures:
 
     @property
     def exposure(self) -> Exposure:
-        """As it was given."""
         return self._exposure
 
     def with_exposure(self, exposure: Exposure) -> Pictures:
@@ -152,7 +150,6 @@ class Pictures:
 
     @property
     def nbytes(self) -> int:
-        """Memory that pictures and targets hold now, in bytes."""
         return self._stored.nbytes + self._targets.nbytes
 
     def train(self, frame: int) -> list[View]:
@@ -230,7 +227,6 @@ class Pictures:
         check_picture(shot.mask, _full_size(shot))
 
     def _changes(self, shot: Shot) -> bool:
-        """Whether the picture is another one at training size."""
         camera = self._scaled(shot.camera)
         return shot.lens is not None or _full_size(shot) != (camera.width, camera.height)
 
@@ -267,7 +263,6 @@ class Target:
 
     @property
     def rows(self) -> NDArray[np.float32]:
-        """The samples (H, n)."""
         return self.rgb.reshape(len(self.rgb), -1)
 
     def before(self, there: Background, now: Background) -> Target:
@@ -279,11 +274,9 @@ class Target:
 
     @property
     def nbytes(self) -> int:
-        """Memory that its arrays hold when the moments are known, in bytes."""
         return 3 * self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
 
     def target(self) -> Target:
-        """Itself: a picture that is at hand."""
         return self
 
 
@@ -296,7 +289,6 @@ class Stored:
 
     @property
     def nbytes(self) -> int:
-        """Memory that its arrays hold, in bytes."""
         return self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
 
     def target(self, exposure: Sequence[float] | None) -> Target:

@@ -93,7 +93,6 @@ def read_panoptic(folder: Path) -> MultiviewScene:
 
 
 def _frame_rate(path: Path) -> Fraction:
-    """The `fps` of a JSON file. Raises SceneError."""
     with expecting(path, "a frame rate"):
         return frame_rate(str(path), exact_number(str(read_object(path).get("fps", DEFAULT_FPS))))
 
@@ -155,7 +154,6 @@ def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
 
 
 def _from_videos(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
-    """As many frames as the shortest video has."""
     videos = [open_video(film.path) for film in films]
     rates = sorted({video.fps for video in videos if video.fps})
     if rates and rates[-1] > SAME_RATE * rates[0]:
@@ -186,7 +184,6 @@ def _with_sources(
 
 
 def has_colmap(folder: Path) -> bool:
-    """Whether there is a reconstruction in the folder."""
     return colmap.find_model(folder) is not None
 
 
@@ -356,7 +353,6 @@ def _read(folder: Path) -> MultiviewScene:
 
 
 def _read_points(folder: Path) -> Points | None:
-    """The cloud of points that lies beside a scene, if there is one."""
     path = next((folder / name for name in POINT_FILES if (folder / name).is_file()), None)
     if path is None:
         return None

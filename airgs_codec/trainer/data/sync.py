@@ -127,7 +127,6 @@ def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """(H * W, 3) direction of each pixel in the world."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     u, v = np.meshgrid(x, y)
@@ -234,7 +233,6 @@ def _is_out_of_step(curves: Curves, offsets: NDArray[np.intp], camera: int) -> b
 
 
 def _at(curve: NDArray[np.float64], lag: int) -> float:
-    """The correlation at a lag, 0 where it is not known."""
     place = lag + len(LAGS) // 2
     return float(np.nan_to_num(curve[place])) if 0 <= place < len(LAGS) else 0.0
 

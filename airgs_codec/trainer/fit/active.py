@@ -42,7 +42,6 @@ class Scope:
 
     @property
     def empty(self) -> bool:
-        """Whether no row may change."""
         return self.resting is not None and not (len(self.resting.active) and self.views)
 
     def rows(self, p: Parameters) -> Parameters:
@@ -106,7 +105,6 @@ class _Rest:
 
     @property
     def nbytes(self) -> int:
-        """Memory of its arrays, in bytes."""
         return self.picture.rgb.nbytes + self.picture.transmittance.nbytes
 
 

@@ -173,7 +173,6 @@ class ExposureModel:
         return rgb * gains[self._of[view]] + offsets[self._of[view]]
 
     def step(self) -> None:
-        """Move along the gradients, by Adam."""
         if not self.differs:
             return
         self._adam.step()
@@ -189,7 +188,6 @@ class ExposureModel:
         return {name: [round(float(v), 5) for v in row] for name, row in zip(names, rows, strict=True)}
 
     def _tables(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gains and offsets, (V, 3) each."""
         own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
         logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
         return logs.exp(), offsets

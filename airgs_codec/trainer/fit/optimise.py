@@ -66,7 +66,6 @@ class Deck:
         self._next: list[int] = []  # the last one comes first
 
     def take(self, count: int) -> list[int]:
-        """The next so many."""
         self._fill(count)
         return [self._next.pop() for _ in range(count)]
 
@@ -152,7 +151,6 @@ def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[D
 
 
 def _before(view: View, rng: np.random.Generator) -> View:
-    """The view before a random background."""
     return view.before(tuple(rng.uniform(size=3).tolist()))
 
 
@@ -167,7 +165,6 @@ class Halved:
     size: tuple[int, int]  # width and height
 
     def target(self) -> Target:
-        """The picture in float32. Raises SceneError where it cannot be read."""
         whole = self.whole.target()
         return Target(resize(whole.rgb, *self.size), None if whole.clear is None else resize(whole.clear, *self.size))
 

@@ -74,7 +74,6 @@ class Trainer:
 
     @property
     def device(self) -> str:
-        """Where everything is computed: cpu or cuda."""
         return self.renderer.device
 
     def fit_frame(self, target: FrameViews, before: InMotion, group: Group, progress: Progress = silent) -> Gaussians:
@@ -174,14 +173,12 @@ class Trainer:
         return {name: s.to(self.device) for name, s in steps.items()}
 
     def networks(self, g: Gaussians) -> Networks | None:
-        """Networks that have learnt nothing yet; None where frames move without."""
         if self.settings.deltas == "direct":
             return None
         return Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
 
     @property
     def capacity(self) -> int:
-        """Return how many Gaussians there may ever be."""
         return self.settings.capacity or max(MOST_BUDGET, self.settings.budget or 1)
 
     @property
@@ -190,7 +187,6 @@ class Trainer:
         return HIDDEN_OPACITY if self.settings.densify == BUDGET else LOW_OPACITY
 
     def growth(self, most: int, views: Sequence[View]) -> Growth:
-        """How a fit to these views adds rows, up to `most`."""
         s = self.settings
         return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
 
@@ -210,7 +206,6 @@ class Trainer:
         return temporal_weights(temporal, steps) if temporal.weight else None
 
     def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> Scope:
-        """Return what may change at a frame; no views where nothing does."""
         if target.moving is None:
             return Scope(target.views)
         active = find_active(before, target.views, target.moving, self.renderer)
@@ -238,7 +233,6 @@ class Trainer:
         return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight, coarse)
 
     def full_sh_degree(self, done: float) -> int:
-        """All SH bands from the start."""
         return self.settings.sh_degree
 
 
