@@ -29,7 +29,6 @@ from airgs_codec.trainer.data.multiview import (
     without_masks,
 )
 from airgs_codec.trainer.data.plates import Plate, find_plate, plate_sources
-from airgs_codec.trainer.fit.points import expect_overlap
 from airgs_codec.trainer.frames import chunks, position_after, train_chunk, train_first
 from airgs_codec.trainer.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.trainer.settings import OFF, TrainSettings
@@ -65,12 +64,9 @@ def check_pictures(capture: Capture) -> None:
     Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene.
     """
     scene, reference = capture.scene, capture.settings.reference
-    cameras = [camera for camera in scene.cameras if not camera.held_out]
-    names = [camera.name for camera in cameras]
+    names = [camera.name for camera in scene.cameras if not camera.held_out]
     if not names:
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
-    if scene.points is None and scene.given is None:
-        expect_overlap(scene.path, cameras)
     if reference not in (None, *names):
         raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
     capture.pictures.check()

@@ -135,12 +135,11 @@ def _back_to_back(folder):
     ("make", "message"),
     [
         (_without_picture, "cam02/0001.png: expected a picture"),
-        (_alone, "scene: expected at least two training cameras"),
-        (_back_to_back, "scene: expected cameras that look at a common place"),
+        (_alone, "expected a cloud of points or at least two training views, got one view"),
+        (_back_to_back, "expected training views that look at a common place: no point to start from was found"),
     ],
 )
-def test_what_cannot_be_trained_is_refused_before_a_fit_and_leaves_nothing(blobs, tmp_path, make, message, monkeypatch):
-    monkeypatch.setattr("airgs_codec.trainer.frames.fit_first", None)
+def test_what_cannot_be_trained_is_refused_and_leaves_nothing(blobs, tmp_path, make, message):
     shutil.copytree(blobs, tmp_path / "scene")
     with pytest.raises(SceneError, match=message):
         train(make(tmp_path / "scene"), tmp_path / "m", SETTINGS)
