@@ -68,15 +68,14 @@ web-check: web/node_modules/installed
 pytest: .venv/installed
 	$(BIN)/pytest --numprocesses 3 --dist loadfile -rs
 
-# What takes long: mutated files, killed encodes and trainings, full disks, a farm and a publisher that fail, browsers
-# that play on and on. Hours in all.
+# What takes long: mutated files, killed encodes and trainings, full disks, a farm that fails, browsers that play on and
+# on. Hours in all.
 soak: .venv/installed
 	$(BIN)/python -m tests.long.fuzz
 	$(BIN)/python -m tests.long.kill
 	$(BIN)/python -m tests.long.faults
 	rm -rf build/lab/soak-farm
 	$(BIN)/python -m tools.lab soak-farm
-	$(BIN)/python -m tools.lab soak-live
 	$(BIN)/python -m tests.long.watch
 
 # Changes rules that decide, one operator or constant at a time, and runs their tests: survivors are what no test asks.

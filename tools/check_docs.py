@@ -67,14 +67,12 @@ def user_pages() -> list[Path]:
 
 
 def pages() -> list[Path]:
-    """Every markdown page of the repository."""
     others = [page for page in sorted(REPOSITORY.glob("*.md")) if page.name != "README.md"]
     deeper = [REPOSITORY.glob(pattern) for pattern in ("docs/*/*.md", "tests/*/*.md", "manifests/*/*.md")]
     return [*user_pages(), *others, *(page for found in deeper for page in sorted(found))]
 
 
 def blocks(text: str) -> list[Block]:
-    """The fenced blocks of a page."""
     found = list(FENCE.finditer(text))
     outputs = [m[2] if m[1] == "text" else "" for m in found[1:]]
     return [Block(m[1], m[2], output) for m, output in zip(found, [*outputs, ""], strict=False)]
@@ -93,7 +91,6 @@ def commands(code: str) -> Iterator[list[str]]:
 
 
 def findings(page: Path) -> Iterator[str]:
-    """Yield what is wrong on a page without running it, one line a finding."""
     text = page.read_text(encoding="utf-8")
     for block in blocks(text):
         if block.info.split()[:1] == ["sh"]:
@@ -132,7 +129,6 @@ def link_errors(page: Path, target: str) -> Iterator[str]:
 
 
 def headings(text: str) -> set[str]:
-    """Anchors of the headings of a page, as GitHub makes them."""
     titles = re.findall(r"^#+ (.*)$", FENCE.sub("", text), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
@@ -161,7 +157,6 @@ def known_options() -> set[str]:
 
 
 def resolves(name: str) -> bool:
-    """Return whether a dotted name is a module, or something in one."""
     parts = name.split(".")
     for split in range(len(parts), 0, -1):
         try:
@@ -315,7 +310,6 @@ def first_difference(expected: str, printed: str) -> str | None:
 
 
 def same_line(a: str, b: str) -> bool:
-    """Equal words, and numbers that are the same."""
     if NUMBER.sub("#", a).split() != NUMBER.sub("#", b).split():
         return False
     return all(same_number(x, y) for x, y in zip(NUMBER.findall(a), NUMBER.findall(b), strict=True))
@@ -331,7 +325,6 @@ def same_number(a: str, b: str) -> bool:
 
 
 def main() -> int:
-    """Check the pages named, or all."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pages", type=Path, nargs="*", metavar="PAGE", help="default: every page of the repository")
     parser.add_argument("--run", action="store_true", help="run the blocks of user pages, too (minutes)")

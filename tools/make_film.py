@@ -40,7 +40,6 @@ QUALITY = 70  # of WebP
 
 
 def play() -> tuple[Package, SessionLog, Trace]:
-    """Play the head once over the trace."""
     package = airgs.open_package(HEAD)
     trace = airgs.Trace.open(TRACE).cut(OFFSET_S, SCALE)
     log = airgs.simulate(package, trace, "robust-mpc", airgs.SessionSettings(buffer_s=BUFFER_S, loops=1))
@@ -81,7 +80,6 @@ class Chart:
 
 
 def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
-    """The chart of a session in so many pixels."""
     start, ticks = log.shown[0].start_s, len(log.screen_ticks)
     fps = float(log.offers.fps)
     stop = start + ticks / fps
@@ -113,14 +111,12 @@ def draw_chart(log: SessionLog, trace: Trace, height: int, width: int) -> Chart:
 
 
 def write_animation(path: Path, pictures: Sequence[NDArray[np.uint8]]) -> None:
-    """An endless WebP at FPS."""
     first, *others = map(Image.fromarray, pictures)
     shown = [round(1000 * (place + 1) / FPS) - round(1000 * place / FPS) for place in range(len(pictures))]
     first.save(path, save_all=True, append_images=others, duration=shown, loop=0, quality=QUALITY, method=4)
 
 
 def main() -> None:
-    """Make the film."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=REPOSITORY / "docs" / "session.webp")
     args = parser.parse_args()

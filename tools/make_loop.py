@@ -11,6 +11,7 @@ heights; every fourth is held out. An ATTRIBUTION.txt of SEQUENCE goes along.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -22,11 +23,12 @@ from numpy.typing import NDArray
 from airgs_codec.cli.common import parse_frames
 from airgs_codec.cli.terminal import Bar, run_command
 from airgs_codec.errors import ConfigError
+from airgs_codec.scene.beside import ATTRIBUTION_NAME, Settings, read_attribution, write_settings
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.make_wide_scene import write_beside
+from tools.lab.made import camera_entry
 
 TURNS, HEIGHTS = 9, (-8.0, 0.0, 10.0)  # cameras on the arc, and degrees above the middle of it
 SIZE, FOV_Y = (960, 540), np.radians(32)
@@ -47,7 +49,12 @@ def main(words: Sequence[str] | None = None) -> int:
 
     def run() -> int:
         make_loop(open_sequence(args.sequence), args.output, args.frames, args.blend)
-        write_beside(args.output, open_sequence(args.sequence), cameras_on_arc(args.position, args.focus, args.arc))
+        cameras = cameras_on_arc(args.position, args.focus, args.arc)
+        entries = {
+            "camera_model": "OPENCV",
+            "frames": [camera_entry(camera, f"{camera.name}.png", 0) for camera in cameras],
+        }
+        (args.output / "transforms.json").write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
         return 0
 
     return run_command("make_loop", run)
@@ -72,6 +79,9 @@ def make_loop(sequence: GaussianSequence, folder: Path, span: tuple[int, int | N
         write_ply(folder / f"{place:06d}.ply", mixed)
         bar("frames", place + 1, stop - start)
     bar.close()
+    write_settings(folder, Settings(sequence.fps, (0,)))
+    if credit := read_attribution(sequence.folder):
+        (folder / ATTRIBUTION_NAME).write_text(credit + "\n", encoding="utf-8")
 
 
 def mix(a: Gaussians, b: Gaussians, share: float) -> Gaussians:

@@ -33,7 +33,6 @@ def manifest_schema() -> dict[str, Any]:
 
 
 def _schema_of(kind: Any) -> dict[str, Any]:
-    """Of an annotated type."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is Annotated:
         return _schema_of(arguments[0]) | {key: value for one in arguments[1:] for key, value in _keywords(one).items()}
@@ -63,16 +62,13 @@ def _schema_of_dataclass(kind: Any) -> dict[str, Any]:
     hints = typing.get_type_hints(kind, include_extras=True)
     properties = {name: _schema_of(as_required(hint)) for name, hint in hints.items()}
     return {
-        "type": "object",
-        "description": (kind.__doc__ or "").split("\n")[0],
-        "properties": properties,
+        "type": "object", "description": (kind.__doc__ or "").split("\n")[0], "properties": properties,
         "required": [name for name, hint in hints.items() if as_required(hint) is hint],
         "additionalProperties": False,
-    }
+    }  # fmt: skip
 
 
 def main() -> None:
-    """Write the schema to its file."""
     FILE.write_text(json.dumps(manifest_schema(), indent=1) + "\n")
 
 

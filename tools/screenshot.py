@@ -23,7 +23,6 @@ SCRIPT = REPOSITORY / "web" / "scripts" / "screenshot.mjs"
 
 
 def missing() -> list[str]:
-    """Return what a picture needs and this machine lacks."""
     found = {
         "chromium": shutil.which("chromium") is not None,
         "node": shutil.which("node") is not None,
@@ -42,7 +41,6 @@ def take(package: Path, picture: Path) -> int:
 
 
 def main() -> int:
-    """Take a picture, or say why not."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("package", type=Path, metavar="PACKAGE", help="folder with airgs.json")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE.png")

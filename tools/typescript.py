@@ -39,14 +39,12 @@ SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "a
 
 
 def main() -> None:
-    """Write all files."""
     FOLDER.mkdir(exist_ok=True)
     for name, text in files().items():
         (FOLDER / name).write_text(text, encoding="utf-8")
 
 
 def files() -> dict[str, str]:
-    """The text of each file of the folder, by its name."""
     return {"constants.ts": _constants_file(), "schema.ts": _schema_file()}
 
 
@@ -93,10 +91,8 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
         mpc: _same(mpc, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS", "PAST_DOWNLOADS"),
         ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
-        offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"),
-        downloader: _same(downloader, "CHECK_S"),
-        buffered: _same(buffered, "REPLACE_GAIN_DB"),
-        fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
+        offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"), downloader: _same(downloader, "CHECK_S"),
+        buffered: _same(buffered, "REPLACE_GAIN_DB"), fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
         player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S")
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}}
         | {"VIEW_BUFFER_S": settings.view_buffer_s},
@@ -104,11 +100,10 @@ def _of_players() -> dict[ModuleType, dict[str, Any]]:
         sight: _same(sight, "BEFORE_S", "DECAY_S", "CORNERS", "SMALL_TURN"),
         http_files: _same(http_files, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},
-    }
+    }  # fmt: skip
 
 
 def _same(module: ModuleType, *names: str) -> dict[str, Any]:
-    """Constants of a module that have the same name in TypeScript."""
     return {name: getattr(module, name) for name in names}
 
 

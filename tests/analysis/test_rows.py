@@ -10,8 +10,7 @@ from airgs_codec.analysis.rows import outlook, restore_rows
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
-from tests.support.scenes import moving_frames, random_gaussians, write_sequence
-from tools.lab.made import predicted
+from tests.support.scenes import moving_frames, predicted, random_gaussians, write_sequence
 
 
 def shuffled(frames, which):

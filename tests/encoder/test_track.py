@@ -24,8 +24,7 @@ from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.gaussians import from_rotation_vector, multiply, to_matrices
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tests.support.paths import FOX_VIEWS
-from tests.support.scenes import random_gaussians, write_sequence
-from tools.lab.made import predicted
+from tests.support.scenes import predicted, random_gaussians, write_sequence
 
 SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
 

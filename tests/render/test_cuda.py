@@ -14,7 +14,7 @@ from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians, rende
 from airgs_codec.trainer.fit.variables import PerGaussian
 from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, ring, views_of
-from tools.lab.bench.device_parts import compare
+from tools.lab.bench.devices import compare
 
 missing = cuda.missing()
 pytestmark = pytest.mark.skipif(missing is not None, reason=f"gsplat: {missing}")

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from airgs_codec.scene.camera import orbit_views
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import SH_REST, Gaussians
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, to_matrices
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX
+
+JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
 
 
 def random_gaussians(count: int, degree: int = 0, seed: int = 0) -> Gaussians:
@@ -27,6 +31,26 @@ def random_gaussians(count: int, degree: int = 0, seed: int = 0) -> Gaussians:
         rng.normal(size=(count, SH_REST[degree], 3)) * 0.1,
     ]
     return frozen(Gaussians(*(a.astype(np.float32) for a in arrays)))
+
+
+def predicted(g: Gaussians, rng: np.random.Generator) -> Gaussians:
+    """A frame in another order, as another training would have it.
+
+    LOST of the rows are left out, SPLIT of them become two that are 1.6 times smaller, and all means are moved by a
+    normal draw of JITTER of each axis of their Gaussian.
+    """
+    g = g.take(rng.permutation(len(g))[round(LOST * len(g)) :])
+    splits = round(SPLIT * len(g))
+    g = g.take(np.concatenate([np.arange(len(g)), np.arange(splits)]))
+    halves = np.concatenate([np.arange(splits), np.arange(len(g) - splits, len(g))])
+    scales = g.log_scales.copy()
+    scales[halves] -= np.float32(math.log(1.6))
+    away = rng.normal(size=(splits, 3)) / 2
+    local = JITTER * rng.normal(size=(len(g), 3))
+    local[halves] += np.concatenate([away, -away])
+    turned = np.einsum("nij,nj->ni", to_matrices(g.quaternions), local * np.exp(g.log_scales))
+    moved = replace(g, means=(g.means + turned).astype(np.float32), log_scales=scales)
+    return moved.take(rng.permutation(len(g)))
 
 
 def frozen(g: Gaussians) -> Gaussians:

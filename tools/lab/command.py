@@ -1,7 +1,7 @@
 """The command: list the experiments, run one, print which command makes which figure.
 
     python -m tools.lab                     every experiment: its name, its question, how long it takes
-    python -m tools.lab NAME … [-o FOLDER]  run one; its page, pictures, CSV and JSON go to FOLDER
+    python -m tools.lab NAME … [-o FOLDER]  run one; its page, pictures and JSON go to FOLDER
     python -m tools.lab publish DATA        run all that documents show, in a folder of scenes (hours)
 
 What was measured stays in FOLDER/work, so that a run that was interrupted goes on.
@@ -22,12 +22,11 @@ from typing import Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.options import make_app, run_program, takes
+from airgs_codec.cli.options import expect_names, make_app, run_program, takes
 from airgs_codec.cli.terminal import Bar  # before all that loads numba
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import VERSION
 from tools.lab.experiments import EXPERIMENTS, MEASUREMENTS, Experiment, Measurement
-from tools.lab.options import expect_names
 from tools.lab.page import Made, Page, text_of, write_page
 from tools.lab.published import FIGURES, REPOSITORY, publish, today_and_commit
 from tools.lab.results import Results
@@ -39,20 +38,16 @@ PROGRAM = "python -m tools.lab"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lab:
-    """Where an experiment works."""
-
     folder: Path  # of what it gives; it is there
     results: Results
     progress: Bar
     keep: Callable[[Page], object] = lambda page: None  # writes a page that is not finished, in case it never will be
 
     def tell(self, line: str) -> None:
-        """Say on stderr how far it is."""
         print(line, file=sys.stderr, flush=True)
 
     @staticmethod
     def at(folder: Path, quiet: bool = False) -> Lab:
-        """One that works in a folder, which is made."""
         folder.mkdir(parents=True, exist_ok=True)
         bar = Bar(quiet)
         return Lab(folder, Results.at(folder / "work", bar), bar)
@@ -60,8 +55,6 @@ class Lab:
 
 @dataclass(frozen=True, slots=True)
 class Output:
-    """Options of every experiment."""
-
     output: Path | None = setting(
         None, f"folder of the page, its pictures and figures (default: {OUTPUT}/NAME)", short="-o", metavar="FOLDER"
     )

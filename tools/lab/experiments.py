@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Experiment:
-    """A question that a program answers."""
-
     name: str
     question: str
     module: str
@@ -24,37 +22,30 @@ def _bench(name: str, question: str, takes: str) -> Experiment:
     return Experiment(name, question, f"tools.lab.bench.{name.replace('-', '_')}", takes)
 
 
-def _room(name: str, question: str, takes: str) -> Experiment:
-    return Experiment(name, question, f"tools.lab.{name.replace('-', '_')}.experiment", takes)
-
-
 EXPERIMENTS = (
     _bench("claims", "Do packages have the quality that they claim?", "10 min a scene"),
-    _room("crowd", "What do thousands of viewers of one programme get, and what does it cost?", "30 min"),
-    _bench("decode", "How long does decoding take beside the H.264 alone?", "1 min a package"),
     _bench("devices", "Does a GPU draw what the CPU does, and how fast does it fit?", "8 min, on a GPU"),
     _bench("engines", "What do spark and PlayCanvas lose of our pictures?", "2 min"),
-    _bench("formats", "What does a round trip through each splat format cost?", "5 min"),
     _bench("jobs", "What does sharing work cost and gain?", "10 min"),
     _bench("keyframe", "How much sooner is a keyframe fitted from the frame before than from scratch?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
     _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
     _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
-    _bench("play", "How fast are the selector, the bounds and the simulator?", "2 min"),
-    _room("rd", "How many bytes does which quality take, here and in published formats?", "20 min a scene"),
+    Experiment(
+        "rd",
+        "How many bytes does which quality take, here and in published formats?",
+        "tools.lab.rd.experiment",
+        "20 min a scene",
+    ),
     Experiment("rivals", "What are the methods compared with?", "tools.lab.baselines.rivals", "10 minutes"),
     _bench("scale", "How do time, memory and bytes grow with Gaussians and frames?", "1 h"),
     _bench("scenes", "What is measured?", "10 s"),
-    _bench("serve", "How does the server hold out under many sessions?", "1 min"),
-    Experiment("soak-farm", "Are the bytes the same where everything fails?", "tools.lab.soak.farm", "10 min"),
-    Experiment("soak-live", "What does a day of publishing cost, and joining late?", "tools.lab.soak.live", "1 h"),
+    _bench("soak-farm", "Are the bytes the same where everything fails?", "10 min"),
     _bench("splits", "How good is a training where nobody trained it?", "hours"),
-    _bench("start", "How long does a user wait before anything happens?", "10 s"),
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
-    _room("tiles", "What do spatial tiles cost and save?", "30 min"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
-    _room("upright", "How often is the guess of which way is up right?", "10 s a scene"),
+    _bench("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
@@ -63,11 +54,6 @@ EXPERIMENTS = (
     Experiment(
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
-    Experiment("dense", "What does pruning updates cost?", "tools.lab.paper.levels", "minutes"),
-    Experiment("frames", "What does the paper's frame mode give over links?", "tools.lab.paper.streaming", "1 minute"),
-    Experiment(
-        "closed-loop", "What does a server save that knows its viewer?", "tools.lab.paper.closed_loop", "1 minute"
-    ),
     Experiment("reproduce", "How do the methods of the paper compare?", "tools.lab.paper.reproduce", "an hour"),
     Experiment("footage", "What do cameras see of a Gaussian sequence?", "tools.lab.paper.footage", "minutes"),
 )
@@ -75,15 +61,13 @@ EXPERIMENTS = (
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What a document shows of an experiment."""
-
     name: str  # of its marks in the document, and of its entry in figures.json
     document: str  # in docs/results, without .md
     words: str  # of the command after `python -m tools.lab`, which runs in a folder of scenes
 
 
-# In the folder of scenes, fox.airgs is what airgs-encode makes of fox/ by default; frames of fox_alone/ are those of
-# naive 3DGS in `paper`, its transforms.json that of fox_views/ with the cameras that `paper` holds out.
+# In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of
+# fox_views/ with the cameras that `paper` holds out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
@@ -127,7 +111,6 @@ MEASUREMENTS = (
         "reproduce --scenes fox=fox_views/,frames=0:8,size=160 --name system --only train stream "
         "--traces raca2018_4g_car/ --jobs 1",
     ),
-    Measurement("dense", "paper", "dense fox.airgs/ --against fox/ --views fox/transforms.json"),
     Measurement("splits-fox", "training", "splits fox_views/ --splits 2"),
     Measurement("splits-basketball", "training", "splits basketball_views/ --splits 6 --only 4 5 --frames 0:20"),
     Measurement(
@@ -142,9 +125,6 @@ MEASUREMENTS = (
     Measurement("stiff", "stiff", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
-    Measurement("crowd", "crowd", "crowd fox/ raca2018_4g_car/"),
-    Measurement("soak-live", "crowd", "soak-live"),
-    Measurement("tiles", "tiles", "tiles fox/ --trace raca2018_4g_car/A_2017.12.06_13.01.21.csv"),
     Measurement(
         "viewpoints",
         "views",
@@ -158,11 +138,12 @@ MEASUREMENTS = (
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip
 
+# Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
+NO_LONGER_MEASURED = ("dense", "crowd", "soak-live")
+
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A picture, a CSV or the tables of a document that no measurement makes."""
-
     file: str  # below docs/; of tables the document itself
     document: str
     command: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +11,15 @@ import numpy as np
 from airgs_codec.encoder.publish import encode
 from airgs_codec.jobs.job import code_digest, digest
 from airgs_codec.package.layout import JSON_NAME
+from airgs_codec.scene.beside import Settings, write_settings
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians, to_matrices
+from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab.results import content
 
-JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
+VISIBLE = 0.3  # opacity of Gaussians that say how wide a copy is
+SPACING, FURTHER = 1.1, 1.5  # of copies side by side, in their widths; how much further away every second one is
 
 
 def encoded(scene: str, folder: Path) -> Path:
@@ -41,7 +43,6 @@ def name_of(scene: str) -> str:
 
 
 def make_scene(rows: int, frames: int, folder: Path) -> None:
-    """A ball of Gaussians of which a tenth swings, written to a new folder."""
     random = np.random.default_rng(0)
     means = random.normal(size=(rows, 3))
     size = math.log(1.5 / rows ** (1 / 3))
@@ -64,45 +65,32 @@ def make_swinging(rows: int, frames: int, swing: float, folder: Path) -> None:
         write_ply(folder / f"{t:06d}.ply", replace(first, means=means.astype(np.float32)))
 
 
-def forth_and_back(source: Path, frames: int, folder: Path) -> None:
-    """A sequence of links in a new folder: 0 1 2 … n-1 n-2 … 1 0 1 …"""
-    paths = open_sequence(source).paths
-    turn = [*range(len(paths)), *range(len(paths) - 2, 0, -1)]
-    folder.mkdir()
-    for number, frame in enumerate(itertools.islice(itertools.cycle(turn), frames)):
-        (folder / f"{number:06d}.ply").symlink_to(paths[frame].resolve())
+def make_ring(source: Path, copies: int, group: int, frames: int, folder: Path) -> None:
+    """Copies of the first `group` frames of a sequence on a circle, written to a new folder, y is up.
 
-
-def untracked(source: Path, folder: Path, seed: int = 0) -> None:
-    """A sequence as if every frame had been predicted by itself: rows in another order, and other ones, in each.
-
-    Frames are `predicted`. What lies beside them is linked.
+    Every copy plays to and fro, each from another frame on; every second one stands further away.
     """
-    sequence = open_sequence(source)
-    folder.mkdir()
-    for number in range(len(sequence)):
-        rng = np.random.default_rng([seed, number])
-        write_ply(folder / f"{number:06d}.ply", predicted(sequence.read(number), rng))
-    for name in ("sequence.json", "transforms.json"):
-        if (sequence.folder / name).is_file():
-            (folder / name).symlink_to((sequence.folder / name).resolve())
+    read = open_sequence(source).load(range(group)).frames
+    low, high = np.percentile(read[0].means[read[0].opacities() > VISIBLE], [1, 99], axis=0)
+    width = float(max(high[0] - low[0], high[2] - low[2]))
+    angles = 2 * np.pi * np.arange(copies) / copies
+    away = np.where(np.arange(copies) % 2, FURTHER, 1.0) * max(width, SPACING * width * copies / (2 * np.pi))
+    places = np.stack([away * np.cos(angles), np.zeros(copies), away * np.sin(angles)], axis=1)
+    cycle = max(1, 2 * (group - 1))
+    folder.mkdir(parents=True)
+    for time in range(frames):
+        at = [(time + copy * cycle // copies) % cycle for copy in range(copies)]
+        shown = [read[min(t, cycle - t)] for t in at]
+        parts = [replace(g, means=(g.means + x).astype(np.float32)) for g, x in zip(shown, places, strict=True)]
+        write_ply(folder / f"{time:06d}.ply", join_rows(parts))
+    write_settings(folder, Settings(open_sequence(source).fps, (0,)))
 
 
-def predicted(g: Gaussians, rng: np.random.Generator) -> Gaussians:
-    """A frame in another order, as another training would have it.
-
-    LOST of the rows are left out, SPLIT of them become two that are 1.6 times smaller, and all means are moved by a
-    normal draw of JITTER of each axis of their Gaussian.
-    """
-    g = g.take(rng.permutation(len(g))[round(LOST * len(g)) :])
-    splits = round(SPLIT * len(g))
-    g = g.take(np.concatenate([np.arange(len(g)), np.arange(splits)]))
-    halves = np.concatenate([np.arange(splits), np.arange(len(g) - splits, len(g))])
-    scales = g.log_scales.copy()
-    scales[halves] -= np.float32(math.log(1.6))
-    away = rng.normal(size=(splits, 3)) / 2
-    local = JITTER * rng.normal(size=(len(g), 3))
-    local[halves] += np.concatenate([away, -away])
-    turned = np.einsum("nij,nj->ni", to_matrices(g.quaternions), local * np.exp(g.log_scales))
-    moved = replace(g, means=(g.means + turned).astype(np.float32), log_scales=scales)
-    return moved.take(rng.permutation(len(g)))
+def camera_entry(camera: Camera, picture: str, time: int) -> dict[str, object]:
+    """A picture as transforms.json has it."""
+    pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
+    return {
+        "file_path": picture, "camera": camera.name, "split": camera.split, "time_index": time,
+        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width, "h": camera.height,
+        "transform_matrix": pose.tolist(),
+    }  # fmt: skip

@@ -1,11 +1,10 @@
-"""The one page of an experiment: question, picture, answer, table; in Markdown with pictures, CSV and JSON beside it.
+"""The one page of an experiment: question, picture, answer, table; in Markdown with pictures and JSON beside it.
 
 A page is a value. `write_page` makes its files, `text_of` what the terminal shows, `update` puts it into a document.
 """
 
 from __future__ import annotations
 
-import csv
 import dataclasses
 import math
 import textwrap
@@ -30,7 +29,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows that go whole into `name`.csv, and the columns that the page shows: some by their headings, or all."""
+    """Rows, which go whole into the JSON, and the columns that the page shows: some by their headings, or all."""
 
     name: str
     rows: Sequence[Mapping[str, Any]]
@@ -38,21 +37,17 @@ class Table:
 
     @property
     def keys(self) -> list[str]:
-        """Return what is shown of each row."""
         return list(self.columns or dict.fromkeys(key for row in self.rows for key in row))
 
     @property
     def head(self) -> list[str]:
-        """Headings."""
         return [self.columns[key][0] if self.columns else key.replace("_", " ") for key in self.keys]
 
     def cells(self) -> list[list[str]]:
-        """The table as text."""
         forms = {key: form for key, (_, form) in self.columns.items()}
         return [[shown(row.get(key), forms.get(key, "")) for key in self.keys] for row in self.rows]
 
     def numeric(self) -> list[bool]:
-        """Of each column, whether it holds figures."""
         return [any(_is_number(row.get(key)) for row in self.rows) for key in self.keys]
 
 
@@ -95,8 +90,6 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Made:
-    """How a page came about."""
-
     name: str  # of the experiment, or of what is published of it
     question: str
     command: str
@@ -107,12 +100,10 @@ class Made:
     format: int  # of packages
 
     def said(self) -> str:
-        """How it came about, in a line."""
         return f"Measured {self.date} in {self.seconds:,.0f} s, commit {self.commit}, format {self.format}."
 
 
 def rows_of(values: Iterable[Any]) -> list[Row]:
-    """Dataclasses as rows."""
     return [dataclasses.asdict(value) for value in values]
 
 
@@ -132,7 +123,6 @@ def _is_number(value: Any) -> bool:
 
 
 def listed(words: Sequence[str]) -> str:
-    """Words with commas, the last one with "and"."""
     return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
 
 
@@ -155,12 +145,10 @@ def text_of(page: Page) -> str:
 
 
 def markdown(page: Page, made: Made) -> str:
-    """The page as a document."""
     return f"# {made.question}\n\n{body_of(page, made)}\n"
 
 
 def body_of(page: Page, made: Made) -> str:
-    """The page without its title."""
     return "\n\n".join(_parts(page, made))
 
 
@@ -185,27 +173,16 @@ def markdown_table(one: Table) -> str:
 
 
 def write_page(page: Page, made: Made, folder: Path) -> None:
-    """Write NAME.md, a picture and a CSV for each that the page shows, and NAME.json with all figures.
+    """Write NAME.md, the pictures that the page shows, and NAME.json with all figures.
 
     Raises ConfigError without matplotlib, OSError.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for picture in (picture for section in page.sections for picture in section.pictures):
         write_picture(picture, folder / f"{picture.name}.png")
-    for one in page.tables():
-        write_csv(one.rows, folder / f"{one.name}.csv")
     figures = {one.name: list(one.rows) for one in page.tables()}
     write_json(folder / f"{made.name}.json", dataclasses.asdict(made) | {"figures": figures} | dict(page.more))
     write_bytes(folder / f"{made.name}.md", markdown(page, made).encode())
-
-
-def write_csv(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Write all fields of all rows, fractional numbers with six digits."""
-    names = dict.fromkeys(name for row in rows for name in row)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
 
 
 def write_picture(picture: Picture, path: Path) -> None:

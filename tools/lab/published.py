@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.places.whole import to_json, write_bytes
-from tools.lab.experiments import MEASUREMENTS, Measurement
+from tools.lab.experiments import MEASUREMENTS, NO_LONGER_MEASURED, Measurement
 from tools.lab.page import Made, Page, Table, body_of, markdown_table, update
 
 REPOSITORY = Path(__file__).parents[2]
@@ -51,7 +51,7 @@ def publish(measurement: Measurement, page: Page, made: Made, pictures: Path) ->
     for picture in (picture for section in page.sections for picture in section.pictures):
         shutil.copyfile(pictures / f"{picture.name}.png", RESULTS / f"{picture.name}.png")
     entries = read_figures() | {made.name: entry(measurement, page, made)}
-    order = [one.name for one in MEASUREMENTS]
+    order = [*(one.name for one in MEASUREMENTS), *NO_LONGER_MEASURED]
     kept = {name: entries[name] for name in order if name in entries}
     write_bytes(FIGURES, ("\n".join(lines_of(kept)) + "\n").encode())
     update(RESULTS / "README.md", ANSWERS, markdown_table(answers_of(kept)))
@@ -61,7 +61,7 @@ def answers_of(entries: Mapping[str, Any]) -> Table:
     """The pages of results, each with the first sentence of the first answer that was published of it."""
     rows, texts = [], {one.document: "" for one in MEASUREMENTS if one.document != "README"}
     for one in entries.values():
-        if one["answers"] and not texts.get(one["document"], "-"):
+        if one["answers"] and one["document"] != "README" and not texts.get(one["document"]):
             texts[one["document"]] = SENTENCE.split(one["answers"][0])[0]
     for document, answer in texts.items():
         title = (RESULTS / f"{document}.md").read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
@@ -150,7 +150,6 @@ def _is_one_of(shown: str, values: set[float]) -> bool:
 
 
 def _leaves(value: Any) -> Iterator[Any]:
-    """The plain values in lists and mappings."""
     if isinstance(value, Mapping):
         value = list(value.values())
     if isinstance(value, list):

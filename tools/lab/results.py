@@ -6,13 +6,12 @@ that measures imports, and of the versions of its libraries: a result of other c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from airgs_codec.jobs.engines import Engine, InProcess
-from airgs_codec.jobs.job import Job, code_digest, digest, read_record
+from airgs_codec.jobs.job import Job, code_digest, digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import Store, open_store
 from airgs_codec.progress import Progress, silent
@@ -22,10 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Results:
-    """Results in a store."""
-
     store: Store
-    engine: Engine = field(default_factory=InProcess)  # does what is missing
     progress: Progress = silent
 
     @staticmethod
@@ -40,31 +36,8 @@ class Results:
         The result is a value that `airgs_codec.places.results.pack` takes. Raises what `make` raises, TypeError for
         other `reads`.
         """
-        job = Job(name, "", _entry(name, make, reads), make)
+        job = Job(name, "", digest(name, code_digest(make), _plain(reads)), make)
         return Work(self.store, progress=self.progress).result(job)
-
-    def seconds(self, name: str, reads: Any, make: Callable[[], Any]) -> float | None:
-        """Return how long the result of `once` took when it was made; None where it is not there."""
-        record = read_record(self.store, _entry(name, make, reads))
-        return None if record is None else record.seconds
-
-    def map(
-        self, name: str, function: Callable[..., T], calls: Sequence[tuple[Any, ...]], reads: Any = None
-    ) -> list[T]:
-        """The results of a function of a module for each tuple of arguments, missing ones made by the engine.
-
-        `reads` is what all of them read beside their arguments.
-        """
-        work = Work(self.store, self.engine, progress=self.progress)
-        jobs = [
-            Job(name, str(n), _entry(name, function, (reads, call)), function, call) for n, call in enumerate(calls)
-        ]
-        work.run(jobs)
-        return [work.result(job) for job in jobs]
-
-
-def _entry(name: str, function: Callable[..., Any], reads: Any) -> str:
-    return digest(name, code_digest(function), _plain(reads))
 
 
 def _plain(value: Any) -> Any:

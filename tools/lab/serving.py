@@ -35,7 +35,6 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 @contextmanager
 def served_folder(folder: Path) -> Iterator[str]:
-    """The address of a folder that is served as it is."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=str(folder)))
     server.daemon_threads = True
     threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()

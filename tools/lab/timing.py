@@ -18,13 +18,10 @@ T = TypeVar("T")
 
 
 class Took(NamedTuple):
-    """What a piece of work took."""
-
     cpu: float  # seconds of the CPU, of all threads of this process together: what other work changes little
     wall: float  # seconds by the clock on the wall
 
     def times(self, factor: float) -> Took:
-        """So many times as long."""
         return Took(self.cpu * factor, self.wall * factor)
 
 
@@ -36,7 +33,6 @@ class Alone(NamedTuple):
 
 
 def seconds_of(work: Callable[[], T]) -> tuple[Took, T]:
-    """Return what one call took, and what it gives."""
     cpu, wall = time.process_time(), time.perf_counter()
     result = work()
     return Took(time.process_time() - cpu, time.perf_counter() - wall), result
@@ -49,7 +45,6 @@ def timed(work: Callable[[], object], repeats: int) -> list[Took]:
 
 
 def middle(took: Sequence[Took]) -> Took:
-    """Medians of what some calls took."""
     return Took(median(t.cpu for t in took), median(t.wall for t in took))
 
 
@@ -70,19 +65,10 @@ def alone(function: Callable[..., Any], *arguments: Any, limit_s: float | None =
 
 def _measured(function: Callable[..., Any], arguments: tuple[Any, ...]) -> tuple[Alone, Any]:
     took, result = seconds_of(lambda: function(*arguments))
+    # Linux; getrusage would begin with the most that the parent had
+    peak = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:"))
     children = 1024 * resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    return Alone(took, (peak_bytes() + children) / 1e6), result
-
-
-def peak_bytes() -> int:
-    """The most memory this process has had (Linux; getrusage would begin with what its parent had)."""
-    return memory_of("self", "VmHWM")
-
-
-def memory_of(process: int | str, name: str = "VmRSS") -> int:
-    """Bytes of a line of the status of a process (Linux)."""
-    lines = Path(f"/proc/{process}/status").read_text().splitlines()
-    return 1024 * int(next(line for line in lines if line.startswith(f"{name}:")).split()[1])
+    return Alone(took, (1024 * int(peak.split()[1]) + children) / 1e6), result
 
 
 def machine(*libraries: str) -> str:

@@ -1,6 +1,5 @@
 """The laboratory's own mechanism: options, the store of results, the page, the tables of experiments and figures."""
 
-import csv
 import importlib
 import json
 import math
@@ -14,12 +13,10 @@ import pytest
 
 from airgs_codec.cli.options import read_options
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.engines import Processes
 from tests.support.paths import REPOSITORY
-from tools.lab import main, published
+from tools.lab import expect_names, main, published, required, setting
 from tools.lab.command import PROGRAM, Lab
 from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
-from tools.lab.options import expect_names, required, setting
 from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, text_of, update, wrapped, write_page
 from tools.lab.results import Results, content
 from tools.lab.timing import alone, middle, seconds_of, timed
@@ -73,7 +70,6 @@ def test_a_result_is_made_once_for_what_it_reads(tmp_path):
     ]  # fmt: skip
     assert Results.at(tmp_path).once("a", (1, "x"), make)["number"] == 0
     assert results.once("b", (1, "x"), make)["number"] == 2
-    assert results.seconds("a", (1, "x"), make) >= 0 and results.seconds("a", (3, "x"), make) is None
     with pytest.raises(TypeError):
         results.once("a", object(), make)
 
@@ -83,17 +79,6 @@ def test_a_result_that_failed_is_not_kept(tmp_path):
     with pytest.raises(ZeroDivisionError):
         results.once("a", 1, lambda: 1 / 0)
     assert results.once("a", 1, lambda: 5) == 5
-
-
-def test_a_function_is_done_once_for_each_call(tmp_path):
-    assert Results.at(tmp_path).map("a", math.gcd, [(6, 4), (9, 3)]) == [2, 3]
-    assert Results.at(tmp_path).once("other", 1, lambda: 1) == 1
-    engine = Processes(1)
-    try:
-        results = Results(Results.at(tmp_path / "more").store, engine)
-        assert results.map("a", math.gcd, [(8, 4)]) == [4]
-    finally:
-        engine.close()
 
 
 def test_content_is_that_of_files_and_their_names(tmp_path):
@@ -117,7 +102,7 @@ def page(failed=False):
 
 def test_a_page_is_markdown_with_everything_beside_it(tmp_path):
     write_page(page(), MADE, tmp_path)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["line.png", "thing.json", "thing.md", "times.csv"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["line.png", "thing.json", "thing.md"]
     text = (tmp_path / "thing.md").read_text()
     assert text == markdown(page(), MADE)
     for line in (
@@ -129,9 +114,6 @@ def test_a_page_is_markdown_with_everything_beside_it(tmp_path):
         "|c|-|no|",
     ):
         assert f"\n{line}\n" in f"\n{text}"
-    with (tmp_path / "times.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert rows[0] == {"name": "a|b", "ms": "1.25", "ok": "True", "more": "1"} and rows[1]["more"] == ""
     found = json.loads((tmp_path / "thing.json").read_text())
     assert found["figures"]["times"][1]["ms"] is None and found["machine"] == "2 cores"
 

@@ -10,14 +10,11 @@ from airgs_codec.scene.frames import repair
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames
-from tools.lab.page import Picture, write_picture
 from tools.lab.rd import layouts
 from tools.lab.rd.coders import MPEG_QPS
-from tools.lab.rd.experiment import beside, draw, verdict
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.layouts import PUBLISHED, V3_FORMS, mpeg_anchor_layout, v3_layout
-from tools.lab.rd.points import RdPoint, bd_rate, kb_at
-from tools.lab.rd.subject import Subject
+from tools.lab.rd.subject import RdPoint, Subject, bd_rate, kb_at
 from tools.lab.rd.written import written_trials
 
 PRESET = "medium"
@@ -52,37 +49,6 @@ def test_bytes_at_a_quality_are_between_points_and_never_beyond_them():
     assert kb_at(WIDE, 44) == pytest.approx(20)
     assert kb_at(WIDE, 42.5) == pytest.approx((14 * 20) ** 0.5)
     assert kb_at(WIDE, 37) is None is kb_at(WIDE[:1], 38)
-
-
-def points(coder, *pairs):
-    return [RdPoint(coder, str(i), kb, psnr, None, 0.0, 0.0) for i, (kb, psnr) in enumerate(pairs)]
-
-
-OURS = points("airgs", (10, 38), (20, 44), (30, 50))
-
-
-def test_of_the_variants_of_a_format_the_one_with_the_fewest_bytes_at_the_psnr_is_shown():
-    rows = beside([*OURS, *points("V, one", (30, 38), (80, 44)), *points("V, two", (60, 43), (70, 46))], 44)
-    assert [(row["format"], row["variant"], round(row["kb"], 1), row["psnr"]) for row in rows] == [
-        ("airgs", "", 20, 44),
-        ("V", "two", 63.2, 44),
-    ]
-    assert rows[1]["times"] == pytest.approx(63.16 / 20, rel=1e-3) and rows[0]["times"] is None
-    assert verdict("fox", rows, 44) == (
-        "At 44 dB airgs takes 20.0 kB a frame of fox, 32 % of the nearest other, V (two), which takes 63.2."
-    )
-
-
-def test_a_format_that_does_not_reach_the_psnr_is_shown_at_its_nearest_point_and_decides_nothing():
-    rows = beside(
-        [*OURS, *points("low", (5, 30), (7, 40)), *points("high", (200, 60)), *points("V", (9, 38), (15, 44))], 44
-    )
-    assert [row["format"] for row in rows] == ["airgs", "V", "low", "high"]
-    assert (rows[2]["variant"], rows[2]["kb"], rows[2]["psnr"]) == ("1", 7, 40)
-    assert rows[2]["times"] == pytest.approx(7 / kb_at(OURS, 40)) and rows[3]["times"] is None
-    assert verdict("fox", rows, 44).endswith("133 % of the nearest other, V, which takes 15.0.")
-    assert verdict("fox", beside(OURS, 60), 60) == "No package of airgs was measured on both sides of 60 dB."
-    assert "No other format" in verdict("fox", beside(OURS, 44), 44)
 
 
 @pytest.mark.parametrize("preset", [PRESET, PUBLISHED])
@@ -157,8 +123,3 @@ def test_an_outside_program_that_fails_is_one_line(program):
     subject = Subject(sequence, [(i, [sequence.read(i)]) for i in range(10)], [], [0], {}, {})
     with pytest.raises(ConfigError, match=program):
         next(fourdgs_trials(program)).code(subject)
-
-
-def test_curves_are_drawn(tmp_path):
-    write_picture(Picture("rd", "", lambda figure: draw([*WIDE, *OURS], "all", figure)), tmp_path / "rd.png")
-    assert (tmp_path / "rd.png").stat().st_size > 5000

@@ -6,13 +6,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from airgs_codec._report import new_figure
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu, look_at
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.pictures import Target, View
 from tests.support.paths import FOX_VIEWS
-from tools.lab.bench.splits import Judged, Options, Row, compare, draw, from_half_way, run, shown_to, summary
+from tools.lab.bench.splits import Options, compare, from_half_way, run, shown_to
 from tools.lab.command import Lab
 
 
@@ -61,32 +60,3 @@ def test_only_what_is_right_before_a_viewer_half_way_is_haze() -> None:
 def test_more_cameras_than_there_are_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="9 splits of 9 need more"):
         run(Options(FOX_VIEWS, splits=9, hold=9), Lab.at(tmp_path))
-
-
-ROWS = [
-    Row(0, "cam01", 30.0, 30.05, 0.0, 1.0),
-    Row(0, "cam02", 34.0, 34.1, 0.02, 1.0),
-    Row(1, "cam03", 20.0, 20.1, 0.0, 1.0),
-]
-
-
-def test_what_is_said_of_splits_is_what_their_cameras_show() -> None:
-    judged = [Judged(ROWS[:2], 36.0, [], []), Judged(ROWS[2:], 34.0, [], [])]
-    assert summary("fox", judged) == (
-        "fox, from 3 cameras that were not trained on, in 2 splits: 28.0 dB, the worst (cam03) 20.0; 6.9 dB less than "
-        "from those that were; half-way to the scene up to 2 % of the light ends in fog."
-    )
-    apart = [Judged([Row(0, "cam01", 24.0, 28.0, 0.0, 1.0)], 29.0, [], [])]
-    assert "24.0 dB as it is, 28.0 matched" in summary("fox", apart) and "fog" not in summary("fox", apart)
-
-
-def test_the_best_the_middle_and_the_worst_camera_are_drawn_once_each() -> None:
-    pairs = [(np.full((4, 4, 3), n, np.uint8), np.full((4, 4, 3), n + 100, np.uint8)) for n in range(3)]
-    figure = new_figure(6, 4)
-    draw(ROWS, pairs, figure)
-    titles = [axis.get_title() for axis in figure.axes[:3]]
-    assert titles == ["cam02, 34.0 dB", "cam01, 30.0 dB", "cam03, 20.0 dB"]
-    assert [int(axis.images[0].get_array().max()) for axis in figure.axes] == [1, 0, 2, 101, 100, 102]
-    one = new_figure(6, 4)
-    draw(ROWS[:1], pairs, one)
-    assert len(one.axes) == 2

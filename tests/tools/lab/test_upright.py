@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from tools.lab import Lab
-from tools.lab.upright import experiment
-from tools.lab.upright.models import Model
+from tools.lab.bench import upright
+from tools.lab.bench.upright import Model
 
 
 def box(low, high):
@@ -66,7 +66,7 @@ def test_a_model_is_sampled_where_its_animation_has_moved_it(model):
 
 
 def test_a_row_says_how_often_it_was_upright(model, tmp_path):
-    page = experiment.run(experiment.Options((str(model),), turns=2), Lab.at(tmp_path / "lab"))
+    page = upright.run(upright.Options((str(model),), turns=2), Lab.at(tmp_path / "lab"))
     (row,) = page.sections[0].tables[0].rows
     assert row["comes"] in ("upright", "not") and row["count"] == 2
     assert all(0 <= row[how] <= 1 for how in ("quarters", "turned"))

@@ -35,7 +35,6 @@ class AirGS:
 
     @property
     def settings(self) -> dict[str, object]:
-        """Those of the trainer and of the encoder."""
         return {"training": self.training.table(), "encoding": asdict(self.encoding)}
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:

@@ -1,38 +1,144 @@
 """4D Gaussian Splatting (Wu et al., CVPR 2024): one set of Gaussians, and a field that deforms it at every time.
 
-All frames are trained together: first static Gaussians that suit all of them, then Gaussians and field.
+The field (section 4.2) is a HexPlane and heads of a small MLP. All frames are trained together: first static Gaussians
+that suit all of them, then Gaussians and field. N Gaussians, T moments, R cells along an axis of space, F features, L
+resolutions.
 """
 
 from __future__ import annotations
 
-import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import reduce
+from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
 
-from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.places.whole import atomic_path
+from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.optimise import Losses
-from airgs_codec.trainer.fit.parameters import from_gaussians, render, to_gaussians
+from airgs_codec.trainer.fit.parameters import Parameters, from_gaussians, render, to_gaussians
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
-from tools.lab.baselines.hexplane import Field, FieldSize, PlaneWeights, field_from, plane_loss
 from tools.lab.baselines.method import Footage, Shown
 from tools.lab.baselines.threedgs import SH_EVERY, START_OPACITY, Splats, Timetable
+
+AXES = 4  # x, y, z, t
+PAIRS = tuple(combinations(range(AXES), 2))  # xy, xz, xt, yz, yt, zt
+TIME = AXES - 1
+HEADS = {"means": 3, "log_scales": 3, "quaternions": 4}  # what deforms; opacity and colour do not, as in the paper
+
+
+@dataclass(frozen=True, slots=True)
+class FieldSize:
+    cells: int = 64  # R of the coarsest resolution
+    moments: int = 12  # T, of all resolutions
+    features: int = 16  # F of a plane
+    resolutions: tuple[int, ...] = (1, 2)  # times R
+    width: int = 64  # of a hidden layer
+
+
+class Field(torch.nn.Module):
+    """How Gaussians deform at a time: six planes at each resolution, a linear layer, a head for each attribute."""
+
+    low: torch.Tensor
+    high: torch.Tensor
+
+    def __init__(self, size: FieldSize, low: torch.Tensor, high: torch.Tensor, seed: int) -> None:
+        """`low`, `high`: (3,) corners of the box that the planes span, world units. `seed`: of the first numbers."""
+        super().__init__()
+        draw = torch.Generator().manual_seed(seed)
+        self.register_buffer("low", low)
+        self.register_buffer("high", high)
+        self.planes = torch.nn.ParameterList(
+            [_plane(pair, size, r, draw) for r in size.resolutions for pair in PAIRS]  # (1, F, rows, columns)
+        )
+        self.first = _linear(size.features * len(size.resolutions), size.width, draw)
+        self.heads = torch.nn.ModuleDict({name: _head(size.width, out, draw) for name, out in HEADS.items()})
+
+    def forward(self, p: Mapping[str, torch.Tensor], time: float) -> Parameters:
+        """The Gaussians as they are at `time`, which is 0 at the first frame and 1 at the last."""
+        hidden = self.first(self.encode(p["means"], time))
+        return {name: value + self.heads[name](hidden) if name in HEADS else value for name, value in p.items()}
+
+    def encode(self, means: torch.Tensor, time: float) -> torch.Tensor:
+        """(N, F L) features: the product of the six planes at the means (N, 3) and the time, for each resolution.
+
+        Beyond the box a plane has the values of its border.
+        """
+        place = 2 * (means - self.low) / (self.high - self.low) - 1
+        axes = [*place.unbind(1), torch.full_like(place[:, 0], 2 * time - 1)]
+        found = []
+        for k in range(0, len(self.planes), len(PAIRS)):
+            planes = zip(PAIRS, self.planes[k : k + len(PAIRS)], strict=True)
+            found.append(reduce(torch.mul, [_sample(plane, axes[a], axes[b]) for (a, b), plane in planes]))
+        return torch.cat(found, dim=0).t()
+
+
+@dataclass(frozen=True, slots=True)
+class PlaneWeights:
+    """Weights of what planes add to the loss: the defaults of the authors' program."""
+
+    space: float = 1e-4  # of the smoothness of planes of space
+    time: float = 0.01  # of the smoothness of planes of time, along time
+    still: float = 1e-4  # of the mean distance of planes of time from 1, at which nothing moves
+
+
+def plane_loss(field: Field, weights: PlaneWeights) -> torch.Tensor:
+    """Total variation of the planes (Wu et al. 2024, equation 7), of second differences, and what holds time at 1."""
+    total = torch.zeros(())
+    for k, plane in enumerate(field.planes):
+        if TIME in PAIRS[k % len(PAIRS)]:
+            total = total + weights.time * _roughness(plane) + weights.still * (1 - plane).abs().mean()
+        else:
+            total = total + weights.space * _roughness(plane)
+    return total
+
+
+def _roughness(plane: torch.Tensor) -> torch.Tensor:
+    """Mean square of the second difference between rows, which of planes of time are moments."""
+    if plane.shape[2] < 3:
+        return torch.zeros(())  # the mean of no differences would be 0 / 0
+    step = plane[..., 1:, :] - plane[..., :-1, :]
+    return (step[..., 1:, :] - step[..., :-1, :]).square().mean()
+
+
+def _plane(pair: tuple[int, int], size: FieldSize, times: int, draw: torch.Generator) -> torch.nn.Parameter:
+    """Columns are the first axis of the pair and rows the second; planes of time start at 1."""
+    rows = size.moments if TIME in pair else size.cells * times
+    shape = (1, size.features, rows, size.cells * times)
+    return torch.nn.Parameter(torch.ones(shape) if TIME in pair else 0.1 + 0.4 * torch.rand(shape, generator=draw))
+
+
+def _sample(plane: torch.Tensor, column: torch.Tensor, row: torch.Tensor) -> torch.Tensor:
+    """(F, N) bilinear samples at places of -1..1, (N,) each."""
+    grid = torch.stack([column, row], dim=1)[None, None]
+    return torch.nn.functional.grid_sample(plane, grid, padding_mode="border", align_corners=True)[0, :, 0]
+
+
+def _linear(inputs: int, outputs: int, draw: torch.Generator) -> torch.nn.Linear:
+    layer = torch.nn.Linear(inputs, outputs)
+    torch.nn.init.xavier_uniform_(layer.weight, generator=draw)
+    torch.nn.init.zeros_(layer.bias)
+    return layer
+
+
+def _head(width: int, outputs: int, draw: torch.Generator) -> torch.nn.Sequential:
+    """Its last layer starts at 0: without training nothing deforms."""
+    hidden, last = _linear(width, width, draw), _linear(width, outputs, draw)
+    torch.nn.init.zeros_(last.weight)
+    return torch.nn.Sequential(torch.nn.ReLU(), hidden, torch.nn.ReLU(), last)
+
 
 COARSE, FINE = 3_000, 14_000  # iterations of the two stages in the paper, for videos of several cameras
 TIMETABLES = (Timetable(reset=None), Timetable(stop=10_000, reset=None))  # of the two stages
 MLP_RATE, PLANE_RATE, RATE_LAST = 1.6e-4, 1.6e-3, 0.1  # times the scene's extent; the share that is left at the end
-CHECKPOINT, MODEL = "checkpoint.pt", "model"
-KEEP_EVERY = 200  # iterations between checkpoints
+MODEL = "model"  # its folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +155,16 @@ class Fourdgs:
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "4dgs"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All of them."""
         return asdict(self)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
         """The frames from number `done` on, after the training of all of them.
 
-        A run that was stopped goes on from its last checkpoint. Raises SceneError where there is nothing to train on
-        or to start from, and ConfigError for a checkpoint of other settings.
+        Raises SceneError where there is nothing to train on or to start from.
         """
         torch.set_num_threads(1)  # the renderer has threads of its own
         footage.folder.mkdir(parents=True, exist_ok=True)
@@ -69,23 +172,18 @@ class Fourdgs:
         while fit.iteration < fit.total:
             fit.step()
             progress("all frames", fit.iteration, fit.total)
-            if fit.iteration % KEEP_EVERY == 0 or fit.iteration == fit.total:
-                fit.keep()
         sizes = spread(write_model(footage.folder / MODEL, fit.splats.gaussians(), fit.field), footage.frames)
-        g, field = read_model(footage.folder / MODEL)
+        g = read_model(footage.folder / MODEL, fit.field)
         for t in range(done, footage.frames):
-            shown = deformed(g, field, moment(t, footage.frames))
+            shown = deformed(g, fit.field, t / max(1, footage.frames - 1))
             yield Shown("frame" if t else "key", shown, sizes[t], fit.seconds / footage.frames)
 
 
 class Fit:
-    """The training of all frames, which goes on from the checkpoint in the folder if there is one."""
-
     splats: Splats
     field: Field
 
     def __init__(self, method: Fourdgs, footage: Footage) -> None:
-        """Raises what `Fourdgs.frames` does."""
         self._method, self._footage = method, footage
         self._factor = method.iterations / (COARSE + FINE)
         self._coarse = round(COARSE * self._factor)
@@ -96,9 +194,6 @@ class Fit:
         self.iteration = 0
         self.seconds = 0.0
         self._begin()
-        path = footage.folder / CHECKPOINT
-        if path.exists():
-            self._restore(path)
 
     def step(self) -> None:
         """One iteration. Raises TrainingError where the loss is not finite or no Gaussian is left."""
@@ -110,7 +205,7 @@ class Fit:
         frame, view = self._seen[self._order[self.iteration - 1]]
         p = self.splats.current()
         if fine:
-            p = self.field(p, moment(frame, self._footage.frames))
+            p = self.field(p, frame / max(1, self._footage.frames - 1))
         degree = min(self._method.sh_degree, int(self.iteration / self._factor / SH_EVERY))
         rgb, _ = render(p, view.camera, degree, self.splats.watch())
         loss = (rgb - torch.from_numpy(view.target.rgb)).abs().mean()
@@ -125,19 +220,6 @@ class Fit:
             done, iterations = self.iteration, self._coarse
         self.splats.step(done, iterations)
         self.seconds += time.perf_counter() - begun
-
-    def keep(self) -> None:
-        """Write the checkpoint."""
-        state = {
-            "settings": self._identity(),
-            "iteration": self.iteration,
-            "seconds": self.seconds,
-            "splats": self.splats.state(),
-            "field": self.field.state_dict(),
-            "adam": self._adam.state_dict(),
-        }
-        with atomic_path(self._footage.folder / CHECKPOINT) as path:
-            torch.save(state, path)
 
     def _begin(self) -> None:
         m, footage = self._method, self._footage
@@ -163,25 +245,6 @@ class Fit:
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
-    def _identity(self) -> str:
-        return json.dumps(self._method.settings | {"frames": self._footage.frames})
-
-    def _restore(self, path: Path) -> None:
-        state: dict[str, Any] = torch.load(path, weights_only=True)
-        if state["settings"] != self._identity():
-            raise ConfigError(f"{path}: expected a run of {self._identity()}, got {state['settings']}")
-        self.iteration, self.seconds = state["iteration"], state["seconds"]
-        if self.iteration > self._coarse:
-            self.splats = self._make_splats(self.splats.gaussians(), 1)
-        self.splats.restore(state["splats"])
-        self.field.load_state_dict(state["field"])
-        self._adam.load_state_dict(state["adam"])
-
-
-def moment(frame: int, frames: int) -> float:
-    """The time of a frame, 0 at the first and 1 at the last."""
-    return frame / max(1, frames - 1)
-
 
 @torch.no_grad()
 def deformed(g: Gaussians, field: Field, at: float) -> Gaussians:
@@ -194,14 +257,15 @@ def write_model(folder: Path, g: Gaussians, field: Field) -> int:
     folder.mkdir(exist_ok=True)
     splats, numbers = folder / "canonical.ply", folder / "field.npz"
     write_ply(splats, g)
-    np.savez(numbers, **field.arrays())  # type: ignore[arg-type]
+    np.savez(numbers, **{name: value.numpy() for name, value in field.state_dict().items()})  # type: ignore[arg-type]
     return splats.stat().st_size + numbers.stat().st_size
 
 
-def read_model(folder: Path) -> tuple[Gaussians, Field]:
-    """Return what `write_model` wrote."""
+def read_model(folder: Path, field: Field) -> Gaussians:
+    """Return the Gaussians that `write_model` wrote; the field, of the same size, takes the numbers of that one."""
     with np.load(folder / "field.npz", allow_pickle=False) as arrays:
-        return read_ply(folder / "canonical.ply"), field_from(arrays)
+        field.load_state_dict({name: torch.from_numpy(np.array(value)) for name, value in arrays.items()})
+    return read_ply(folder / "canonical.ply")
 
 
 def spread(total: int, frames: int) -> list[int]:

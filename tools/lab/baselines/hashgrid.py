@@ -28,8 +28,6 @@ WIRE = np.dtype("<f2")  # a number of a field as it is sent
 
 @dataclass(frozen=True, slots=True)
 class FieldSettings:
-    """Sizes of a field. Raises ConfigError for those that no field can have."""
-
     levels: int = 8
     features: int = 4  # of an entry
     log2_table: int = 12  # most entries of a level, as a power of two
@@ -37,11 +35,6 @@ class FieldSettings:
     growth: float = 1.5  # ratio of the cells of one level to those before
     width: int = 64  # of a hidden layer
     hidden: int = 2  # layers
-
-    def __post_init__(self) -> None:
-        sizes = (self.levels, self.features, self.log2_table, self.coarsest, self.width)
-        if min(sizes) < 1 or self.hidden < 0 or self.growth < 1:
-            raise ConfigError(f"expected sizes of at least 1 and a growth of at least 1, got {self}")
 
     def cells(self) -> list[int]:
         """Cells along each axis at each level, N_l (Müller et al. 2022, equation 2)."""
@@ -54,15 +47,11 @@ class FieldSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
-    """Where points lie in the tables of a field."""
-
     weights: csr_matrix  # (P * L, E) trilinear, eight a row
     points: int  # P
 
 
 class HashField(torch.nn.Module):
-    """O outputs at every point of a box."""
-
     def __init__(
         self, settings: FieldSettings, box: NDArray[np.floating], outputs: int, *, zero: bool = False, seed: int = 0
     ) -> None:

@@ -27,8 +27,6 @@ RECORD = "frames.json"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footage:
-    """What a method is trained on."""
-
     pictures: Pictures
     frames: int
     points: Points | None  # of the first frame; None: the scene has none
@@ -47,8 +45,6 @@ class Shown:
 
 
 class Method(Protocol):
-    """A way to train and to code a multi-view video."""
-
     @property
     def name(self) -> str:
         """Its name in tables."""
@@ -63,8 +59,6 @@ class Method(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A frame of a finished run."""
-
     kind: str
     gaussians: int
     bytes: int
@@ -99,12 +93,10 @@ def run_method(method: Method, footage: Footage, progress: Progress = silent) ->
 
 
 def frame_path(folder: Path, frame: int) -> Path:
-    """Return where a run keeps what its viewer shows of a frame."""
     return folder / f"{frame:06d}.ply"
 
 
 def mean_bytes(frames: Sequence[Frame]) -> float:
-    """Bytes a frame."""
     return float(np.mean([frame.bytes for frame in frames]))
 
 

@@ -15,16 +15,14 @@ from airgs_codec.render import read_cameras
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, listed, required, setting
 from tools.lab.baselines.fourdgs import Fourdgs
-from tools.lab.baselines.naive3dgs import Naive3dgs
 from tools.lab.baselines.stream3dgs import StreamSettings
-from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, RATES
+from tools.lab.baselines.threedgs import GRADIENT, ITERATIONS, RATES, Naive3dgs
 from tools.lab.baselines.v3 import V3Settings
 from tools.lab.made import name_of
 from tools.lab.rd.coders import PRESETS, layout_trials, v3_name
 from tools.lab.rd.experiment import measure
 from tools.lab.rd.layouts import V3_FORMS
-from tools.lab.rd.points import RdPoint
-from tools.lab.rd.subject import Trial, open_subject
+from tools.lab.rd.subject import RdPoint, Trial, open_subject
 
 SETTINGS = {"method": ("method", ""), "what": ("setting", ""), "here": ("here", ""), "paper": ("in the paper", "")}
 COLUMNS = {"scene": ("scene", ""), "qp": ("QP", "d")} | {
@@ -35,15 +33,12 @@ CLOSE = 0.1  # dB that are no difference
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What V^3's layouts code."""
-
     scenes: tuple[str, ...] = required("sequences with their cameras, SCENE=VIEWS")
     qps: tuple[int, ...] = setting((6, 14, 22), "some of those at which they are compared with airgs")
     frames: int = setting(6, "frames measured")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Both layouts on all scenes. Raises AirgsError."""
     rows: list[Row] = []
     for scene in options.scenes:
         place, _, views = scene.partition("=")
@@ -60,7 +55,6 @@ def trials(qps: Sequence[int]) -> Iterator[Trial]:
 
 
 def rows_of(scene: str, qps: Sequence[int], points: Sequence[RdPoint]) -> list[Row]:
-    """A row for each QP."""
     found = {(point.coder, point.setting): point for point in points}
     rows: list[Row] = []
     for qp in qps:
@@ -73,7 +67,6 @@ def rows_of(scene: str, qps: Sequence[int], points: Sequence[RdPoint]) -> list[R
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """Return settings and layouts."""
     settings = [
         {"method": method, "what": what, "here": shown(here), "paper": shown(paper)}
         for method, what, here, paper in settings_of()
@@ -110,12 +103,10 @@ def settings_of() -> list[tuple[str, str, float, float | str]]:
 
 
 def shown(value: float | str) -> str:
-    """Return a setting as a cell."""
     return value if isinstance(value, str) else f"{value:,}" if isinstance(value, int) else f"{value:g}"
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """Which layout is better on which scenes, and by how much at most."""
     best: dict[str, list[str]] = {}
     for scene in dict.fromkeys(row["scene"] for row in rows):
         gains = [row[f"{V3_FORMS[1]}_db"] - row[f"{V3_FORMS[0]}_db"] for row in rows if row["scene"] == scene]

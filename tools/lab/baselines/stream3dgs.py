@@ -1,14 +1,15 @@
 """3DGStream (Sun et al., CVPR 2024): each frame is the one before, moved by a small network, and a few new Gaussians.
 
-A viewer fetches the .ply of the first frame, then for every frame the numbers of a Neural Transformation Cache and the
-Gaussians that were added, which are gone at the next frame. U Gaussians of the first frame, A added ones.
+A viewer fetches the .ply of the first frame, then for every frame the numbers of a Neural Transformation Cache, a field
+that moves and turns Gaussians, and the Gaussians that were added, which are gone at the next frame. U Gaussians of the
+first frame, A added ones; N Gaussians, M of them in the box of the field, K SH coefficients past DC.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import write_bytes
 from airgs_codec.progress import Progress
+from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
 from airgs_codec.trainer.data.pictures import View
@@ -25,13 +27,136 @@ from airgs_codec.trainer.fit.active import Resting
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.grow import Densifier, Growth, strongest
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, EPSILON, Parameters, from_gaussians, to_gaussians
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
 from airgs_codec.trainer.fit.variables import PerGaussian, Rates
 from airgs_codec.trainer.settings import TrainSettings
-from tools.lab.baselines.hashgrid import FieldSettings
+from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown, frame_path
-from tools.lab.baselines.transformation import CacheDriven, Region, apply_cache, region_of
+
+OUTPUTS = 7  # of a cache: change of the mean, and of the rotation
+# An output of 1 means this change: of means in diagonals of the box, of rotations in components of a quaternion.
+MOVE, TURN = 0.005, 0.05
+RATE_LAST = 0.1  # share of the learning rate that is left at the end
+BETAS = (0.9, 0.99)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Region:
+    """Where Gaussians move; those outside rest."""
+
+    box: NDArray[np.float64]  # (2, 3) lowest and highest corner, world units
+
+    @property
+    def diagonal(self) -> float:
+        """Its length in world units."""
+        return float(np.linalg.norm(self.box[1] - self.box[0]))
+
+    def rows(self, g: Gaussians) -> NDArray[np.intp]:
+        """(M,) the Gaussians inside."""
+        return np.flatnonzero(((g.means >= self.box[0]) & (g.means <= self.box[1])).all(axis=1))
+
+    def new_cache(self, settings: FieldSettings, seed: int = 0) -> HashField:
+        """A cache that moves nothing: its output layer is 0."""
+        return HashField(settings, self.box, OUTPUTS, zero=True, seed=seed)
+
+
+def region_of(g: Gaussians, share: float) -> Region:
+    """The box that leaves out as many means on either side of each axis, and keeps a `share` of them along it."""
+    rest = (1 - share) / 2
+    return Region(np.quantile(g.means.astype(np.float64), [rest, 1 - rest], axis=0))
+
+
+def apply_cache(g: Gaussians, cache: HashField, region: Region) -> Gaussians:
+    rows = region.rows(g)
+    with torch.no_grad():
+        changes = cache(cache.places(g.means[rows]))
+        return to_gaussians(transformed(from_gaussians(g), torch.from_numpy(rows), changes, region.diagonal))
+
+
+def transformed(
+    p: Mapping[str, torch.Tensor], rows: torch.Tensor, changes: torch.Tensor, diagonal: float
+) -> Parameters:
+    """Gaussians of which `rows` (M,) have moved and turned by `changes` (M, 7) of a cache; 0 changes nothing.
+
+    The rotation is composed as a product of quaternions, and turns SH of the first degree, too; higher ones stay.
+    `diagonal`: of the box, world units.
+    """
+    unit = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=changes.dtype)
+    turn = torch.nn.functional.normalize(unit + TURN * changes[:, 3:], dim=1)
+    new = {
+        "means": p["means"][rows] + MOVE * diagonal * changes[:, :3],
+        "quaternions": hamilton(turn, p["quaternions"][rows]),
+    }
+    if p["sh_rest"].shape[1]:
+        new["sh_rest"] = _turned_sh(p["sh_rest"][rows], turn)
+    return {name: value.index_copy(0, rows, new[name]) if name in new else value for name, value in p.items()}
+
+
+def hamilton(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """The product a b of quaternions (M, 4): the rotation by b, then by a."""
+    scalar = a[:, :1] * b[:, :1] - (a[:, 1:] * b[:, 1:]).sum(dim=1, keepdim=True)
+    vector = a[:, :1] * b[:, 1:] + b[:, :1] * a[:, 1:] + torch.linalg.cross(a[:, 1:], b[:, 1:])
+    return torch.cat([scalar, vector], dim=1)
+
+
+def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Vectors (M, 3) turned by unit quaternions (M, 4)."""
+    twice = 2 * torch.linalg.cross(q[:, 1:], v)
+    return v + q[:, :1] * twice + torch.linalg.cross(q[:, 1:], twice)
+
+
+def _turned_sh(sh: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
+    """Coefficients (M, K, 3) whose first band, -y, z, -x in the order of 3DGS, has turned like a vector."""
+    colours = [rotate(turn, torch.stack([-c[:, 2], -c[:, 0], c[:, 1]], dim=1)) for c in sh.unbind(dim=2)]
+    first = torch.stack([torch.stack([-v[:, 1], v[:, 2], -v[:, 0]], dim=1) for v in colours], dim=2)
+    return torch.cat([first, sh[:, 3:]], dim=1)
+
+
+@dataclass(slots=True, eq=False)
+class CacheDriven:
+    """Variables of a fit that learns a cache; Gaussians are watched in its last iterations."""
+
+    base: Gaussians
+    cache: HashField
+    region: Region
+    rate: float  # Adam's, at the beginning
+    watched: int  # iterations in which gradients by the places of Gaussians in pictures are collected
+    collected: Densifier = field(init=False)
+    _base: Parameters = field(init=False)
+    _rows: torch.Tensor = field(init=False)
+    _places: Places = field(init=False)
+    _watching: bool = field(init=False, default=False)
+    _absgrad: AbsGrad | None = field(init=False, default=None)
+    _adam: torch.optim.Adam = field(init=False)
+
+    def __post_init__(self) -> None:
+        rows = self.region.rows(self.base)
+        self._base, self._rows = from_gaussians(self.base), torch.from_numpy(rows)
+        self._places = self.cache.places(self.base.means[rows])
+        self._adam = torch.optim.Adam(self.cache.parameters(), lr=self.rate, betas=BETAS, eps=EPSILON)
+        self.collected = Densifier(Growth(len(self.base)), len(self.base), np.random.default_rng(0))
+
+    def current(self, after: float = 0.0) -> Parameters:
+        return transformed(self._base, self._rows, self.cache(self._places), self.region.diagonal)
+
+    def watch(self) -> AbsGrad | None:
+        self._absgrad = AbsGrad() if self._watching else None
+        return self._absgrad
+
+    def penalty(self) -> float:
+        """0: 3DGStream has the loss of the pictures alone."""
+        return 0.0
+
+    def step(self, iteration: int, iterations: int) -> None:
+        if self._absgrad:
+            self.collected.collect(self._absgrad)
+        self._watching = iteration >= iterations - self.watched
+        for group in self._adam.param_groups:
+            group["lr"] = self.rate * RATE_LAST ** (iteration / iterations)
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
 
 ADDED_RATES = Rates(factor=15.0, last=0.1, means_last=0.1)
 SPREAD = math.sqrt(2)  # new means are drawn from N(mu, 2 Sigma) of their parents
@@ -42,8 +167,6 @@ WIRE = np.dtype("<f4")  # a number of an added Gaussian
 
 @dataclass(frozen=True, slots=True)
 class StreamSettings:
-    """What decides a run besides the footage. Raises ConfigError for values that cannot work."""
-
     first: TrainSettings = field(default_factory=TrainSettings)  # of the first frame
     cache: FieldSettings = field(
         default_factory=lambda: FieldSettings(levels=6, features=2, log2_table=11, coarsest=8, growth=1.6)
@@ -56,25 +179,17 @@ class StreamSettings:
     threshold: float = 1.5e-4  # gradient of the loss by the place in the picture, in halves of its longest side
     most_added: int = 1000  # Gaussians that a frame may add
 
-    def __post_init__(self) -> None:
-        if min(self.iterations, self.added_iterations) < 1 or self.most_added < 0 or not 0 < self.share <= 1:
-            raise ConfigError(f"expected iterations, a share of 0 to 1 and a count of at least 0, got {self}")
-
 
 @dataclass(frozen=True, slots=True)
 class Stream3dgs:
-    """The method."""
-
     options: StreamSettings = field(default_factory=StreamSettings)
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
         return "3dgstream"
 
     @property
     def settings(self) -> dict[str, object]:
-        """All options."""
         return asdict(self.options)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
@@ -130,14 +245,11 @@ def _added(data: bytes, sh_degree: int) -> Gaussians:
 
 
 def _wire(g: Gaussians) -> bytes:
-    """All attributes of each row as they are stored, in float32."""
     return np.concatenate([getattr(g, name).reshape(len(g), -1) for name in ATTRIBUTES], axis=1).astype(WIRE).tobytes()
 
 
 @dataclass(frozen=True, slots=True)
 class _Fit:
-    """The two stages of a frame."""
-
     options: StreamSettings
     trainer: Trainer
     region: Region
@@ -166,7 +278,6 @@ class _Fit:
     def _add(
         self, moved: Gaussians, new: Gaussians, target: FrameViews, rng: np.random.Generator, progress: Progress
     ) -> Gaussians:
-        """The new Gaussians, fitted among the moved ones, which rest."""
         o = self.options
         resting = Resting(from_gaussians(moved), torch.empty(0, dtype=torch.int64))
         growth = Growth(min(2 * len(new), o.most_added), every=ADD_EVERY)

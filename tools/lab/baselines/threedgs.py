@@ -1,20 +1,29 @@
-"""3D Gaussian Splatting (Kerbl et al. 2023) as its paper has it: thresholds, opacity reset, no budget. N Gaussians."""
+"""3D Gaussian Splatting (Kerbl et al. 2023) as its paper has it, and the first baseline: every frame on its own.
+
+Thresholds, opacity reset, no budget; a viewer fetches .ply files. N Gaussians.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import torch
 
-from airgs_codec.errors import TrainingError
+from airgs_codec.errors import SceneError, TrainingError
+from airgs_codec.progress import Progress
 from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.fit.grow import LOW_OPACITY, is_visible, split_or_clone
+from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import Adam, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
 from airgs_codec.trainer.fit.variables import Rates
+from tools.lab.baselines.method import Footage, Shown, frame_path
 
 ITERATIONS = 30_000  # that the paper's constants are made for
 GRADIENT = 2e-4  # mean length of the gradient by places that are -1..1 across the picture, from which rows are added
@@ -47,15 +56,12 @@ class Timetable:
         return replace(self, start=round(self.start * factor), stop=stop, reset=reset)
 
     def densifies(self, iteration: int) -> bool:
-        """Return whether rows are added and removed after this iteration."""
         return self.start < iteration < self.stop and iteration % self.every == 0
 
     def resets(self, iteration: int) -> bool:
-        """Return whether opacity is reset after this iteration."""
         return self.reset is not None and iteration < self.stop and iteration % self.reset == 0
 
     def removes_large(self, iteration: int) -> bool:
-        """Return whether Gaussians may be too large after this iteration."""
         return self.reset is not None and iteration > self.reset
 
 
@@ -72,15 +78,12 @@ class Splats:
         self._restart()
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians as they are now, leaves."""
         return self._adam.parameters
 
     def gaussians(self) -> Gaussians:
-        """A copy of them."""
         return to_gaussians(self._adam.parameters)
 
     def watch(self) -> AbsGrad:
-        """Return where the gradients of the next picture are wanted."""
         self._absgrad = AbsGrad()
         return self._absgrad
 
@@ -104,15 +107,6 @@ class Splats:
                 self._densify(iteration)
             if self.timetable.resets(iteration):
                 self._adam.replace_values("opacity_logits", reset_opacity(self._adam.parameters["opacity_logits"]))
-
-    def state(self) -> dict[str, object]:
-        """Everything that `restore` needs, as tensors and numbers."""
-        return {"adam": self._adam.state(), "sum": self._sum, "count": self._count}
-
-    def restore(self, state: Mapping[str, object]) -> None:
-        """Go on from what `state` gave."""
-        self._adam.restore(state["adam"])  # type: ignore[arg-type]
-        self._sum, self._count = (torch.as_tensor(state[name]) for name in ("sum", "count"))
 
     def _restart(self) -> None:
         self._sum, self._count = torch.zeros(2, len(self._adam.parameters["means"]))
@@ -147,3 +141,53 @@ def is_kept(p: Parameters, largest: float) -> torch.Tensor:
 def reset_opacity(logits: torch.Tensor) -> torch.Tensor:
     """Logits (N,) of which none is above that of RESET_OPACITY."""
     return logits.clamp_max(math.log(RESET_OPACITY / (1 - RESET_OPACITY)))
+
+
+@dataclass(frozen=True, slots=True)
+class Naive3dgs:
+    """3DGS of every frame; the paper's schedule is shrunk to so many iterations."""
+
+    iterations: int = 1_500
+    sh_degree: int = 1
+    gradient: float = 2 * GRADIENT  # from which rows are added
+    rate: float = 3.0  # factor on the learning rates of the paper, which are made for 30,000 iterations
+    points: int = 2_400  # fewest to start from; random ones fill up
+    seed: int = 0
+
+    @property
+    def name(self) -> str:
+        return "naive3dgs"
+
+    @property
+    def settings(self) -> dict[str, object]:
+        return asdict(self)
+
+    def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
+        """The frames from number `done` on. Raises SceneError where there is nothing to train on or to start from."""
+        torch.set_num_threads(1)  # the renderer has threads of its own
+        footage.folder.mkdir(parents=True, exist_ok=True)
+        for t in range(done, footage.frames):
+            begun = time.perf_counter()
+            g = self.fit(footage, t, progress)
+            path = frame_path(footage.folder, t)
+            write_ply(path, g)
+            yield Shown("key", g, path.stat().st_size, time.perf_counter() - begun)
+
+    def fit(self, footage: Footage, frame: int, progress: Progress) -> Gaussians:
+        """One frame, from the scene's points if it is the first, and from triangulated ones if not."""
+        views = footage.pictures.train(frame)
+        if not views:
+            raise SceneError(f"expected training views of frame {frame}, got none")
+        rng = np.random.default_rng([self.seed, frame])
+        cloud = initial_points(None if frame else footage.points, views, self.points, rng)
+        assert cloud.colours is not None  # `initial_points` gives every point one
+        extent = scene_extent([view.camera for view in views], cloud)
+        start = from_points(cloud.positions, cloud.colours, self.sh_degree, START_OPACITY, extent)
+        timetable = Timetable(gradient=self.gradient).scaled(self.iterations / ITERATIONS)
+        splats = Splats(start, extent, timetable, self.seed, self.rate)
+        schedule = Schedule(f"frame {frame} of {footage.frames}", self.iterations, self._sh_degree)
+        optimise(splats, views, schedule, rng, progress=progress)
+        return splats.gaussians()
+
+    def _sh_degree(self, done: float) -> int:
+        return min(self.sh_degree, int(done * ITERATIONS / SH_EVERY))

@@ -7,21 +7,15 @@ Written from the paper; docs/results/baselines.md says what is simplified. N Gau
 
 from __future__ import annotations
 
-import json
 import math
-import shutil
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 
 import numpy as np
 import torch
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.places.whole import write_json
 from airgs_codec.progress import Progress
-from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians, morton_order
 from airgs_codec.trainer.fit.first import FIRST_REGULARISERS, fit_first
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
@@ -101,8 +95,6 @@ def estimated_bits(samples: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True, slots=True)
 class V3Settings:
-    """What decides a run. Raises ConfigError for values that cannot work."""
-
     group_frames: int = 20
     rows: int = 8_000  # Gaussians of a keyframe after pruning, at most
     pruned: float = 0.5  # share of a keyframe's Gaussians that is removed, those of lowest opacity
@@ -119,12 +111,7 @@ class V3Settings:
     form: str = V3_FORMS[0]  # in which the videos, and the losses, have scales and opacities
     seed: int = 0
 
-    def __post_init__(self) -> None:
-        if self.group_frames < 1 or self.rows < 1 or not 0 <= self.pruned < 1:
-            raise ConfigError(f"expected groups of a frame, a Gaussian and a share below 1 to prune, got {self}")
-
     def training(self) -> TrainSettings:
-        """The settings of the fit of a keyframe before it is pruned."""
         budget = round(self.rows / (1 - self.pruned))
         return TrainSettings(
             budget=budget,
@@ -149,69 +136,29 @@ class V3:
         return asdict(self.chosen)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
-        """The frames from number `done` on: a group is trained, then coded, then shown as it decodes.
-
-        Frames of the group that is trained are kept in `footage.folder` until the next one begins.
-        """
+        """The frames from number `done` on: a group is trained, from its first frame on, then coded, then shown."""
         s = self.chosen
         trainer = make_trainer(s.training(), footage.pictures.train(0), footage.points, "cpu")
         for start in range(done - done % s.group_frames, footage.frames, s.group_frames):
-            group = _TrainedGroup(footage.folder / "group", start)
-            stop = min(start + s.group_frames, footage.frames)
-            for t in range(start + len(group.seconds), stop):
+            group: list[Gaussians] = []
+            seconds = []
+            for t in range(start, min(start + s.group_frames, footage.frames)):
                 began = time.perf_counter()
-                g = self._trained(trainer, footage, t, group, progress)
-                group.append(g, time.perf_counter() - began)
+                target = FrameViews(t, footage.pictures.train(t))
+
+                def named(stage: str, done: int, total: int, t: int = t) -> None:
+                    progress(f"frame {t} of {footage.frames} ({stage})", done, total)
+
+                if group:
+                    group.append(fit_frame(trainer, target, group[-1], s, named))
+                else:
+                    group.append(fit_key(trainer, target, footage, s, named))
+                seconds.append(time.perf_counter() - began)
             began = time.perf_counter()
-            coded = v3_layout([group.read(t) for t in range(start, stop)], s.qp, s.preset, s.form)
-            coding_s = (time.perf_counter() - began) / (stop - start)
-            for t in range(max(start, done), stop):
-                i = t - start
-                kind = "frame" if i else "key"
-                yield Shown(kind, coded.frames[i], coded.frame_bytes[i], group.seconds[i] + coding_s)
-        shutil.rmtree(footage.folder / "group", ignore_errors=True)
-
-    def _trained(
-        self, trainer: Trainer, footage: Footage, t: int, group: _TrainedGroup, progress: Progress
-    ) -> Gaussians:
-        target = FrameViews(t, footage.pictures.train(t))
-
-        def named(stage: str, done: int, total: int) -> None:
-            progress(f"frame {t} of {footage.frames} ({stage})", done, total)
-
-        if t == group.start:
-            return fit_key(trainer, target, footage, self.chosen, named)
-        return fit_frame(trainer, target, group.read(t - 1), self.chosen, named)
-
-
-class _TrainedGroup:
-    """The trained frames of the group that is not coded yet, in a folder."""
-
-    def __init__(self, folder: Path, start: int) -> None:
-        """The group whose first frame is `start`; frames of another one are forgotten."""
-        self.start = start
-        self.seconds: list[float] = []  # of training each frame that is there
-        self._folder, self._record = folder, folder / "group.json"
-        if self._record.exists():
-            kept = json.loads(self._record.read_text())
-            if kept["start"] == start:
-                self.seconds = kept["seconds"]
-            else:
-                shutil.rmtree(folder)
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def append(self, g: Gaussians, seconds: float) -> None:
-        """Keep the next frame."""
-        write_ply(self._path(self.start + len(self.seconds)), g)
-        self.seconds.append(seconds)
-        write_json(self._record, {"start": self.start, "seconds": self.seconds})
-
-    def read(self, t: int) -> Gaussians:
-        """A frame that was kept."""
-        return read_ply(self._path(t))
-
-    def _path(self, t: int) -> Path:
-        return self._folder / f"{t:06d}.ply"
+            coded = v3_layout(group, s.qp, s.preset, s.form)
+            coding_s = (time.perf_counter() - began) / len(group)
+            for i in range(max(0, done - start), len(group)):
+                yield Shown("frame" if i else "key", coded.frames[i], coded.frame_bytes[i], seconds[i] + coding_s)
 
 
 @dataclass(slots=True, eq=False)
@@ -234,12 +181,10 @@ class FieldDriven:
         self._adam = torch.optim.Adam(self._field.parameters(), lr=FIELD_RATE, betas=BETAS)
 
     def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians where the field puts them, differentiable by its weights."""
         moved = self.base["means"] + DISPLACEMENT * self.extent * self._field(self._places)
         return self.base | {"means": moved}
 
     def detached(self) -> Parameters:
-        """The Gaussians where the field puts them."""
         with torch.no_grad():
             return self.current()
 
@@ -251,7 +196,6 @@ class FieldDriven:
         return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:
-        """Move the field's weights along the gradients, by Adam."""
         for group in self._adam.param_groups:
             group["lr"] = FIELD_RATE * FIELD_LAST ** (iteration / iterations)
         self._adam.step()
@@ -265,7 +209,6 @@ class Finetuned(PerGaussian):
     losses: ResidualLoss | None = None
 
     def penalty(self) -> torch.Tensor | float:
-        """The losses of the residual."""
         return self.losses(self.adam.parameters) if self.losses else 0.0
 
 
@@ -306,5 +249,4 @@ def _schedule(trainer: Trainer, stage: str, iterations: int, coarse: float = 0.0
 
 
 def _rng(settings: V3Settings, frame: int, stage: int) -> np.random.Generator:
-    """Its own random numbers for every fit, so that a run can go on anywhere."""
     return np.random.default_rng([settings.seed, frame, stage])

@@ -3,33 +3,32 @@
 Each scene is encoded with `--target-psnr` for each target. For every rung the PSNR that the package claims stands
 beside that of pictures from views drawn anew from its viewing region, one for each picture, which take turns with the
 frames, errors pooled as in a package; and the worst picture that it claims beside the worst one found. Errors are
-heavy-tailed: one view close to a large Gaussian may outweigh a hundred. `--held-views` takes views from a file, its
-held-out ones if it has any. The packages stay in the folder.
+heavy-tailed: one view close to a large Gaussian may outweigh a hundred. The packages stay in the
+folder.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
-from airgs_codec import EncodeSettings, encode, open_package, open_sequence
-from airgs_codec._settings import applied
+from airgs_codec import encode, open_package, open_sequence
 from airgs_codec.encoder.search import PSNR, Goal
-from airgs_codec.errors import AirgsError, ConfigError
-from airgs_codec.inspect.sides import compared_views, rung_streams
+from airgs_codec.errors import AirgsError
+from airgs_codec.inspect.sides import rung_streams
 from airgs_codec.inspect.summary import RungSummary, summarise
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
-from airgs_codec.render import Camera, read_cameras, render
+from airgs_codec.render import Camera, render
 from airgs_codec.scene.sequence import GaussianSequence
-from tools.lab import Given, Lab, Page, Section, Table, given, required, setting
+from tools.lab import Lab, Page, Section, Table, required, setting
 from tools.lab import Row as PlainRow
 from tools.lab.made import name_of
 
 CLOSE_DB = 0.5  # from a claim, where it holds
+SEED = 1000  # of the views that measure
 DEFAULT = "default"  # in place of a target: the encoder's own quality
 COLUMNS = {
     "scene": ("scene", ""), "target": ("target, dB", ""), "kilobytes": ("top rung, kB a frame", ".1f"),
@@ -40,36 +39,34 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is encoded and measured."""
-
     scenes: tuple[str, ...] = required("scenes, each with its cameras or without: SCENE[=VIEWS]")
     targets: tuple[str, ...] = setting(("36", "40", "43"), f"dB, or {DEFAULT} for no target")
     pictures: int = setting(64, "pictures that measure a rung, each of its own view")
-    seed: int = setting(1000, "of their draw")
-    held_views: Path | None = setting(None, "cameras to measure from instead")
-    settings: Given = given(EncodeSettings, "settings of the encoder")
-
-    def __post_init__(self) -> None:
-        for target in (target for target in self.targets if target != DEFAULT):
-            if not target.replace(".", "", 1).isdecimal():
-                raise ConfigError(f"--targets: expected dB or {DEFAULT}, got {target}")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Encode, measure, compare."""
-    views = tuple(compared_views(read_cameras(options.held_views), None)) if options.held_views else ()
-    settings = applied(EncodeSettings(), options.settings)
-    bench = Bench(settings, options.pictures, options.seed, views, lab.folder, lab.tell)
     rows: list[Row] = []
     for spec in options.scenes:
         scene, _, cameras = spec.partition("=")
         sequence = open_sequence(scene, views=cameras or None)
-        rows += bench_scene(bench, name_of(spec), sequence, options.targets)
+        for target in options.targets:
+            goal = None if target == DEFAULT else Goal(PSNR, float(target))
+            folder = lab.folder / f"{name_of(spec)}-{target}.airgs"
+            try:
+                encode(sequence, folder, goal=goal)
+            except AirgsError as error:
+                lab.tell(f"{name_of(spec)} {target}: {error}")
+                continue
+            package = open_package(folder)
+            seen = draw_views(package.manifest.region, options.pictures, SEED)
+            rows += rows_of(name_of(spec), target, package, measure(package, sequence, seen, options.pictures))
     packages = [package_row(some) for some in by_package(rows)]
     tables = [Table("claims-shown", [row for row in packages if row["target"] == options.targets[-1]], COLUMNS)]
     data = [Table("claims-packages", packages, COLUMNS), Table("claims", [row.plain() for row in rows])]
-    shown = "the held-out views given" if views else "views drawn anew from the package's region"
-    how = f"Each rung is measured in {options.pictures} pictures from {shown}; bytes are all that a viewer fetches."
+    how = (
+        f"Each rung is measured in {options.pictures} pictures from views drawn anew from the package's region; bytes "
+        "are all that a viewer fetches."
+    )
     return Page([Section(verdict(rows), tables=tables)], how, data=data)
 
 
@@ -101,36 +98,8 @@ class Row:
         return 0.0 if self.claimed is None else self.measured.mean - self.claimed
 
     def plain(self) -> PlainRow:
-        """As a row of the table."""
         measured = {"measured": self.measured.mean, "worst": self.measured.worst, "off": round(self.off, 3)}
         return asdict(self) | measured
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Bench:
-    """What all scenes are encoded and measured with."""
-
-    settings: EncodeSettings
-    pictures: int  # that measure a rung
-    seed: int  # of their views
-    views: tuple[Camera, ...]  # measured from, in place of fresh ones; empty: draw them
-    folder: Path  # of the packages
-    tell: Callable[[str], None] = print  # of targets that are out of reach
-
-    def encode(self, sequence: GaussianSequence, name: str, settings: EncodeSettings, goal: Goal | None) -> Package:
-        """The package of a scene. Raises ConfigError for a goal out of reach."""
-        folder = self.folder / f"{name}.airgs"
-        encode(sequence, folder, settings, goal=goal)
-        return open_package(folder)
-
-    def looks(self, package: Package) -> list[Camera]:
-        """The cameras that quality is measured from. Raises ConfigError where every view of a region is one camera."""
-        region = package.manifest.region
-        if not self.views and region.turn == 0 and all(place.reach == 0 for place in region.places):
-            raise ConfigError(
-                "expected --held-views FILE: the viewing region has no views but those that decisions used"
-            )
-        return list(self.views) or draw_views(region, self.pictures, self.seed)
 
 
 def measure(
@@ -153,7 +122,6 @@ def measure(
 
 
 def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured]) -> list[Row]:
-    """The rungs of a package by falling bytes."""
     rungs = summarise(package.manifest, package.manifest_bytes).rungs
     manifests = package.manifest_bytes / package.manifest.frames / 1e3
     rows = []
@@ -165,21 +133,6 @@ def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured
 
 def _name(rung: RungSummary) -> str:
     return f"{rung.key}+{rung.state}"
-
-
-def bench_scene(bench: Bench, scene: str, sequence: GaussianSequence, targets: Sequence[str]) -> list[Row]:
-    """All rungs, package by package; a target that the encoder refuses is told of."""
-    rows = []
-    for target in targets:
-        goal = None if target == DEFAULT else Goal(PSNR, float(target))
-        try:
-            package = bench.encode(sequence, f"{scene}-{target}", bench.settings, goal)
-            found = measure(package, sequence, bench.looks(package), bench.pictures)
-        except AirgsError as error:
-            bench.tell(f"{scene} {target}: {error}")
-        else:
-            rows += rows_of(scene, target, package, found)
-    return rows
 
 
 def by_package(rows: Sequence[Row]) -> list[list[Row]]:
@@ -198,12 +151,14 @@ def package_row(rows: Sequence[Row]) -> PlainRow:
         "claimed": top.claimed, "measured": top.measured.mean, "claimed_worst": top.claimed_worst,
         "worst": top.measured.worst, "low_kilobytes": low.kilobytes, "low_measured": low.measured.mean,
         "off": max((row.off for row in ladder), key=abs, default=0.0),
-        "beaten": " ".join(row.rung for row in ladder if is_beaten(row, rows)),
+        "beaten": " ".join(  # a rung with fewer bytes was measured to be at least as good
+            row.rung for row in ladder
+            if any(o.kilobytes < row.kilobytes and o.measured.mean >= row.measured.mean for o in rows)
+        ),
     }  # fmt: skip
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """How far claims of top rungs, their worst pictures and ladders are off, and which rungs a cheaper one beats."""
     packages = [package_row(some) for some in by_package(rows)]
     if not packages:
         return "No package could be made."
@@ -225,8 +180,3 @@ def verdict(rows: Sequence[Row]) -> str:
     )
     sentence = "; ".join(words)
     return f"{sentence[0].upper()}{sentence[1:]}."
-
-
-def is_beaten(row: Row, others: Sequence[Row]) -> bool:
-    """Return whether a rung with fewer bytes was measured to be at least as good."""
-    return any(o.kilobytes < row.kilobytes and o.measured.mean >= row.measured.mean for o in others)

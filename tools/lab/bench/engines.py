@@ -50,8 +50,6 @@ Picture = NDArray[np.uint8]  # (H, W, 3)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is drawn."""
-
     scenes: tuple[str, ...] = setting(("ball-0", "ball-3"), "balls, packages or scenes, SCENE[=VIEWS]")
     rows: int = setting(10_000, "Gaussians of a ball")
     size: int = setting(512, "of a picture, pixels")
@@ -59,7 +57,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each engine and scene."""
     subprocess.run(["node", WEB / "scripts/pages.mjs"], check=True)
     rows: list[Row] = []
     for name in options.scenes:
@@ -69,7 +66,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(rows: Sequence[Row], how: str) -> Page:
-    """What the rows say."""
     worst = {
         variant: listed([f"{min(_least(row, variant) for row in rows if row['engine'] == engine):.1f} ({engine})"
                          for engine in dict.fromkeys(row["engine"] for row in rows)])
@@ -108,7 +104,6 @@ def _psnr(picture: Picture, truth: Picture) -> float:
 
 
 def versions() -> str:
-    """Return what draws."""
     names = ("three", "@sparkjsdev/spark", "playcanvas")
     read = {name: json.loads((WEB / "node_modules" / name / "package.json").read_text())["version"] for name in names}
     return ", ".join(f"{name} {version}" for name, version in read.items())
@@ -123,7 +118,6 @@ class View:
     up: list[float]
 
     def closer(self) -> View:
-        """The same from a part of the distance."""
         position, focus = np.array(self.position), np.array(self.focus)
         return View((focus + CLOSE * (position - focus)).tolist(), self.focus, self.up)
 
@@ -135,15 +129,12 @@ class View:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What is drawn, and from where."""
-
     gaussians: Gaussians
     views: list[View]
     fov_y: float  # degrees
 
 
 def read_scene(name: str, rows: int, frame: int) -> Scene:
-    """A frame of a package, or a ball."""
     if name.startswith(BALL):
         views = [View(list(position), [0.0, 0.0, 0.0], [0.0, -1.0, 0.0]) for position in BALL_VIEWS]
         return Scene(ball(rows, int(name.removeprefix(BALL))), [*views, views[0].closer()], BALL_FOV)
@@ -155,7 +146,6 @@ def read_scene(name: str, rows: int, frame: int) -> Scene:
 
 
 def ball(rows: int, degree: int) -> Gaussians:
-    """Random Gaussians round the origin."""
     rng = np.random.default_rng(0)
     arrays = (
         rng.normal(size=(rows, 3)) * 0.5,
@@ -177,7 +167,6 @@ def columns(g: Gaussians) -> bytes:
 
 
 def write_page(folder: Path, scene: Scene, size: int) -> None:
-    """Everything that the browser asks for."""
     g = scene.gaussians
     header = {"rows": len(g), "channels": 3 * (1 + g.sh_rest.shape[1]), "size": size, "fov_y": scene.fov_y}
     header |= {"near": scene.views[0].camera(size, scene.fov_y).near, "views": [asdict(v) for v in scene.views]}

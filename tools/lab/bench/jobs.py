@@ -27,21 +27,17 @@ SETTINGS = EncodeSettings(calibrate="none", group_frames=10, measure_pictures=4)
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How much work."""
-
     frames: int = setting(120, "frames of the sequence")
     rows: int = setting(20_000, "its Gaussians")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Encode in every way."""
     took = encodes(options.rows, options.frames)
     rows = [{"way": way, "seconds": seconds} for way, seconds in took.items()]
     return Page([Section(words(took, options))], data=[Table("jobs", rows)])
 
 
 def words(took: Mapping[str, float], options: Options) -> str:
-    """How long every way takes, and whether the quickest one is worth it."""
     ways = [f"{seconds:.1f} s in {way}" for way, seconds in took.items()]
     quickest = min(took, key=lambda way: took[way])
     gain = "sharing gains nothing"
@@ -52,7 +48,6 @@ def words(took: Mapping[str, float], options: Options) -> str:
 
 
 def encodes(rows: int, frames: int) -> dict[str, float]:
-    """Seconds by the clock of the same encode in three ways."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_scene(rows, frames, folder / "scene")
@@ -70,7 +65,6 @@ def encodes(rows: int, frames: int) -> dict[str, float]:
 
 
 def _seconds(folder: Path, name: str, threads: int, engine: Callable[[], Engine]) -> float:
-    """Seconds of an encode, the start of its processes included."""
 
     def work() -> None:
         made = engine()

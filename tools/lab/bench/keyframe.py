@@ -25,32 +25,22 @@ from airgs_codec.trainer.fit.parameters import Parameters
 from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
 from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.pipeline import rested
-from airgs_codec.trainer.record import Model, known_offsets, read_model
+from airgs_codec.trainer.record import known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
-from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of, setting
+from tools.lab import Lab, Page, Row, Section, Table, required, seconds_of
 
 WARM = (25, 50, 100, 200, 400, 800, 1500)  # iterations
 SCRATCH = (200, 300, 400, 500, 600, 800, 1200, 2500)
-COLUMNS = {
-    "fitted": ("fitted", ""), "iterations": ("iterations", "d"), "seconds": ("CPU s", ".1f"),
-    "psnr": ("PSNR, dB", ".2f"), "rows": ("Gaussians", ",d"),
-}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is fitted."""
-
     scene: Path = required("what was trained on, as airgs-train reads it")
     model: Path = required("the model")
-    frame: int | None = setting(None, "from 1 on (default: the first keyframe after frame 0)")
-    max_size: int | None = setting(None, "longest side of pictures, pixels (default: as the model was trained)")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """A frame that both fits are made of."""
-
     trainer: Trainer
     target: FrameViews
     before: InMotion
@@ -58,20 +48,17 @@ class Case:
     held_out: Sequence[View]
 
     def warm(self, iterations: int) -> Gaussians:
-        """A keyframe from the frame before."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, key_iterations=iterations))
         return short.fit_keyframe(self.target, self.before, self.steps).gaussians
 
     def scratch(self, iterations: int) -> Gaussians:
-        """A keyframe from points found in its pictures."""
         short = replace(self.trainer, settings=replace(self.trainer.settings, first_iterations=iterations))
         return fit_first(short, self.target, None).gaussians
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Both curves, and how much sooner the warm start reaches what the other does."""
     torch.set_num_threads(1)
-    case = open_case(options.scene, options.model, options.frame, options.max_size)
+    case = open_case(options.scene, options.model)
     case.warm(1)  # compiles
     fast = follow("from the frame before", case.warm, WARM, case.held_out)
     slow = follow("from scratch", case.scratch, SCRATCH, case.held_out)
@@ -91,23 +78,20 @@ def page(rows: int, fast: Sequence[Row], slow: Sequence[Row]) -> Page:
         )
     else:
         words.insert(0, "No fit from the frame before shows what one from scratch does.")
-    return Page([Section(" ".join(words))], data=[Table("keyframe", [*fast, *slow], COLUMNS)])
+    return Page([Section(" ".join(words))], data=[Table("keyframe", [*fast, *slow])])
 
 
 def _added(rows: int, fast: Sequence[Row]) -> float:
     return float(100 * (max(row["rows"] for row in fast) / rows - 1))
 
 
-def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_size: int | None) -> Case:
-    """The frame of a model; None stands for its first keyframe after frame 0, and for the model's size of pictures.
-
-    Raises ConfigError for a frame that the model does not have or that nothing comes before.
-    """
+def open_case(scene_folder: Path, model_folder: Path) -> Case:
+    """The first keyframe of a model after frame 0. Raises ConfigError where it has none."""
     model = read_model(model_folder)
-    frame = chosen_frame(model, frame)
+    if len(model.record.keyframes()) < 2:
+        raise ConfigError(f"{model.folder}: expected a keyframe after frame 0, got none")
+    frame = model.record.keyframes()[1]
     settings = settings_from_table(model.record.settings)
-    if max_size is not None:
-        settings = replace(settings, max_size=max_size)
     scene = with_held_out(in_step(open_scene(scene_folder), known_offsets(model_folder) or {}), None)
     first = First(model.read(0), model.record.exposure)
     capture = rested(Capture.of(scene, settings, "cpu")).with_first(first)
@@ -117,20 +101,7 @@ def open_case(scene_folder: Path, model_folder: Path, frame: int | None, max_siz
     return Case(capture.trainer, capture.target(frame, frame - 1), before, steps, held_out)
 
 
-def chosen_frame(model: Model, frame: int | None) -> int:
-    """The frame, or the first keyframe after frame 0. Raises ConfigError when the model does not have it."""
-    count, keys = len(model.record.frames), model.record.keyframes()[1:]
-    if frame is None:
-        if not keys:
-            raise ConfigError(f"{model.folder}: expected a keyframe after frame 0, got none; name a frame with --frame")
-        return keys[0]
-    if not 1 <= frame < count:
-        raise ConfigError(f"--frame: expected a frame from 1 to {count - 1}, got {frame}")
-    return frame
-
-
 def follow(name: str, fit: Callable[[int], Gaussians], counts: Sequence[int], held_out: Sequence[View]) -> list[Row]:
-    """A row for each of whole fits of several lengths."""
     curve = []
     for count in counts:
         took, g = seconds_of(lambda n=count: fit(n))  # type: ignore[misc]

@@ -24,8 +24,6 @@ from tools.lab.serving import airgs_serve
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is played."""
-
     package: Path = required("a package")
     traces: tuple[str, ...] = required("traces, as airgs-play takes them")
     seconds: float = setting(20.0, "of play")
@@ -33,7 +31,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each trace."""
     offers = Offers.of(open_package(options.package))
     rows = [row_of(options, offers, trace) for trace in options.traces]
     most = max(row["arrivals off, mean"] for row in rows)
@@ -42,7 +39,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def row_of(options: Options, offers: Offers, trace: str) -> Row:
-    """Play both ways over a trace."""
     loops = max(1, round(options.seconds / offers.duration_s))
     settings = SessionSettings(loops=loops, pipelined=False)
     with airgs_serve(options.package, "--trace", trace) as (_, url):
@@ -58,7 +54,6 @@ def row_of(options: Options, offers: Offers, trace: str) -> Row:
 
 
 def play_really(url: str, policy: str, settings: SessionSettings) -> SessionLog:
-    """A session over HTTP, by the clock."""
     with HttpDownloader(url) as downloader:
         return play(downloader.open(), downloader, policy, settings)
 

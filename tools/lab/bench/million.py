@@ -2,7 +2,7 @@
 
 Scenes of one group, made and encoded in the folder with the settings of `scale` unless they are there already: balls of
 which every Gaussian swings by itself, by so many of its standard deviations, and, with `--fox`, a ring of copies of the
-first twelve frames of a sequence (tools/make_wide_scene.py). A Gaussian moves that has states.
+first twelve frames of a sequence. A Gaussian moves that has states.
 """
 
 from __future__ import annotations
@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.jobs.job import code_digest
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, setting
-from tools.lab.bench.decode import measure
+from tools.lab import Lab, Page, Row, Section, Table, middle, setting, timed
 from tools.lab.bench.scale import SETTINGS
-from tools.lab.made import make_swinging
-from tools.make_wide_scene import make_scene as make_ring
+from tools.lab.made import make_ring, make_swinging
 
 COLUMNS = {
     "package": ("scene", ""), "Gaussians": ("Gaussians", ",d"), "with states": ("that move", ",d"),
@@ -32,8 +31,6 @@ LOOPED = 12  # frames of the sequence that copies in the ring show
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The scenes."""
-
     fox: Path | None = setting(None, "a sequence, for the ring of its copies")
     rows: int = setting(1_000_000, "Gaussians")
     frames: int = setting(30, "frames")
@@ -42,19 +39,26 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Make what is missing, and measure."""
     rows: list[Row] = []
     for name, make in scenes(options).items():
         package = prepared(lab.folder / f"{name.replace(' ', '-')}-{code_digest(encode)[:8]}", make)
-        rows += measure(name, package, options.repeat, ["all"])
-    for row in rows:
-        row |= {"kb_frame": row["bytes a frame"] / 1e3, "share": row["with states"] / row["Gaussians"]}
+        rows.append(measure(name, package, options.repeat))
     how = f"Of the top rung, {options.frames} frames, medians of {options.repeat} runs."
     return Page([Section(words(rows), tables=[Table("million", rows, COLUMNS)])], how)
 
 
+def measure(scene: str, package: Package, repeat: int) -> Row:
+    m = package.manifest
+    count, moving = m.groups[0].count, m.groups[0].tiles[0].levels[0].rows
+    size = m.bytes_of(m.rung_files(0, 0)) / m.frames
+    took = middle(timed(lambda: sum(1 for _ in decode_frames(package, 0, m.frames)), repeat)).times(1e3 / m.frames)
+    return {
+        "package": scene, "Gaussians": count, "with states": moving, "bytes a frame": size, "part": "all",
+        "ms a frame": took.wall, "CPU ms a frame": took.cpu, "kb_frame": size / 1e3, "share": moving / count,
+    }  # fmt: skip
+
+
 def words(rows: Sequence[Row]) -> str:
-    """Up to which share of moving rows what is asked for is met."""
     slow = min((row["share"] for row in rows if row["ms a frame"] > ASKED_MS), default=None)
     fast = [row for row in rows if slow is None or row["share"] < slow]
     asked = f"at most {ASKED_MS} ms a frame"
@@ -69,22 +73,17 @@ def words(rows: Sequence[Row]) -> str:
 
 
 def scenes(options: Options) -> dict[str, Callable[[Path], None]]:
-    """Return what makes each scene in a folder."""
     made: dict[str, Callable[[Path], None]] = {
         f"ball, all swing by {swing:g}": partial(make_swinging, options.rows, options.frames, swing)
         for swing in options.swings
     }
     if options.fox:
-        sequence = open_sequence(options.fox)
-        copies = max(1, round(options.rows / len(sequence.load([0]).frames[0])))
-        made[f"ring of {copies} foxes"] = lambda folder: make_ring(
-            sequence, folder, (0, LOOPED), copies, options.frames
-        )
+        copies = max(1, round(options.rows / open_sequence(options.fox).headers[0].count))
+        made[f"ring of {copies} foxes"] = partial(make_ring, options.fox, copies, LOOPED, options.frames)
     return made
 
 
 def prepared(folder: Path, make: Callable[[Path], None]) -> Package:
-    """The package of a scene, which is made where it is not there."""
     if not (folder / "package").is_dir():
         folder.mkdir(parents=True, exist_ok=True)
         if not (folder / "scene").is_dir():

@@ -37,14 +37,11 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is encoded."""
-
     scenes: tuple[str, ...] = required("sequences; SCENE=CAMERAS names the cameras")
     x264_preset: str = setting(DEFAULT_PRESET, "x264 preset", choices=PRESETS)
 
 
 def _free(of: type, name: str) -> AbstractContextManager[object]:
-    """A method of omissions that finds nothing to leave out."""
     choose = getattr(of, name)
     return patch.object(of, name, lambda self, price: choose(self, 0.0))
 
@@ -74,13 +71,11 @@ def _rank_all(states: Any, changes: Any, weights: Any, usage: Any, rank: str, _:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each scene and thing that is left out."""
     rows = [row for scene in options.scenes for row in measure(scene, options.x264_preset, lab)]
     return Page([Section(answer(rows), tables=[Table("omissions", rows, COLUMNS)])])
 
 
 def measure(scene: str, preset: str, lab: Lab) -> Iterator[Row]:
-    """The top rung of a scene with each thing taken back, beside that as it is."""
     name, _, cameras = scene.partition("=")
     sequence = hold_frames(open_sequence(name, views=cameras or None))
     with_all: tuple[float, float] | None = None
@@ -110,7 +105,6 @@ def _top_rung(sequence: GaussianSequence, settings: EncodeSettings, bands: bool,
 
 
 def answer(rows: Sequence[Row]) -> str:
-    """What saves most, and what costs most."""
     taken = [row for row in rows if row["taken_back"] != AS_IT_IS]
     if not taken:
         return "Nothing is left out."

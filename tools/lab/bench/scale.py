@@ -1,19 +1,17 @@
 """Seconds, memory and bytes over the number of Gaussians and of frames: scenes encoded twice and decoded.
 
 Made scenes, balls of Gaussians of which a tenth swings, of each number of rows have the first number of `--frames`;
-scenes of each number of frames have `--few` rows. With `--sequence` it is that sequence instead, played forth and back
-as long as `--frames` say, by the defaults of airgs-encode, its trial encodes included. Every encode and every decode is
-a process of its own. cold: from nothing; warm: once more with the jobs that the first one kept; decode: every frame of
-the top rung. A power law is fitted to cold and decode by least squares of the logarithms.
+scenes of each number of frames have `--few` rows. Every encode and every decode is a process of its own. cold: from
+nothing; warm: once more with the jobs that the first one kept; decode: every frame of the top rung. A power law is
+fitted to cold and decode by least squares of the logarithms.
 """
 
 from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +24,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, alone, listed, rows_of, setting
-from tools.lab.made import forth_and_back, make_scene
+from tools.lab.made import make_scene
 
 SETTINGS = EncodeSettings(
     calibrate="none",
@@ -46,19 +44,13 @@ STEPS = ("cold", "warm", "decode")
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """The sizes."""
-
     rows: tuple[int, ...] = setting((10_000, 100_000, 1_000_000), "Gaussians of made scenes")
     frames: tuple[int, ...] = setting((30, 300, 3000), "frames")
     few: int = setting(2000, "Gaussians of made scenes of many frames")
-    sequence: Path | None = setting(None, "a sequence to be measured in place of made scenes")
-    views: Path | None = setting(None, "cameras of that sequence (default: its own)")
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One process."""
-
     rows: int
     frames: int
     step: str  # of STEPS
@@ -76,18 +68,16 @@ COLUMNS = {
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Every step of every scene."""
     found: list[Measured] = []
-    for one in _measured(options):
-        found.append(one)
-        lab.tell(str(one))
-    few = options.few if options.sequence is None else found[0].rows
-    section = Section(growth_words(found, few), tables=[Table("scale", scenes_of(found), COLUMNS)])
+    sizes = [(rows, options.frames[0]) for rows in options.rows] + [(options.few, frames) for frames in options.frames]
+    for rows, frames in sizes:
+        found += measure_scene(rows, frames)
+        lab.tell(str(found[-1]))
+    section = Section(growth_words(found, options.few), tables=[Table("scale", scenes_of(found), COLUMNS)])
     return Page([section], HOW, data=[Table("scale-steps", rows_of(found))])
 
 
 def scenes_of(found: Sequence[Measured]) -> list[Row]:
-    """A row for each scene, of all its steps."""
     scenes: dict[tuple[int, int], Row] = {
         (one.rows, one.frames): {"rows": one.rows, "frames": one.frames} for one in found
     }
@@ -102,52 +92,27 @@ def scenes_of(found: Sequence[Measured]) -> list[Row]:
     return list(scenes.values())
 
 
-def _measured(options: Options) -> Iterator[Measured]:
-    place, first = options.sequence, options.frames[0]
-    if place is not None:
-        rows = open_sequence(place).headers[0].count
-        views = options.views or next((path for path in [place / "transforms.json"] if path.exists()), None)
-        for count in options.frames:
-            yield from measure_scene(rows, count, partial(forth_and_back, place, count), views)
-        return
-    for count, frames in [*((n, first) for n in options.rows), *((options.few, n) for n in options.frames)]:
-        yield from measure_scene(count, frames, partial(make_scene, count, frames))
-
-
-def measure_scene(
-    rows: int, frames: int, make: Callable[[Path], None], views: Path | None = None
-) -> Iterator[Measured]:
-    """Make a scene and take every step with it; one with `views` is encoded as airgs-encode does."""
+def measure_scene(rows: int, frames: int) -> Iterator[Measured]:
+    """Make a scene and take every step with it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        make(folder / "scene")
+        make_scene(rows, frames, folder / "scene")
         for step in STEPS:
-            how, _ = alone(take_step, step, folder, views)
+            how, _ = alone(take_step, step, folder)
             m = open_package(folder / "cold").manifest
             size = m.bytes_of(m.rung_files(0, 0)) / m.frames
             yield Measured(rows, frames, step, how.took.wall, how.took.cpu, how.peak_mb, size)
 
 
-def take_step(step: str, folder: Path, views: Path | None) -> None:
+def take_step(step: str, folder: Path) -> None:
     """One of STEPS; calibrations are kept in the folder."""
     os.environ["XDG_CACHE_HOME"] = str(folder)
-    if step != "decode":
-        settings = SETTINGS if views is None else EncodeSettings()
-        encode(open_sequence(folder / "scene", views=views), folder / step, settings, work=_work(folder))
-        return
-    package = open_package(folder / "cold")
-    for _ in decode_frames(package, 0, package.manifest.frames):
-        pass
-
-
-def _work(folder: Path) -> Work:
-    return Work(open_store(folder / "work"))
-
-
-def fit_power(sizes: Sequence[float], values: Sequence[float]) -> tuple[float, float]:
-    """a and k of the power law value = a size^k that fits best: least squares of the logarithms."""
-    k, log_a = np.polyfit(np.log(sizes), np.log(values), 1)
-    return float(np.exp(log_a)), float(k)
+    if step == "decode":
+        package = open_package(folder / "cold")
+        for _ in decode_frames(package, 0, package.manifest.frames):
+            pass
+    else:
+        encode(open_sequence(folder / "scene"), folder / step, SETTINGS, work=Work(open_store(folder / "work")))
 
 
 def growth_words(found: Sequence[Measured], few: int) -> str:
@@ -158,7 +123,7 @@ def growth_words(found: Sequence[Measured], few: int) -> str:
         for name in ("rows", "frames"):
             same = [one for one in found if one.step == step and (one.rows == few) == (name == "frames")]
             if len(same) > 1:
-                power = fit_power([getattr(one, name) for one in same], [one.cpu_seconds for one in same])[1]
+                power = np.polyfit(*np.log([[getattr(one, name), one.cpu_seconds] for one in same]).T, 1)[0]
                 times.append(f"{2**power:.1f} times for twice the {'Gaussians' if name == 'rows' else name}")
         if times:
             parts.append(f"{what} takes {listed(times).replace(' for', ' as long for', 1)}")

@@ -11,13 +11,10 @@ from tools.lab.made import name_of
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is looked at."""
-
     scenes: tuple[str, ...] = required("scenes, SCENE[=CAMERAS]")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each scene."""
     rows = []
     for scene in options.scenes:
         rows.append(row_of(scene))
@@ -26,7 +23,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def row_of(scene: str) -> Row:
-    """How much there is of SCENE[=CAMERAS]."""
     place, _, views = scene.partition("=")
     sequence = open_sequence(place, views=views or None)
     counts = [header.count for header in sequence.headers]

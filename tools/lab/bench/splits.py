@@ -51,18 +51,12 @@ if TYPE_CHECKING:
 
 SEED = 1  # of the order in which cameras are dealt out
 WAY = 0.5  # to the middle of the scene
-COLUMNS = {
-    "split": ("split", "d"), "camera": ("camera", ""), "psnr": ("PSNR, dB", ".1f"), "matched": ("matched", ".1f"),
-    "haze": ("haze", ".3f"),
-}  # fmt: skip
 SAME, CLEAR = 0.1, 0.005  # dB; haze
 NEAR_SHARE = 0.1  # of the way that is left: what is nearer than this there is fog
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is trained."""
-
     scene: Path = required("what airgs-train reads")
     splits: int = setting(4, "how many")
     hold: int = setting(4, "cameras that each holds out")
@@ -73,8 +67,6 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A held-out camera of one split."""
-
     split: int
     camera: str
     psnr: float
@@ -123,12 +115,11 @@ def run(options: Options, lab: Lab) -> Page:
     size = 9, 6 * tall / wide + 0.4
     caption = "Filmed, and shown, by held-out cameras"
     picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size, grid=False)
-    table = Table(f"splits-{name}", rows_of(rows), COLUMNS)
+    table = Table(f"splits-{name}", rows_of(rows))
     return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
 
 
 def summary(name: str, judged: Sequence[Judged]) -> str:
-    """The means so far."""
     rows = [row for split in judged for row in split.rows]
     mean, matched = (float(np.mean([getattr(row, name) for row in rows])) for name in ("psnr", "matched"))
     gap = float(np.mean([split.training for split in judged])) - matched
@@ -142,7 +133,6 @@ def summary(name: str, judged: Sequence[Judged]) -> str:
 
 
 def draw(rows: Sequence[Row], pairs: Sequence[tuple[NDArray[np.uint8], NDArray[np.uint8]]], figure: Figure) -> None:
-    """The best, the middle and the worst camera: what was filmed above what is shown."""
     order = sorted(range(len(rows)), key=lambda at: -rows[at].psnr)
     chosen = dict.fromkeys([order[0], order[len(order) // 2], order[-1]])
     for axes, at in zip(figure.subplots(2, len(chosen), squeeze=False).T, chosen, strict=True):
@@ -162,7 +152,6 @@ def train(scene: Path, folder: Path, held_out: Sequence[str], options: Sequence[
 
 
 def judge(number: int, scene: MultiviewScene, folder: Path) -> Judged:
-    """A trained split by the cameras that it has not seen."""
     model = read_model(folder)
     pictures = open_pictures(scene, model)
     frames = range(len(model.record.frames))

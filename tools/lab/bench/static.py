@@ -1,7 +1,7 @@
 """Static splats as packages and as SPZ: bytes of both at equal quality, by the same cameras.
 
 Each file is written as SPZ and encoded twice: first for its viewing region, from which cameras are drawn that no
-decision of the encoder sees; then with the PSNR that SPZ has by these cameras, and --above more, as its target. Bytes
+decision of the encoder sees; then with the PSNR that SPZ has by these cameras, and ABOVE more, as its target. Bytes
 of a package are those of everything that a viewer of its top rung fetches, both manifests counted; those of SPZ are
 its file's. PSNR is of the error of all pictures together, against the file as it came. The files stay in the folder.
 """
@@ -25,8 +25,9 @@ from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
 from airgs_codec.scene.formats.write import choose_target, write_frames
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Row, Section, Table, required, setting
+from tools.lab import Lab, Page, Row, Section, Table, required
 
+ABOVE, DRAWS = 0.5, 96  # dB that packages have to be better than SPZ, and cameras
 COLUMNS = {
     "file": ("file", ""), "rows": ("Gaussians", ",d"), "spz_kb": ("SPZ, kB", ",.0f"), "spz_psnr": ("its PSNR", ".1f"),
     "spz_worst": ("worst view", ".1f"), "airgs_kb": ("airgs, kB", ",.0f"), "airgs_psnr": ("its PSNR", ".1f"),
@@ -36,27 +37,20 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is encoded and looked at."""
-
     files: tuple[Path, ...] = required("static splats, or sequences, of which the first frame")
-    above: float = setting(0.5, "dB that packages have to be better than SPZ")
-    draws: int = setting(96, "cameras")
 
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """One file in one form."""
-
     kb: float
     psnr: float  # dB
     worst: float  # dB, of the worst picture
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each file."""
-    rows = [measure(path, lab, options) for path in options.files]
+    rows = [measure(path, lab) for path in options.files]
     how = (
-        f"SPZ is version 3 with all bits of SH; packages aim {options.above:g} dB above its PSNR, in {options.draws} "
+        f"SPZ is version 3 with all bits of SH; packages aim {ABOVE:g} dB above its PSNR, in {DRAWS} "
         "views that decided nothing."
     )
     return Page([Section(verdict(rows), tables=[Table("static", rows, COLUMNS)])], how)
@@ -72,8 +66,7 @@ def verdict(rows: Sequence[Row]) -> str:
     return f"{words}. Their worst view is worse in {worse} of {len(rows)} files."
 
 
-def measure(path: Path, lab: Lab, options: Options) -> Row:
-    """Write a file's first frame both ways into a folder of its name, and look at them."""
+def measure(path: Path, lab: Lab) -> Row:
     folder = lab.folder / path.stem
     folder.mkdir(exist_ok=True)
     sequence = open_sequence(path)
@@ -81,11 +74,11 @@ def measure(path: Path, lab: Lab, options: Options) -> Row:
     write_frames(choose_target(str(spz), None, 1), [(0, sequence.load([0]).frames[0])], Fraction(1))
     first, final = folder / "first.airgs", folder / "final.airgs"
     encode(sequence, first, as_preview(EncodeSettings()))
-    cameras = region_views(_region(first), options.draws, CHECKING)
+    cameras = region_views(_region(first), DRAWS, CHECKING)
     theirs = _look(original, open_side(str(spz)), cameras)
     with temporary_work(lab.progress) as work:
         try:
-            encode(sequence, final, EncodeSettings(), goal=Goal(PSNR, theirs.psnr + options.above), work=work)
+            encode(sequence, final, EncodeSettings(), goal=Goal(PSNR, theirs.psnr + ABOVE), work=work)
         except OutOfReachError as error:  # files that are rounded like SPZ already: as near as it comes
             encode(sequence, final, EncodeSettings(quality=error.factor), work=work)
     ours = _look(original, open_side(str(final)), cameras)

@@ -21,7 +21,6 @@ from airgs_codec.play.policies.named import DEFAULT_POLICY
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import Study, StudySettings, run_study, summarise
 from tools.lab import COLOURS, Lab, Page, Picture, Row, Section, Table, content, listed, required, setting
-from tools.lab.crowd.runs import trace_paths
 from tools.lab.made import encoded, name_of
 
 if TYPE_CHECKING:
@@ -42,8 +41,6 @@ BRIEF = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is played over what."""
-
     traces: Path = required("a folder of traces")
     scenes: tuple[str, ...] = required("scenes or packages, SCENE[=VIEWS]")
     policies: tuple[str, ...] = setting(POLICIES, "what chooses rungs")
@@ -53,8 +50,8 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Every policy over every link, scene by scene. Raises AirgsError."""
-    traces, rows = trace_paths(options.traces), []
+    traces = tuple(str(path) for path in sorted(options.traces.iterdir()) if path.is_file())
+    rows: list[Row] = []
     reads = [content(Path(path)) for path in traces]
     for scene in options.scenes:
         package = encoded(scene, lab.folder)
@@ -71,7 +68,6 @@ def settings_of(options: Options, traces: tuple[str, ...], duration_s: float) ->
 
 
 def rows_of(scene: str, package: Path, study: Study) -> list[Row]:
-    """A row for each policy."""
     rates = rung_mbps(open_package(package).manifest)
     means = [row["mean_bps"] / 1e6 for row in study.rows]
     known = {"scene": scene, "least_mbps": min(rates), "most_mbps": max(rates), "rtt_ms": 1e3 * study.rows[0]["rtt_s"]}
@@ -91,13 +87,11 @@ def rows_of(scene: str, package: Path, study: Study) -> list[Row]:
 
 
 def rung_mbps(m: Manifest) -> list[float]:
-    """Mbit/s of every rung, tables and headers left out."""
     sizes = [m.bytes_of(m.rung_files(q, j)) for q in range(len(m.qualities)) for j in range(len(m.levels))]
     return [8e-6 * size / (m.frames / float(m.fps)) for size in sizes]
 
 
 def page(options: Options, rows: Sequence[Row]) -> Page:
-    """What the rows say."""
     scenes = dict.fromkeys(row["scene"] for row in rows)
     words = [default_words(rows), best_words(rows), cliff_words(rows)]
     picture = Picture(
@@ -112,7 +106,6 @@ def page(options: Options, rows: Sequence[Row]) -> Page:
 
 
 def how_of(options: Options, rows: Sequence[Row]) -> str:
-    """What was played over what."""
     first, rules = rows[0], SessionSettings()
     scenes = list({row["scene"]: row for row in rows}.values())
     rates = [f"{row['scene']} ({row['least_mbps']:.1f} to {row['most_mbps']:.1f} Mbit/s)" for row in scenes]
@@ -126,7 +119,6 @@ def how_of(options: Options, rows: Sequence[Row]) -> str:
 
 
 def default_words(rows: Sequence[Row]) -> str:
-    """What viewers of the first policy get."""
     first, *others = (row for row in rows if row["policy"] == rows[0]["policy"])
     words = (
         f"With {first['policy']}, {first['scene']} has {first['psnr']:.1f} dB on the screen, {first['regret']:.1f} dB "
@@ -169,7 +161,6 @@ def cliff_words(rows: Sequence[Row]) -> str:
 
 
 def draw(rows: Sequence[Row], figure: Figure) -> None:
-    """PSNR over the share of the time that is waited, a panel for each scene."""
     scenes, policies = (list(dict.fromkeys(row[name] for row in rows)) for name in ("scene", "policy"))
     for axes, scene in zip(figure.subplots(1, len(scenes), squeeze=False)[0], scenes, strict=True):
         for row in (row for row in rows if row["scene"] == scene):

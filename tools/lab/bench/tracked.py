@@ -35,14 +35,11 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options(Measured):
-    """What is disturbed."""
-
     frames: int = setting(30, "frames, the first ones")
     as_it_is: bool = setting(False, "code it as it comes")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Code it in both ways, and measure."""
     clean, cameras = options.open()
     clean = replace(clean, paths=clean.paths[: options.frames], headers=clean.headers[: options.frames])
     given = clean if options.as_it_is else disturbed(clean, lab.folder / "disturbed")
@@ -70,7 +67,6 @@ WAYS = (
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    """What tracking saves, and what it does to the quality of what was given."""
     given, alone, tracked = ({row["coded"]: row for row in rows}[name] for name in (GIVEN, ALONE, TRACKED))
     share, gain = 100 * tracked["kb"] / alone["kb"], tracked["psnr"] - alone["psnr"]
     beside = tracked["psnr"] - given["psnr"]
@@ -101,7 +97,6 @@ def looks(
 
 
 def disturbed(clean: GaussianSequence, folder: Path) -> GaussianSequence:
-    """A copy whose frames know nothing of each other, in a folder."""
     folder.mkdir(exist_ok=True)
     for number in range(len(clean)):
         write_ply(folder / f"{number:06d}.ply", disturb(clean.read(number), np.random.default_rng(1000 + number)))
@@ -109,7 +104,6 @@ def disturbed(clean: GaussianSequence, folder: Path) -> GaussianSequence:
 
 
 def disturb(g: Gaussians, rng: np.random.Generator) -> Gaussians:
-    """A frame disturbed in the ways that the module says."""
     g = replace(g, means=(g.means + MOVED * _sizes(g) * rng.normal(size=g.means.shape)).astype(np.float32))
     g = g.take(rng.random(len(g)) > GONE)
     split = rng.random(len(g)) < SPLIT

@@ -35,18 +35,14 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is looked at."""
-
     scenes: tuple[str, ...] = required("scenes, each with its true cameras where they are known: SCENE[=CAMERAS]")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each scene."""
     return page([measure(scene, lab.folder) for scene in options.scenes])
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """What the rows say."""
     known = [row["scene"] for row in rows if "away" in row]
     unsure = [row["scene"] for row in rows if not row["sure"]]
     words = []
@@ -63,7 +59,6 @@ def page(rows: Sequence[Row]) -> Page:
 
 
 def measure(scene: str, folder: Path) -> Row:
-    """The row of one SCENE[=CAMERAS]."""
     place, _, cameras = scene.partition("=")
     sequence = open_sequence(place)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), FRAMES)])

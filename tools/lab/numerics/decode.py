@@ -16,8 +16,8 @@ from airgs_codec.media.metrics import psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import timed
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error
-from tools.lab.timing import timed
 
 VIEWS, FRAMES, SEED = 4, 6, 1000  # of pictures that judge
 RUNGS, TIERS, KEYS = "levels", "L0, first key tiers", "keys alone"
@@ -25,7 +25,6 @@ UNIT = "dB PSNR"
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """Whole frames of every rung."""
     for scene in bench.scenes:
         package = bench.ladder(scene)
         for place, work in ways(scene, package):
@@ -34,7 +33,6 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def ways(scene: Scene, package: Package) -> Iterator[tuple[Place, Callable[[], list[Gaussians]]]]:
-    """Ways to decode the package, each giving all frames."""
     m = package.manifest
     for j, level in enumerate(m.levels):
         place = Place("decode", scene.name, RUNGS, level.id)
@@ -51,7 +49,6 @@ def _frames(package: Package, level: int, quality: int, tiers: int | None) -> li
 
 
 def _keys(package: Package) -> list[Gaussians]:
-    """Every frame as the canonical space of its group."""
     m, frames = package.manifest, []
     for number, group in enumerate(m.groups):
         g = decode_canonical(package, number, 0).to_gaussians()

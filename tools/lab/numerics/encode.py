@@ -22,8 +22,8 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, as_preview
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.scene.sequence import GaussianSequence
+from tools.lab import Took, seconds_of
 from tools.lab.numerics.rows import Bench, Place, Point, Row
-from tools.lab.timing import Took, seconds_of
 
 TARGET = 43.0  # dB
 MEASURED = 8  # pictures of a segment, at least
@@ -36,8 +36,6 @@ UNIT = "kB a frame at 43 dB"
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """An encode at a quality factor."""
-
     psnr: float  # dB, of the package; NaN if it was not measured
     bytes: float  # a frame, of all that a viewer fetches but manifests
 
@@ -88,7 +86,6 @@ def bytes_at(psnr: float, a: Trial, b: Trial) -> float:
 
 
 def run(sequence: GaussianSequence, settings: EncodeSettings, factor: float = 1.0) -> tuple[Trial, Took]:
-    """Encode once, to a folder that is forgotten."""
     with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {"XDG_CACHE_HOME": name}):
         target, finer = Path(name) / "package", replace(settings, quality=factor)
         took, report = seconds_of(lambda: encode(sequence, target, finer))
@@ -96,7 +93,6 @@ def run(sequence: GaussianSequence, settings: EncodeSettings, factor: float = 1.
 
 
 def trial_of(m: Manifest) -> Trial:
-    """The figures of the top rung."""
     quality = pooled_quality(m, 0, 0)
     size = m.bytes_of(m.rung_files(0, 0)) / m.frames
     return Trial(float("nan") if quality is None else quality.psnr, size)

@@ -28,22 +28,18 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """What a user may meet, in the cases of these names, and what to do."""
-
     meet: str
     names: tuple[str, ...]
     do: str
 
 
 def _named(*words: str) -> tuple[str, ...]:
-    """Names of the cases that begin with one of these words."""
     return tuple(case.name for case in CASES if case.name.startswith(words))
 
 
 LINES = (
     Line(
-        "Needles; sizes of e^-30 or e^30",
-        _named("scale ratios", "log-scales of -30", "log-scales of +30"),
+        "Needles; sizes of e^-30 or e^30", _named("scale ratios", "log-scales of -30", "log-scales of +30"),
         "clamp axes e^30 apart",
     ),
     Line("Opacity 0, 1, or both in turn", _named("opacity"), "nothing"),
@@ -52,8 +48,7 @@ LINES = (
     Line("1 to 4,097 Gaussians, 1 to 1,000 frames", _named("one ", "15", "17", "25", "40", "1000 frames"), "nothing"),
     Line("Coordinates of 1e6 with details of 1e-3", _named("1e6 from"), "move the scene to the origin"),
     Line(
-        "Jumps of 1e4 steps; rows that share nothing",
-        _named("a jump", "every channel", "the same"),
+        "Jumps of 1e4 steps; rows that share nothing", _named("a jump", "every channel", "the same"),
         "track them, or pay up to {bytes} bytes a row and frame",
     ),
     Line("Colours of 1,000, or subnormal", _named("SH DC of", "SH rest of", "subnormal"), "nothing"),
@@ -63,11 +58,10 @@ LINES = (
         _named("nan in", "inf in", "no finite", "means of 1e38", "log-scales of 1e30", "SH of 1e30"),
         "mend what is refused",
     ),
-)
+)  # fmt: skip
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Encode and decode all that is missing."""
     code, rows = content(Path(__file__).parent), []
     for case in CASES:
         rows.append(lab.results.once("extremes", [case.name, code], partial(_measured, case)))
@@ -92,7 +86,6 @@ def row(case: Case, outcome: Outcome) -> Row:
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """Return what the rows say."""
     counts = Counter(one["verdict"] for one in rows)
     out = f"{counts[OUT]} of them leave a bound" if counts[OUT] else "none leaves a bound"
     answer = (
@@ -104,7 +97,6 @@ def page(rows: Sequence[Row]) -> Page:
 
 
 def line_of(line: Line, rows: Sequence[Row]) -> dict[str, str]:
-    """A line of the page, from the rows that are its cases."""
     own = [one for one in rows if one["sequence"] in line.names]
     kept = [one for one in own if one["verdict"] != REFUSED]
     parts = [f"bounded by `max_error` ({len(kept)})"] + [f"refused ({len(own) - len(kept)})"] * (len(kept) < len(own))

@@ -24,11 +24,8 @@ from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, 
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles
 
 METHODS = TRAINER, COMMON, DESCENT, UNSCALED = (
-    "the trainer's Adam",
-    "Adam, epsilon 1e-8",
-    "gradient descent",
-    "descent, no scaling",
-)
+    "the trainer's Adam", "Adam, epsilon 1e-8", "gradient descent", "descent, no scaling",
+)  # fmt: skip
 FACTORS = (0.1, 1.0, 10.0, 100.0)  # on the trainer's learning rates
 ITERATIONS = 30
 REACH = f"{ITERATIONS} iterations"  # what bounds a fit
@@ -89,12 +86,10 @@ def gradient_units() -> dict[str, float]:
 
 
 def views_of(problem: Problem) -> list[View]:
-    """Return what the cameras see of the target."""
     return [View(c, Target(np.clip(cpu.render(problem.target, c).rgb, 0, 1))) for c in problem.cameras]
 
 
 def loss(parameters: Parameters, views: Sequence[View]) -> torch.Tensor:
-    """Mean of the photometric losses of the views."""
     pictures = render_views(parameters, [view.camera for view in views], 0)
     parts = [photometric(rgb, v.target) for (rgb, _), v in zip(pictures, views, strict=True)]
     return torch.stack(parts).mean()
@@ -141,24 +136,16 @@ def _price_of_changes(problem: Problem) -> Parameters:
 
 
 def judge(axis: Axis, name: str, factor: str, value: float) -> Judged:
-    """Return how a fit with a method ends, at a factor on the trainer's rates."""
     return fit(axis.make(value), methods()[name], float(factor), keep_better=name == TRAINER)
 
 
 def cases() -> list[Case]:
-    """The map of each axis, method by method."""
     rows = [f"{factor:g}" for factor in FACTORS]
     return [
         Case(
-            part="trainer",
-            name=f"train-{axis.name}",
-            title=axis.title,
-            label=axis.label,
-            value="loss after / before",
-            own=(TRAINER, "1"),
-            points=grid(METHODS, rows, axis.values),
-            judge=partial(judge, axis),
-            why=f"{REACH}{axis.why} (loss x {{span}})",
+            part="trainer", name=f"train-{axis.name}", title=axis.title, label=axis.label,
+            value="loss after / before", own=(TRAINER, "1"), points=grid(METHODS, rows, axis.values),
+            judge=partial(judge, axis), why=f"{REACH}{axis.why} (loss x {{span}})",
         )
         for axis in AXES
-    ]
+    ]  # fmt: skip

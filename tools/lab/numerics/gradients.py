@@ -69,26 +69,19 @@ def median_errors(axis: Axis, value: float) -> dict[str, float]:
 
 
 def judge(axis: Axis, panel: str, name: str, value: float) -> Judged:
-    """Return how far the gradients by one attribute are off."""
     error = median_errors(axis, value)[name]
     end = error_end(error, CLOSE)
     return end, error, f"relative error up to {error:.2g}" if end == BOUNDED else ""
 
 
 def cases() -> list[Case]:
-    """The errors along each axis that does not only change the target, a row for each attribute."""
     return [
         Case(
-            part="gradients",
-            name=f"gradients-{axis.name}",
-            title=f"Gradients: {axis.title[0].lower()}{axis.title[1:]}",
-            label=axis.label,
-            value="relative error",
-            own=("kernels", ""),
-            points=grid(["kernels"], NAMES, axis.values),
-            judge=partial(judge, axis),
+            part="gradients", name=f"gradients-{axis.name}",
+            title=f"Gradients: {axis.title[0].lower()}{axis.title[1:]}", label=axis.label, value="relative error",
+            own=("kernels", ""), points=grid(["kernels"], NAMES, axis.values), judge=partial(judge, axis),
             why="the order of rows of equal depth, which float64 does not share ({span} relative)",
         )
         for axis in AXES
         if axis.name not in TARGETS
-    ]
+    ]  # fmt: skip

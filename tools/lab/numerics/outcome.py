@@ -22,8 +22,6 @@ At = tuple[str, str, float]  # panel of the map (the method), its row, its colum
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One experiment."""
-
     case: str
     panel: str
     row: str
@@ -54,14 +52,12 @@ class Case:
         return [Cell(self.name, *at, *attempt(self.judge, at)) for at in self.points if at[2] in chosen]
 
     def shipped(self, cells: Iterable[Cell]) -> list[Cell]:
-        """Those of the case and of the code as it is, along x."""
         panel, row = self.own
         own = [c for c in cells if c.case == self.name and panel in ("", c.panel) and row in ("", c.row)]
         return sorted(own, key=lambda c: c.x)
 
 
 def attempt(judge: Callable[[str, str, float], Judged], at: At) -> Judged:
-    """Return what an experiment gives."""
     try:
         return judge(*at)
     except AirgsError as error:
@@ -69,7 +65,6 @@ def attempt(judge: Callable[[str, str, float], Judged], at: At) -> Judged:
 
 
 def grid(panels: Iterable[str], rows: Iterable[str], xs: Iterable[float]) -> tuple[At, ...]:
-    """All combinations, panel by panel."""
     rows, xs = list(rows), list(xs)
     return tuple((panel, row, x) for panel in panels for row in rows for x in xs)
 
@@ -91,17 +86,14 @@ def error_end(error: float, close: float) -> str:
 
 
 def count_ends(cells: Sequence[Cell]) -> dict[str, int]:
-    """Return how many cells end in each way, those that none does left out."""
     return {end: sum(cell.end == end for cell in cells) for end in ENDS if any(cell.end == end for cell in cells)}
 
 
 def does_well(cell: Cell) -> bool:
-    """Whether a fit leaves at most HALVED of its loss."""
     return cell.end in (EXACT, BOUNDED) and (cell.end == EXACT or cell.value <= HALVED)
 
 
 def ranges(cells: Sequence[Cell], good: Callable[[Cell], bool]) -> str:
-    """Return where along x neighbouring cells of one row are good."""
     found: list[list[float]] = []
     inside = False
     for cell in cells:
@@ -114,5 +106,4 @@ def ranges(cells: Sequence[Cell], good: Callable[[Cell], bool]) -> str:
 
 
 def number(value: float) -> str:
-    """A number in three digits."""
     return f"{value:.3g}"

@@ -23,8 +23,6 @@ COUNT = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What is to be fitted, from where, seen from where."""
-
     target: Gaussians
     start: Gaussians
     cameras: Sequence[Camera]
@@ -33,7 +31,6 @@ class Problem:
 
 
 def blobs(count: int = COUNT, seed: int = 0) -> Gaussians:
-    """Round Gaussians about the origin that are half opaque."""
     rng = np.random.default_rng(seed)
     quaternions = rng.normal(size=(count, 4))
     return _gaussians(
@@ -65,7 +62,6 @@ def disturbed(g: Gaussians, seed: int = 1) -> Gaussians:
 
 
 def cameras(distance: float = EXTENT, count: int = 2) -> list[Camera]:
-    """Cameras around the origin that look at it."""
     found = []
     for i in range(count):
         turn = 2.1 * i
@@ -108,7 +104,6 @@ def moving(share: float, temporal: bool = False) -> Problem:
 
 
 def faint_or_opaque(logit: float) -> Problem:
-    """Gaussians that start with an opacity logit and should be half opaque."""
     g = blobs()
     start = replace(disturbed(g), opacity_logits=np.full(len(g), logit, np.float32))
     return Problem(g, start, cameras(), Rates())
@@ -136,8 +131,6 @@ def quaternions_of(norm: float) -> Problem:
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """A property of a scene that is taken to its ends."""
-
     name: str
     title: str
     label: str
@@ -149,40 +142,15 @@ class Axis:
 AXES = (
     Axis("needles", "Needles", "longest axis over the others", needles, (1.0, 10.0, 1e2, 1e4, 1e6)),
     Axis(
-        "distance",
-        "Distance to the camera",
-        "distance / extent of the scene",
-        distant,
+        "distance", "Distance to the camera", "distance / extent of the scene", distant,
         (0.001, 0.01, 0.1, 1.0, 10.0, 1e2, 1e6),
     ),
+    Axis("motion", "Motion a frame", "motion / size of a Gaussian", moving, (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0)),
     Axis(
-        "motion",
-        "Motion a frame",
-        "motion / size of a Gaussian",
-        moving,
-        (1e-4, 1e-2, 0.1, 1.0, 10.0, 100.0),
+        "changes", "Motion at the price of changes", "motion / size of a Gaussian", partial(moving, temporal=True),
+        (1e-4, 1e-2, 0.3, 10.0), " at the price of changes",
     ),
-    Axis(
-        "changes",
-        "Motion at the price of changes",
-        "motion / size of a Gaussian",
-        partial(moving, temporal=True),
-        (1e-4, 1e-2, 0.3, 10.0),
-        " at the price of changes",
-    ),
-    Axis(
-        "opacity",
-        "Opacity",
-        "logit at the start",
-        faint_or_opaque,
-        (-30.0, -8.0, -5.5, 0.0, 4.0, 14.0, 30.0),
-    ),
+    Axis("opacity", "Opacity", "logit at the start", faint_or_opaque, (-30.0, -8.0, -5.5, 0.0, 4.0, 14.0, 30.0)),
     Axis("coincident", "Coincident rows", "distance / size of a Gaussian", coincident, (0.0, 1e-6, 1e-3, 0.1)),
-    Axis(
-        "quaternions",
-        "Length of quaternions",
-        "length",
-        quaternions_of,
-        (1e-20, 1e-6, 1e-2, 1.0, 1e2, 1e6, 1e25),
-    ),
-)
+    Axis("quaternions", "Length of quaternions", "length", quaternions_of, (1e-20, 1e-6, 1e-2, 1.0, 1e2, 1e6, 1e25)),
+)  # fmt: skip

@@ -19,8 +19,8 @@ from airgs_codec.render import Camera, cpu
 from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.render.reference import render_reference
 from airgs_codec.scene.camera import resized
+from tools.lab import seconds_of, timed
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene
-from tools.lab.timing import seconds_of, timed
 
 SIZES = (0.25, 0.5, 1.0)  # of the sides of a picture
 PAIRS = 1e7  # most pairs of a pixel and a Gaussian in a crop of the definition
@@ -32,7 +32,6 @@ Picture = NDArray[np.float64]
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """Float32 against float64, for pictures of some sizes."""
     for scene in bench.scenes:
         for size in SIZES[-1:] if bench.quick else SIZES:
             reads = {"size": size, "repeats": bench.repeats}
@@ -40,13 +39,11 @@ def measure(bench: Bench) -> Iterator[Point]:
 
 
 def view_of(scene: Scene) -> Camera:
-    """A camera that nothing was trained on, else the first."""
     cameras = scene.sequence.cameras
     return next((c for c in cameras if c.held_out), cameras[0])
 
 
 def columns_of(scene: Scene) -> Columns:
-    """The frame in the middle, activated."""
     return cpu.activate(scene.sequence.load([len(scene.sequence) // 2]).frames[0])
 
 
@@ -58,18 +55,15 @@ def crops(camera: Camera, rows: int) -> list[Camera]:
 
 
 def define(columns: Columns, camera: Camera, precision: torch.dtype) -> Picture:
-    """A picture by the definition in a precision."""
     inputs = RasterInputs(*(torch.from_numpy(column).to(precision) for column in columns))
     return render_reference(inputs, camera)[0].double().numpy()
 
 
 def draw(columns: Columns, camera: Camera) -> Picture:
-    """A picture by the kernels."""
     return cpu.blend(columns, camera, camera.background).picture.rgb.astype(np.float64)
 
 
 def grey_levels(pictures: list[Picture], truth: list[Picture]) -> float:
-    """Mean absolute difference, of 255."""
     return 255 * float(np.mean([np.abs(a - b).mean() for a, b in zip(pictures, truth, strict=True)]))
 
 

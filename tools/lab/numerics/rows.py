@@ -12,14 +12,13 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.play.trace import Trace
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab.timing import Took
+from tools.lab import Took
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX, FOX_VIEWS = DATA / "fox", DATA / "fox_views"
@@ -30,8 +29,6 @@ REPEATS = 5
 
 
 class Place(NamedTuple):
-    """Where in the report a row stands."""
-
     question: str
     scene: str
     curve: str
@@ -64,14 +61,12 @@ class Row:
 
     @staticmethod
     def by(place: Place, took: Sequence[Took], error: tuple[float, float, float], unit: str, note: str = "") -> Row:
-        """The row of some runs, with an error and its lower and upper end."""
         spread = quartiles([t.cpu for t in took])
         wall = quartiles([t.wall for t in took])[0]
         return Row(*place, *spread, *error, unit, wall, len(took), note)
 
 
 def quartiles(values: Sequence[float]) -> tuple[float, float, float]:
-    """Median, lower and upper quartile."""
     low, middle, high = np.percentile(np.asarray(values, np.float64), [25, 50, 75])
     return float(middle), float(low), float(high)
 
@@ -85,20 +80,15 @@ def average(values: Sequence[float]) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A sequence by a name."""
-
     name: str
     sequence: GaussianSequence
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Return what tells it from other scenes of that name."""
         return {"name": self.name, "frames": len(self.sequence), "rows": [h.count for h in self.sequence.headers]}
 
 
 class Point(NamedTuple):
-    """Something to measure once."""
-
     name: str
     scene: Scene | None
     reads: Mapping[str, Any]  # what decides the rows beside the scene
@@ -107,8 +97,6 @@ class Point(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bench:
-    """What all questions share."""
-
     scenes: tuple[Scene, ...]  # the first is the fox
     folder: Path  # of packages and models
     traces: tuple[Trace, ...] = ()  # of links; none: made ones
@@ -116,7 +104,6 @@ class Bench:
 
     @property
     def repeats(self) -> int:
-        """Runs of each point."""
         return 2 if self.quick else REPEATS
 
     def package(self, scene: Scene, settings: EncodeSettings, name: str) -> Package:
@@ -127,20 +114,7 @@ class Bench:
         return open_package(folder)
 
     def ladder(self, scene: Scene) -> Package:
-        """The package that the default settings make."""
         return self.package(scene, EncodeSettings(), "ladder")
-
-
-def open_scene(spec: str) -> Scene:
-    """The scene that NAME=FOLDER or NAME=FOLDER=VIEWS names. Raises ConfigError, SceneError."""
-    name, _, rest = spec.partition("=")
-    folder, _, views = rest.partition("=")
-    if not (name and folder):
-        raise ConfigError(f"--scene: expected NAME=FOLDER or NAME=FOLDER=VIEWS, got {spec!r}")
-    scene = Scene(name, open_sequence(folder, views=views or None, fps=FOX_FPS))
-    if not scene.sequence.cameras:
-        raise ConfigError(f"--scene {spec}: expected cameras beside the frames, or NAME=FOLDER=VIEWS")
-    return scene
 
 
 def open_spinach(path: Path) -> Scene:
@@ -151,11 +125,9 @@ def open_spinach(path: Path) -> Scene:
 
 
 def picture_error(shown: Gaussians, original: Gaussians, camera: Camera) -> float:
-    """Mean squared error of one picture."""
     return mse(render(shown, camera).rgb, render(original, camera).rgb)
 
 
 def shown_frames(package: Package, frames: Sequence[int]) -> dict[int, Gaussians]:
-    """Some frames of the top rung, decoded."""
     wanted = set(frames)
     return {f.number: f.gaussians for f in decode_frames(package, 0, package.manifest.frames) if f.number in wanted}

@@ -23,8 +23,8 @@ from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace, markov_trace
+from tools.lab import Took, seconds_of
 from tools.lab.numerics.rows import Bench, Place, Point, Row, average
-from tools.lab.timing import Took, seconds_of
 
 AMPLE, SCARCE = "ample links", "scarce links"
 SHARES = {AMPLE: 1.5, SCARCE: 0.75}  # of the top rung's rate that a link has on average
@@ -39,14 +39,11 @@ Maker = Callable[[Link], Policy]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
-    """What sessions are played over."""
-
     offers: Offers
     traces: tuple[Trace, ...]  # none: made ones
     made: int
 
     def over(self, share: float) -> Iterator[Link]:
-        """Links whose rate is such a share of the top rung's on average."""
         m = self.offers.manifest
         wanted = share * 8 * m.bytes_of(m.rung_files(0, 0)) / self.offers.duration_s
         for trace in self.traces:
@@ -56,12 +53,10 @@ class Links:
 
 
 def policies(bench: Bench) -> Iterator[Point]:
-    """Every policy."""
     yield from _points(bench, "policies", [(name, partial(_named, name)) for name in NAMES])
 
 
 def horizons(bench: Bench) -> Iterator[Point]:
-    """The default policy, by the segments that it looks ahead."""
     counts = QUICK_HORIZONS if bench.quick else HORIZONS
     yield from _points(bench, "horizon", [(str(count), partial(_looking, count)) for count in counts])
 
@@ -83,7 +78,6 @@ def _named(name: str, links: Links, link: Link) -> Policy:
 
 
 def _looking(segments: int, links: Links, link: Link) -> Policy:
-    """The controller that looks at so many segments, however long they are."""
     policy = make_policy(DEFAULT_POLICY, links.offers, link)
 
     def choose(state: PlayerState) -> Decision:
@@ -107,7 +101,6 @@ def sessions(links: Links, place: Place, share: float, make: Maker) -> list[Row]
 
 
 def watched(policy: Policy, took: list[Took]) -> Policy:
-    """The policy, which notes how long every choice takes."""
 
     def choose(state: PlayerState) -> Decision:
         seconds, decision = seconds_of(lambda: policy.choose(state))

@@ -31,18 +31,15 @@ TINY = float(np.finfo(np.float32).smallest_subnormal)
 
 
 def f32(values: Sequence[float]) -> NDArray[np.float32]:
-    """As .ply files hold them."""
     return np.array(values, np.float32)
 
 
 def swing(g: Gaussians, frames: int = 4, size: float = 0.1) -> Frames:
-    """Every second row moves along x."""
     moves = (np.arange(len(g)) % 2)[:, None] * np.array([size, 0, 0], np.float32)
     return [replace(g, means=g.means + np.float32(np.sin(t)) * moves) for t in range(frames)]
 
 
 def ball(count: int = 200, degree: int = 0, seed: int = 0) -> Gaussians:
-    """Gaussians of plausible sizes about the origin."""
     random = np.random.default_rng(seed)
     size = np.log(0.6 / max(count, 2) ** (1 / 3))
     columns = [random.normal(size=(count, 3)) * 0.5, random.normal(size=(count, 4))]
@@ -52,7 +49,6 @@ def ball(count: int = 200, degree: int = 0, seed: int = 0) -> Gaussians:
 
 
 def changed(name: str, value: np.ndarray | float, rows: slice = slice(None), **options: int) -> Callable[[], Frames]:
-    """A swinging ball with a column set."""
 
     def build() -> Frames:
         g = ball(**options)
@@ -161,8 +157,7 @@ class Case:
 
 LEVELS = tuple(LevelSettings(i / 64, 1 + i / 16) for i in range(64))
 CASES = [
-    Case("scale ratios of 1e6", _stretched),
-    Case("log-scales of -30", changed("log_scales", -30.0)),
+    Case("scale ratios of 1e6", _stretched), Case("log-scales of -30", changed("log_scales", -30.0)),
     Case("log-scales of +30", changed("log_scales", 30.0), search=True),
     Case("log-scales of -30, 0 and 30 in one Gaussian", changed("log_scales", f32([-30, 0, 30])), refused="codes"),
     Case("opacity logits of -100 and +100", changed("opacity_logits", f32([-100, 100] * 100))),
@@ -170,23 +165,18 @@ CASES = [
     Case("zero quaternions", changed("quaternions", 0.0, slice(0, 50)), repaired="zero quaternions"),
     Case("quaternions of length 1e-30", changed("quaternions", 1e-30, slice(0, 50)), repaired="zero quaternions"),
     Case("quaternions of length 1e30", changed("quaternions", f32([0, 1e30, 0, 0]))),
-    Case("half turns", changed("quaternions", f32([0, 1, 0, 0]))),
-    Case("all at one point", _coincident, search=True),
-    Case("all on one line", _collinear, search=True),
-    Case("all Gaussians equal", _equal),
-    Case("one Gaussian", lambda: swing(ball(1)), search=True),
-    Case("one frame", lambda: [ball()]),
+    Case("half turns", changed("quaternions", f32([0, 1, 0, 0]))), Case("all at one point", _coincident, search=True),
+    Case("all on one line", _collinear, search=True), Case("all Gaussians equal", _equal),
+    Case("one Gaussian", lambda: swing(ball(1)), search=True), Case("one frame", lambda: [ball()]),
     Case("1000 frames", lambda: swing(ball(20), 1000)),
     Case("1e6 from the origin, details of 1e-3", _far, search=True),
     Case("a jump of 1e4 steps in one frame", lambda: _jump(3)),
     Case("a jump of 1e4 steps every second frame", lambda: _jump(2)),
     Case("every channel jumps every frame", lambda: _all_jump(True), replace(PLAIN, rows="keep")),
     Case("the same from the second frame on: not tracked", lambda: _all_jump(False), repaired="rows are not those"),
-    Case("opacity a checkerboard in time", _checkerboard),
-    Case("SH DC of 1000", changed("sh_dc", 1e3)),
+    Case("opacity a checkerboard in time", _checkerboard), Case("SH DC of 1000", changed("sh_dc", 1e3)),
     Case("SH rest of 1000, alternating", changed("sh_rest", f32([1e3, -1e3, 1e3]), degree=3)),
-    Case("constant channels", _constant),
-    Case("subnormal SH and quaternions", changed("sh_dc", TINY)),
+    Case("constant channels", _constant), Case("subnormal SH and quaternions", changed("sh_dc", TINY)),
     *(Case(f"{n} Gaussians", partial(_sized, n)) for n in (15, 17, 255, 256, 257, 4095, 4096, 4097)),
     Case("64 levels", lambda: swing(ball()), replace(PLAIN, levels=LEVELS)),
     Case("64 key tiers", lambda: swing(ball()), replace(PLAIN, tiers=(1 / 64,) * 64)),
@@ -205,13 +195,11 @@ CASES = [
     Case("means of 1e38", changed("means", 1e38, slice(0, 1)), refused="expected at most", search=True),
     Case("log-scales of 1e30", changed("log_scales", 1e30, slice(0, 1)), refused="expected at most"),
     Case("SH of 1e30", changed("sh_dc", 1e30, slice(0, 1)), refused="expected at most"),
-]
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case."""
-
     name: str
     refusal: str = ""
     worst: float = 0.0  # largest error over its bound, over attributes and atlases

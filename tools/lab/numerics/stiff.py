@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from airgs_codec._settings import setting
 from airgs_codec.render import cpu
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
 from tools.lab.numerics import fits, gradients, plans, steps
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -33,15 +33,11 @@ from tools.lab.numerics.outcome import (
     does_well,
     ranges,
 )
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of
-from tools.lab.results import content
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from tools.lab.command import Lab
 
 CASES: tuple[Case, ...] = (*fits.cases(), *gradients.cases(), *steps.cases(), *plans.cases())
 PARTS = tuple(dict.fromkeys(case.part for case in CASES))
@@ -74,47 +70,33 @@ class Line:
 LINES = (
     Line(
         "Needles, coincident rows, quaternions of any length",
-        ("train-needles", "train-coincident", "train-quaternions"),
-        "nothing",
+        ("train-needles", "train-coincident", "train-quaternions"), "nothing",
     ),
     Line(
-        "Their gradients, and those far away or hardly opaque",
-        tuple(case.name for case in gradients.cases()),
+        "Their gradients, and those far away or hardly opaque", tuple(case.name for case in gradients.cases()),
         "nothing",
     ),
     Line("Distance / extent of the scene", ("train-distance",), "stay at {well}"),
     Line("Motion a frame / size", ("train-motion",), "expect {well} of a size to be followed"),
     Line("The same at the price of changes", ("train-changes",), "give such frames more iterations"),
     Line("Opacity logits at the start", ("train-opacity",), "start at {well}"),
-    Line(
-        "Steps that matter unequally",
-        ("codec-closed-form", "codec-scenes"),
-        "look for a scene that cameras see",
-    ),
+    Line("Steps that matter unequally", ("codec-closed-form", "codec-scenes"), "look for a scene that cameras see"),
     Line("Steps from tiny to huge", ("codec-steps",), "scale scenes to ordinary sizes"),
+    Line("Rows that matter unequally, colours on a line", ("codec-classes", "codec-klt"), "nothing"),
     Line(
-        "Rows that matter unequally, colours on a line",
-        ("codec-classes", "codec-klt"),
-        "nothing",
-    ),
-    Line(
-        "Links from 1e-30 to 1e30 bit/s",
-        ("selector-programmes", "selector-margin", "selector-sessions"),
+        "Links from 1e-30 to 1e30 bit/s", ("selector-programmes", "selector-margin", "selector-sessions"),
         "offer a rung that fits the slowest link",
     ),
-)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is tried."""
-
     only: tuple[str, ...] = setting(PARTS, f"some of {', '.join(PARTS)}")
     quick: bool = setting(False, "a third of the values")
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Try what is missing, then write all cells. Raises ConfigError."""
     expect_names("--only", options.only, PARTS)
     torch.set_num_threads(1)
     cells: list[Cell] = []
@@ -127,7 +109,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(cells: Sequence[Cell]) -> Page:
-    """Return what the cells say."""
     tried = [case for case in CASES if case.shipped(cells)]
     own = [cell for case in tried for cell in case.shipped(cells)]
     pictures = []
@@ -144,10 +125,7 @@ def page(cells: Sequence[Cell]) -> Page:
     answer = f"Of {len(own)} experiments with the code as it is, {words}; {faults}. {HOW} Bold: the loss is halved."
     rows = [row for line in LINES if (row := row_of(line, tried, cells))]
     table = Table("stiff-lines", rows, {key: (key, "") for key in ("what you meet", HAPPENS, "what to do")})
-    sections = [
-        Section("", tables=[table]),
-        Section(answer, "Where it ends how", pictures),
-    ]
+    sections = [Section("", tables=[table]), Section(answer, "Where it ends how", pictures)]
     data = [Table("stiff", rows_of(cells))]
     return Page(sections, failed=bool(wrong), more={"faults": rows_of(wrong)}, data=data)
 
@@ -175,7 +153,6 @@ def bounds_of(cases: Sequence[Case], cells: Sequence[Cell]) -> list[str]:
 
 
 def plural(end: str) -> str:
-    """Return how several cells end."""
     return {DIVERGES: "diverge", UNFIT: "do not fit"}.get(end, f"are {end}")
 
 

@@ -30,9 +30,9 @@ from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import seconds_of
 from tools.lab.numerics.encode import ONE_RUNG
 from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_error, shown_frames
-from tools.lab.timing import seconds_of
 
 TRUE_VIEWS, TRUE_SEED, TRIAL_SEED = 48, 1000, 2000
 COUNTS = (1, 2, 4, 8, 16, 32)  # pictures
@@ -44,15 +44,12 @@ OFF = "dB that the claim is off"
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """A package beside its scene."""
-
     scene: Scene
     package: Package
     views: int  # that tell the truth
 
     @cached_property
     def frames(self) -> list[tuple[Gaussians, Gaussians]]:
-        """Every frame as it is shown and as it was."""
         numbers = range(self.package.manifest.frames)
         shown = shown_frames(self.package, numbers)
         return [(shown[n], self.scene.sequence.load([n]).frames[0]) for n in numbers]
@@ -69,7 +66,6 @@ class Subject:
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """|claimed - true| over seconds, for ways to spend so many pictures."""
     for scene in bench.scenes:
         subject = Subject(scene, bench.package(scene, ONE_RUNG, "one-rung"), 4 if bench.quick else TRUE_VIEWS)
         counts = (1, 4, 16) if bench.quick else COUNTS
@@ -93,7 +89,6 @@ def claim(subject: Subject, place: Place, trials: int) -> list[Row]:
 
 
 def draws(subject: Subject, curve: str, count: int, trials: int) -> Iterator[Pictures]:
-    """The pictures of each trial."""
     region, frames = subject.package.manifest.region, len(subject.frames)
     for seed in range(TRIAL_SEED, TRIAL_SEED + trials):
         numbers = [int(n) for n in np.random.default_rng(seed).permutation(frames)]

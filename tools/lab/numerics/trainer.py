@@ -20,8 +20,8 @@ from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.trainer import FrameViews, InMotion
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.settings import TrainSettings
+from tools.lab import seconds_of
 from tools.lab.numerics.rows import FOX_VIEWS, Bench, Place, Point, Row
-from tools.lab.timing import seconds_of
 
 BASE = TrainSettings(budget=4000, capacity=8000, first_iterations=1200)
 COUNTS = (30, 100, 300, 600)  # iterations
@@ -32,38 +32,30 @@ SCENE = "fox views"
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """The views, and a first frame that is fitted when it is first asked for."""
-
     warm: set[str] = field(default_factory=set)  # curves whose code is compiled
 
     @cached_property
     def scene(self) -> MultiviewScene:
-        """The embedded views."""
         return with_held_out(open_scene(FOX_VIEWS), None)
 
     @cached_property
     def capture(self) -> Capture:
-        """What all fits share."""
         return rested(Capture.of(self.scene, BASE, "cpu"))
 
     @cached_property
     def first(self) -> FrameViews:
-        """Frame 0 as it is fitted, its pictures in memory."""
         return FrameViews(0, self.capture.views(0))
 
     @cached_property
     def second(self) -> FrameViews:
-        """Frame 1 in the same way."""
         return self.capture.target(1, 0)
 
     @cached_property
     def shared(self) -> Gaussians:
-        """The first frame that frames in a group start from."""
         return fit_first(self.capture.trainer, self.first, self.scene.points).gaussians
 
 
 def measure(bench: Bench) -> Iterator[Point]:
-    """Frames in a group, by how they move."""
     for deltas in DELTAS:
         for count in COUNTS[:2] if bench.quick else COUNTS:
             place = Place("trainer", SCENE, deltas, str(count))

@@ -7,7 +7,7 @@ what the default is worth beside it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -16,28 +16,76 @@ from typing import TYPE_CHECKING
 import torch
 
 from airgs_codec._report import plain_log_ticks
-from airgs_codec._settings import setting
 from airgs_codec.errors import ConfigError
+from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS
+from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
-from tools.lab.numerics.questions import NAMES, QUESTIONS, Question
-from tools.lab.numerics.rows import FOX, REPEATS, Bench, Row, open_scene, open_spinach
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table, rows_of
-from tools.lab.results import content
+from airgs_codec.scene.sequence import open_sequence
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
+from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
+from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.text import Annotation
-    from matplotlib.transforms import BboxBase
 
-    from tools.lab.command import Lab
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    name: str  # in rows, and of its picture
+    text: str
+    measure: Callable[[Bench], Iterator[Point]]
+    unit: str  # of error; its first word is that of a difference
+    time: str  # what the seconds are of
+    enough: float  # as near to the best as this is good enough, in the unit
+    default: tuple[str, str] = ("", "")  # curve and setting; nothing: it is not among those measured
+    more: bool = False  # whether more of the unit is better
+    log: bool = False  # axis of error
+    last: bool = False  # only the last setting of each curve is judged: the others are other tasks
+    without: tuple[str, ...] = ()  # settings that nobody can choose
+    labels: bool = True  # settings stand beside their points
+    why: str = ""  # the default may be another than the answer
+
+
+CPU = "CPU seconds"
+QUESTIONS = (
+    Question(
+        "encode", "What does time buy in an encode?", encode.measure, encode.UNIT, CPU, 0.3,
+        default=(encode.CALIBRATED, "veryslow"),
+    ),
+    Question(
+        "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, 0.1,
+        default=(survey.OWN, "5"), log=True, labels=False,
+        why="it looks again until it is sure, since no number of pictures is enough for every scene",
+    ),
+    Question(
+        "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame", 0.5,
+        default=(decode.RUNGS, "L0"), more=True,
+    ),
+    Question(
+        "renderer", "Is a picture in float32 good enough?", renderer.measure, renderer.UNIT, f"{CPU} a picture", 1e-3,
+        default=(renderer.SHIPPED, "320 x 320"), log=True, last=True, labels=False,
+    ),
+    Question(
+        "trainer", "How many iterations does a frame need?", trainer.measure, trainer.UNIT, CPU, 0.1,
+        default=("direct", "300"), more=True,
+    ),
+    Question(
+        "horizon", "How many segments ahead should a plan look?", selector.horizons, selector.UNIT, f"{CPU} a choice",
+        0.1, default=("horizon", str(HORIZON_SEGMENTS)), more=True,
+        why="it waits least, which QoE counts for little",
+    ),
+    Question(
+        "policies", "Which policy should choose?", selector.policies, selector.UNIT, f"{CPU} a choice", 0.1,
+        default=("policies", DEFAULT_POLICY), more=True, without=tuple(ORACLES),
+    ),
+)  # fmt: skip
+NAMES = tuple(question.name for question in QUESTIONS)
+
 
 WIDTH, HEIGHT = 6.0, 3.7  # inches of a scene's axes
 FEW_TICKS = 5
-BESIDE = tuple((x, y) for y in (3, -9, 11, -17, 19, -25, 27, -33) for x in (4, -4))  # points
-MARK = 3  # pixels about a point
 LESS = 0.75  # of the time of a setting is less time, and its inverse is more
 HOW = (
     f"The setting to take is the cheapest that is nearly as good as the best. Seconds are the CPU's, medians of "
@@ -48,9 +96,7 @@ HOW = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is measured on what."""
-
-    scene: str = setting(f"fox={FOX}", "NAME=FOLDER or NAME=FOLDER=VIEWS, the fox by default")
+    fox: Path = setting(FOX, "a sequence with its cameras")
     spinach: Path | None = setting(None, "a clip with spinach_views.json beside it, in addition")
     traces: Path | None = setting(None, "a folder of traces for sessions, in place of made ones")
     only: tuple[str, ...] = setting(NAMES, f"some of {', '.join(NAMES)}")
@@ -58,9 +104,8 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Measure what is missing. Raises AirgsError."""
     expect_names("--only", options.only, NAMES)
-    scenes = [open_scene(options.scene)]
+    scenes = [Scene("fox", open_sequence(options.fox, fps=FOX_FPS))]
     if options.spinach is not None:
         scenes.append(open_spinach(options.spinach))
     traces = tuple(map(read_trace, sorted(options.traces.iterdir()))) if options.traces is not None else ()
@@ -76,7 +121,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def page(rows: Sequence[Row]) -> Page:
-    """The report of some rows."""
     if not rows:
         raise ConfigError("expected rows, got none")
     sections = []
@@ -92,14 +136,11 @@ def page(rows: Sequence[Row]) -> Page:
 
 
 def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
-    """The rows of each scene, in their order."""
     return {scene: [row for row in rows if row.scene == scene] for scene in dict.fromkeys(row.scene for row in rows)}
 
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """What the answers to a question come to on one scene."""
-
     question: Question
     cheap: Row  # the cheapest that is as good as the best but for `enough`
     default: Row | None
@@ -110,7 +151,6 @@ class Judged:
         return (row.error - other.error) * (1 if self.question.more else -1)
 
     def best(self, rows: Sequence[Row]) -> Row | None:
-        """The best of some rows, the quickest of equals."""
         return min(rows, key=lambda row: (-self.gain(row, self.cheap), row.seconds), default=None)
 
     def name(self, row: Row) -> str:
@@ -121,7 +161,6 @@ class Judged:
         return f"`{row.setting}`" if len(curves) == 1 or row.curve == row.setting else f"`{row.setting}` ({row.curve})"
 
     def figures(self, row: Row) -> str:
-        """The error and the time of a row."""
         beside = f", {row.note}" if row.note else ""
         return f"{figure(row.error)} {self.question.unit} in {seconds(row.seconds)}{beside}"
 
@@ -149,7 +188,6 @@ def judge(question: Question, rows: Sequence[Row]) -> list[Judged]:
 
 
 def answer(question: Question, judged: Sequence[Judged]) -> str:
-    """What to take, what less and more time give, and what the default is worth where it is another."""
     groups: dict[str, list[Judged]] = {}
     for one in judged:
         groups.setdefault(f"{one.name(one.cheap)}{', the default' if one.cheap == one.default else ''}", []).append(one)
@@ -192,31 +230,26 @@ def seconds(value: float) -> str:
 
 
 def figure(value: float) -> str:
-    """Three significant figures, without an exponent from 0.001 on."""
     if value == 0 or abs(value) >= 1e-3:
         return f"{float(f'{value:.3g}'):,g}"
     return f"{value:.1e}".replace("e-0", "e-")
 
 
 def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
-    """The rows of each scene, side by side."""
     scenes = by_scene(rows)
     axes = figure.subplots(1, len(scenes), squeeze=False).ravel()
-    labels = []
     for axis, (scene, some) in zip(axes, scenes.items(), strict=True):
-        labels += draw_curves(axis, question, some)
+        draw_curves(axis, question, some)
         axis.set_title(scene, fontsize=11, loc="left")
         axis.set_xlabel(question.time)
         axis.grid(alpha=0.25)
         if len({row.curve for row in some}) > 1:
             axis.legend(fontsize=8)
-    figure.draw_without_rendering()  # places axes
-    place(labels)
 
 
-def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> list[Annotation]:
-    """A curve with its bars; gives the settings that are to stand beside its points."""
-    drawn, labels = [row for row in rows if row.error > 0 or not question.log], []
+def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> None:
+    """Curves with their bars, and settings beside their points."""
+    drawn = [row for row in rows if row.error > 0 or not question.log]
     for curve in dict.fromkeys(row.curve for row in drawn):
         some = [row for row in drawn if row.curve == curve]
         x, y = [row.seconds for row in some], [row.error for row in some]
@@ -227,32 +260,11 @@ def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> list[Annotat
             words = ", ".join(filter(None, [row.setting if row.setting != curve else "", row.note]))
             if question.labels and words:
                 at = row.seconds, row.error
-                labels.append(axis.annotate(words, at, BESIDE[0], textcoords="offset points", fontsize=7.5))
+                axis.annotate(words, at, (4, 3), textcoords="offset points", fontsize=7.5)
     axis.set_xscale("log")
-    axis.margins(0.22 if labels else 0.12, 0.12)
+    axis.margins(0.22 if question.labels else 0.12, 0.12)
     plain_log_ticks(axis.xaxis, FEW_TICKS)
     if question.log:
         axis.set_yscale("log")
         plain_log_ticks(axis.yaxis, FEW_TICKS)
     axis.set_ylabel(question.unit)
-    return labels
-
-
-def place(labels: Sequence[Annotation]) -> None:
-    """Move each to the first place of BESIDE where it is in its axes and on no other and no point, if there is one."""
-    from matplotlib.transforms import Bbox
-
-    taken: list[BboxBase] = []
-    for label in labels:
-        assert label.axes is not None
-        x, y = label.axes.transData.transform(label.xy)
-        taken.append(Bbox.from_extents(x - MARK, y - MARK, x + MARK, y + MARK))
-    for label in labels:
-        assert label.axes is not None
-        for right, up in BESIDE:
-            label.set_position((right, up))
-            label.set_horizontalalignment("left" if right > 0 else "right")
-            box, inside = label.get_window_extent(), label.axes.bbox
-            if inside.x0 <= box.x0 and box.x1 <= inside.x1 and not any(box.overlaps(other) for other in taken):
-                break
-        taken.append(label.get_window_extent())

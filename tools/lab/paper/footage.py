@@ -11,25 +11,20 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._settings import setting
 from airgs_codec.cli.common import parse_frames
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import to_bytes, write_png
 from airgs_codec.progress import Progress
 from airgs_codec.render import render
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, resized
+from airgs_codec.scene.camera import Camera, resized
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from tools.lab.options import required
-from tools.lab.page import Page, Section
-
-if TYPE_CHECKING:
-    from tools.lab.command import Lab
+from tools.lab import Lab, Page, Section, required, setting
+from tools.lab.made import camera_entry
 
 OPAQUE = 0.5  # opacity from which a Gaussian may lend its mean to the points
 NOISE = 2e-3
@@ -37,8 +32,6 @@ NOISE = 2e-3
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is drawn."""
-
     sequence: Path = required("a Gaussian sequence")
     views: Path | None = setting(None, "its cameras, where they do not lie beside it")
     frames: str | None = setting(None, "A:B, frames A to B - 1; all of them where not told")
@@ -47,7 +40,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Draw all pictures into footage/. Raises SceneError."""
     sequence = open_sequence(options.sequence, views=options.views)
     cameras = [resized(c, options.max_size / max(c.width, c.height)) for c in sequence.cameras]
     numbers = range(len(sequence))[slice(*parse_frames(options.frames))]
@@ -73,20 +65,10 @@ def write_scene(
             name = f"{camera.name}/{time:04d}.png"
             (folder / camera.name).mkdir(exist_ok=True)
             write_png(folder / name, to_bytes(render(shown, camera).rgb))
-            entries.append(entry(camera, name, time))
+            entries.append(camera_entry(camera, name, time))
         progress("frames rendered", time + 1, len(numbers))
     data = {"camera_model": "OPENCV", "fps": float(sequence.fps), "frames": entries}
     (folder / "transforms.json").write_text(json.dumps(data, indent=1) + "\n", encoding="utf-8")
-
-
-def entry(camera: Camera, picture: str, time: int) -> dict[str, object]:
-    """A picture as transforms.json has it."""
-    pose = np.linalg.inv(camera.world_to_camera) @ OPENGL_TO_OPENCV
-    return {
-        "file_path": picture, "camera": camera.name, "split": camera.split, "time_index": time,
-        "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy, "w": camera.width, "h": camera.height,
-        "transform_matrix": pose.tolist(),
-    }  # fmt: skip
 
 
 def some_points(shown: Gaussians, cameras: Sequence[Camera], most: int) -> NDArray[np.float32]:

@@ -90,7 +90,6 @@ def draw_ablations(rows: Rows, figure: Figure) -> None:
 
 
 def _panels(scenes: Iterable[str], figure: Figure) -> dict[str, Axes]:
-    """A panel for each different scene, which is its title."""
     names = list(dict.fromkeys(scenes))
     panels = dict(zip(names, figure.subplots(1, len(names), squeeze=False)[0], strict=True))
     for name, axis in panels.items():

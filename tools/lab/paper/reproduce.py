@@ -2,8 +2,7 @@
 
 Every method trains every scene from the same pictures into scenes/SCENE/METHOD of the folder, and is judged by the
 scene's held-out cameras as its own viewer decodes it. Streams go over the traces in the paper's frame mode. What is
-finished stays: the same command goes on after an interruption. What pruning costs is the experiment `dense`, with the
-package and the model of a scene.
+finished stays: the same command goes on after an interruption.
 
 --quick takes at most four frames of a scene, 128 pixels large, with a few hundred iterations: what it prints shows that
 everything works, and no more.
@@ -15,82 +14,50 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from airgs_codec._settings import setting
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.package.package import open_package
 from airgs_codec.play.trace import Trace
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
+from tools.lab import Lab, Page, Picture, Section, Table, expect_names, setting, timed
 from tools.lab.baselines.airgs import PACKAGE
 from tools.lab.baselines.method import frame_path, mean_bytes
-from tools.lab.options import expect_names
-from tools.lab.page import Page, Picture, Section, Table
 from tools.lab.paper import pictures
-from tools.lab.paper.ablations import SIZE, Ablation, ablate, changes, shortened
-from tools.lab.paper.methods import METHODS, trainer_settings
-from tools.lab.paper.scenes import Subject, parse_subject
 from tools.lab.paper.streams import OURS, airgs_levels, one_level, stream, streams_of
-from tools.lab.paper.training import Job, Trained, in_processes, row_of, train
-from tools.lab.timing import timed
-
-if TYPE_CHECKING:
-    from tools.lab.command import Lab
+from tools.lab.paper.training import (
+    METHODS,
+    SIZE,
+    Subject,
+    Trained,
+    ablate,
+    changes,
+    in_processes,
+    parse_subject,
+    row_of,
+    shortened,
+    train,
+    trainer_settings,
+)
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX = f"fox={DATA / 'fox_views'}"
 PARTS = ("train", "stream", "ablate")
-METHOD_COLUMNS = {
-    "scene": ("scene", ""), "method": ("method", ""), "psnr": ("PSNR, dB", ".2f"), "worst": ("worst frame", ".2f"),
-    "ssim": ("SSIM", ".3f"), "kb_frame": ("kB a frame", ",.1f"), "mbit_s": ("Mbit/s", ".1f"),
-    "train_s_frame": ("training, s a frame", ".1f"),
-}  # fmt: skip
-STREAM_COLUMNS = {
-    "scene": ("scene", ""), "method": ("method", ""), "chooser": ("levels", ""),
-    "kb_frame": ("kB a frame sent", ",.1f"), "mean_ms": ("mean, ms", ",.1f"), "late": ("late", ".1%"),
-    "skipped": ("skipped", ".1%"), "psnr_screen": ("PSNR on the screen, dB", ".2f"),
-}  # fmt: skip
-TIME_COLUMNS = {
-    "scene": ("scene", ""), "method": ("method", ""), "link": ("link, ms", ".1f"), "decode": ("decoding, ms", ".1f"),
-    "draw": ("drawing, ms", ".1f"),
-}  # fmt: skip
-ABLATION_COLUMNS = {
-    "question": ("question", ""), "name": ("change", ""), "psnr": ("PSNR, dB", ".2f"),
-    "worst": ("worst frame, dB", ".2f"), "kb_frame": ("kB a frame", ".1f"), "keys": ("keyframes", "d"),
-    "gaussians": ("Gaussians at the end", ",d"), "train_s_frame": ("training, s a frame", ".1f"), "note": ("", ""),
-}  # fmt: skip
-PUBLISHED_COLUMNS = {
-    "method": ("method, as published", ""), "psnr": ("PSNR, dB", ".2f"), "ssim": ("SSIM", ".3f"),
-    "mb_frame": ("MB a frame", ".1f"), "train_min_frame": ("training, min a frame", ".2f"), "fps": ("FPS", ".0f"),
-    "transmission_s": ("transmission, s", ".3f"), "key_min": ("keyframe, min", ".2f"),
-}  # fmt: skip
 Rows = list[dict[str, Any]]
 
 
-@dataclass(frozen=True, slots=True)
-class Published:
-    """A row of Table 1 of arXiv 2512.20943, with the keyframe time of its Table 2: shown beside ours, never mixed."""
-
-    method: str
-    psnr: float  # dB
-    ssim: float
-    mb_frame: float
-    train_min_frame: float
-    fps: float
-    transmission_s: float
-    key_min: float | None
-
-
+# Table 1 of arXiv 2512.20943, with the keyframe time of its Table 2: it stands beside ours, and is never mixed with it.
+PUBLISHED = ("method", "psnr", "ssim", "mb_frame", "train_min_frame", "fps", "transmission_s", "key_min")
 TABLE = (
-    Published("NeuS2", 29.82, 0.961, 24.5, 3.7, 3, 0.139, 4.62),
-    Published("naive 3DGS", 33.94, 0.987, 18.3, 9.8, 200, 0.122, None),
-    Published("4DGS", 29.95, 0.971, 12.0, 9.0, 60, 0.131, None),
-    Published("3DGStream", 25.33, 0.944, 7.8, 0.75, 215, 0.063, None),
-    Published("V³", 27.69, 0.949, 2.0, 1.5, 387, 0.021, 2.98),
-    Published("AirGS", 32.29, 0.987, 1.1, 1.4, 400, 0.011, 0.61),
+    ("NeuS2", 29.82, 0.961, 24.5, 3.7, 3, 0.139, 4.62),
+    ("naive 3DGS", 33.94, 0.987, 18.3, 9.8, 200, 0.122, None),
+    ("4DGS", 29.95, 0.971, 12.0, 9.0, 60, 0.131, None),
+    ("3DGStream", 25.33, 0.944, 7.8, 0.75, 215, 0.063, None),
+    ("V³", 27.69, 0.949, 2.0, 1.5, 387, 0.021, 2.98),
+    ("AirGS", 32.29, 0.987, 1.1, 1.4, 400, 0.011, 0.61),
 )
 PROTOCOL = (
     "The paper: seven sequences of HiFi4G, 3840 x 2160, 81 cameras of which ten are held out, 30 frames a second, an "
@@ -102,8 +69,6 @@ PROTOCOL = (
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What is run."""
-
     scenes: tuple[str, ...] = setting((FOX,), "NAME=FOLDER[,frames=A:B][,size=PX][,near=Z][,held=CAMERA+CAMERA]")
     methods: tuple[str, ...] = setting(tuple(METHODS), f"some of {', '.join(METHODS)}")
     traces: tuple[Path, ...] = setting((DATA / "fox" / "trace.csv",), "traces, or folders of them")
@@ -116,7 +81,6 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """All parts that are asked for. Raises AirgsError."""
     expect_names("--methods", options.methods, tuple(METHODS))
     expect_names("--only", options.only, PARTS)
     subjects = [parse_subject(text) for text in options.scenes]
@@ -126,7 +90,7 @@ def run(options: Options, lab: Lab) -> Page:
     ablated = ablated.quick() if options.quick else replace(ablated, size=ablated.size or SIZE)
     files = [f for path in options.traces for f in (sorted(path.iterdir()) if path.is_dir() else [path])]
     traces = [Trace.open(str(file)) for file in files]
-    jobs = [Job(s, m, options.quick, folder(lab, s, m)) for s in subjects for m in options.methods]
+    jobs = [(s, m, options.quick, folder(lab, s, m)) for s in subjects for m in options.methods]
     trained = in_processes(train, jobs, options.jobs, lab.progress)
     first = quality(subjects, trained, lab, options)
     sections, data = [replace(first, tables=[])], [*first.tables]
@@ -142,28 +106,27 @@ def run(options: Options, lab: Lab) -> Page:
             time_of_frame(lab, s, t, rate) for s in subjects for t in trained if t.scene == s.name and t.method in OURS
         ]
         tables = [
-            Table(f"{options.name}-streams", rows, STREAM_COLUMNS),
-            Table(f"{options.name}-overhead", times, TIME_COLUMNS),
+            Table(f"{options.name}-streams", rows),
+            Table(f"{options.name}-overhead", times),
         ]
         data += tables
         sections.append(Section(streamed_in_words(rows, len(traces)), "Streams, frame by frame", [picture]))
     if "ablate" in options.only:
         settings = trainer_settings(ablated, options.quick)
         settings = settings if options.quick else shortened(settings)
-        calls = [Ablation(ablated, change, lab.folder / "ablations") for change in changes(settings)]
+        calls = [(ablated, change, lab.folder / "ablations" / f"{n:02d}") for n, change in enumerate(changes(settings))]
         rows = in_processes(ablate, calls, options.jobs, lab.progress)
         picture = Picture(
             f"{options.name}-ablations", "What every change moves", partial(pictures.draw_ablations, rows), (10, 5.5)
         )
-        data.append(Table(f"{options.name}-ablations", rows, ABLATION_COLUMNS))
+        data.append(Table(f"{options.name}-ablations", rows))
         sections.append(Section("", "Ablations", [picture]))
-        data.append(Table(f"{options.name}-published", [asdict(row) for row in TABLE], PUBLISHED_COLUMNS))
+        data.append(Table(f"{options.name}-published", [dict(zip(PUBLISHED, row, strict=True)) for row in TABLE]))
         sections.append(Section(PROTOCOL, "What the paper publishes"))
     return Page(sections, data=data)
 
 
 def folder(lab: Lab, subject: Subject, method: str) -> Path:
-    """Of a method's run on a scene."""
     return lab.folder / "scenes" / subject.name / method
 
 
@@ -182,7 +145,7 @@ def quality(subjects: Sequence[Subject], trained: Sequence[Trained], lab: Lab, o
         draw = partial(pictures.draw_side_by_side, sheet)
         caption = "The middle frame from a held-out camera"
         some.append(Picture(f"{options.name}-side-by-side", caption, draw, size, grid=False))
-    tables = [Table(f"{options.name}-methods", rows, METHOD_COLUMNS)]
+    tables = [Table(f"{options.name}-methods", rows)]
     return Section(in_words(rows), "Quality, size and time", some, tables)
 
 
@@ -238,7 +201,6 @@ def streamed_in_words(rows: Rows, traces: int) -> str:
 
 
 def streams(lab: Lab, subject: Subject, trained: Sequence[Trained], traces: Sequence[Trace], offsets: int) -> Rows:
-    """Every method's stream of a scene over all traces."""
     mine = [t for t in trained if t.scene == subject.name]
 
     def make() -> Rows:

@@ -1,14 +1,18 @@
 """Every method's stream over recorded links, frame by frame as the paper streams (its Figures of transmission time).
 
-A key is spread evenly over the frames up to the next key, for every method alike: no link that carries the other
-frames in 1 / R seconds carries a key in that time. AirGS has its levels to choose from, the others one size a frame;
-a method whose frames need no other frame may skip one that does not fit, as AirGS may.
+Frame t is pushed at t / R and should be there at (t + 1) / R; the rate of that moment is known. Frames follow one
+another on the link: one that is not through when the next is due delays it. A key is spread evenly over the frames up
+to the next key, for every method alike: no link that carries the other frames in 1 / R seconds carries a key in that
+time. AirGS has its levels to choose from, the others one size a frame; a method whose frames need no other frame may
+skip one that does not fit, as AirGS may. Of a frame that is late or skipped the one that stands is seen in its place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +22,8 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.play.ladder import Option, saved_shares
+from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, saved_shares, select
+from airgs_codec.play.policies.paper import frame_budget, select_literal
 from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
@@ -26,19 +31,84 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Pictures
 from tools.lab.baselines.airgs import fetched_bytes, key_bytes, state_bytes
 from tools.lab.baselines.method import Frame
-from tools.lab.paper.frames import CHOOSERS, FrameLog, Levels, frame_table, push_frames, time_percentiles
-from tools.lab.paper.streaming import means
 
 SECONDS = 10.0  # that are streamed from each offset, in whole rounds of the sequence
 OURS = ("airgs", "airgs-paper")  # methods that have levels to choose from
-OUR_CHOOSERS = ("unpruned", "paper", "paper-no-cliff", "paper-literal")
 INDEPENDENT = ("naive3dgs",)  # methods whose frames need no other frame
+SHORTEST_S = 1e-9  # no sum of times is more exact
+SKIPPED = -1  # in place of a level
+NOTHING = -1  # in place of a frame: none has arrived yet
+PERCENTILES = tuple(range(101))  # of the transmission times: points of their distribution
+
+Levels = tuple[Option, ...]  # of one frame, the best one first
+Chooser = Callable[[Levels, float], tuple[int, bool]]  # levels, budget in bytes -> level or SKIPPED, whether it fits
+
+
+def choose_top(levels: Levels, budget: float) -> tuple[int, bool]:
+    return levels[0].index, levels[0].size_bytes <= budget
+
+
+def choose_best(levels: Levels, budget: float, beta: float = DEFAULT_BETA) -> tuple[int, bool]:
+    """The best level before the cliff that fits, no level if none does; without a cliff where beta is inf."""
+    ladder = Ladder.build(levels) if beta < math.inf else Ladder.build(levels, beta=beta, cliff_db=math.inf)
+    decision = select(ladder, budget)
+    return (decision.index, True) if decision.fits else (SKIPPED, False)
+
+
+def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
+    answer = select_literal(levels, budget, DEFAULT_BETA)
+    chosen = levels[-1 if answer is None else answer]
+    return chosen.index, chosen.size_bytes <= budget
+
+
+CHOOSERS: dict[str, Chooser] = {
+    "unpruned": choose_top, "paper": choose_best, "paper-no-cliff": partial(choose_best, beta=math.inf),
+    "paper-literal": choose_literally,
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameLog:
+    """(n,) arrays over the frames of a session."""
+
+    levels: NDArray[np.int64]  # SKIPPED where nothing was sent
+    sizes: NDArray[np.float64]  # bytes
+    sent_s: NDArray[np.float64]  # from the first bit to the last; 0 for a skipped frame
+    waited_s: NDArray[np.float64]  # behind the frames before it
+    paper_s: NDArray[np.float64]  # bits over the rate at its moment: the paper's transmission time; inf in an outage
+    fits: NDArray[np.bool_]
+    fps: float
+
+    @property
+    def shown(self) -> NDArray[np.int64]:
+        """(n,) the frame that stands on the screen when frame n should: the last one through; NOTHING before any is."""
+        due_s = np.arange(len(self.levels)) / self.fps
+        sent = np.flatnonzero(self.levels != SKIPPED)
+        through_s = (due_s + self.waited_s + self.sent_s)[sent]  # ascends: frames follow one another
+        places = np.searchsorted(through_s, due_s + 1 / self.fps + SHORTEST_S, side="right")
+        places = np.minimum(places, np.searchsorted(sent, np.arange(len(due_s)), side="right"))  # not one still to come
+        return np.concatenate([[NOTHING], sent])[places]
+
+
+def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Chooser) -> FrameLog:
+    """Push frames, one every 1 / fps seconds, in the level that `choose` names; levels are numbered from 0."""
+    free_s, pushed = 0.0, []
+    for n, levels in enumerate(frames):
+        due_s = n / fps
+        now = link.trace.rate_at(due_s)
+        level, fits = choose(levels, frame_budget(now, fps))
+        if level == SKIPPED:
+            pushed.append((SKIPPED, 0.0, 0.0, 0.0, 0.0, False))
+            continue
+        size, begin_s = levels[level].size_bytes, max(due_s, free_s)
+        free_s = link.passed_s(size, begin_s)
+        paper_s = 8 * size / now if now > 0 else math.inf
+        pushed.append((level, float(size), free_s - begin_s, begin_s - due_s, paper_s, fits))
+    return FrameLog(*(np.array(column) for column in zip(*pushed, strict=True)), fps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Level:
-    """A level of all T frames."""
-
     sizes: NDArray[np.float64]  # (T,) bytes
     saved: NDArray[np.float64]  # (T,) share of the bytes of the best level's states that it saves, for the cliff
     psnr: NDArray[np.float64]  # (T, T) dB of frame [i] while [j] should be seen, mean over held-out views
@@ -46,37 +116,49 @@ class Level:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """What may be sent of each frame, and how it is chosen."""
-
     method: str
     chooser: str  # of CHOOSERS
     levels: tuple[Level, ...]  # the best one first
 
     @property
     def options(self) -> list[Levels]:
-        """The levels of each frame."""
         numbered = list(enumerate(self.levels))
         return [
             tuple(Option(j, round(v.sizes[t]), float(v.psnr[t, t]), float(v.saved[t])) for j, v in numbered)
-            for t in range(self.frames)
+            for t in range(len(self.levels[0].sizes))
         ]
 
-    @property
-    def frames(self) -> int:
-        """Return how many there are."""
-        return len(self.levels[0].sizes)
-
     def table(self, log: FrameLog) -> dict[str, Any]:
-        """The figures of a session; frames that are late or skipped count by what stands in their place."""
+        """The figures of a session; shares of frames are 0..1, times ms by bits over the rate of the moment.
 
-        def held(shown: int, due: int) -> float:
-            return float(self.levels[log.levels[shown]].psnr[shown % self.frames, due % self.frames])
-
-        return frame_table(log, held)
+        psnr: mean over the frames sent of the dB of their level; psnr_screen: mean over frames of the dB of what stood
+        at their moment against the picture that is due. stale: an earlier frame stood; blank: none had come yet. late:
+        not through the link when the next was due; skipped: nothing was sent; infeasible: no level fitted; outage:
+        pushed while the rate was zero. worst_ms, mean and 95 % are of the frames sent outside outages.
+        """
+        count, numbers = len(self.levels[0].sizes), np.arange(len(log.levels))
+        sent, shown = log.levels != SKIPPED, log.shown
+        ms = 1e3 * log.paper_s[sent & np.isfinite(log.paper_s)]
+        own = [float(self.levels[log.levels[n]].psnr[n % count, n % count]) for n in numbers[sent]]
+        seen = [
+            float(self.levels[log.levels[old]].psnr[old % count, due % count])
+            for old, due in zip(shown, numbers, strict=True)
+            if old != NOTHING
+        ]
+        return {
+            "frames": len(numbers), "kb_frame": float(log.sizes.mean() / 1e3),
+            "psnr": float(np.mean(own)) if own else np.nan, "psnr_screen": float(np.mean(seen)) if seen else np.nan,
+            "stale": float(((shown != NOTHING) & (shown < numbers)).mean()),
+            "blank": float((shown == NOTHING).mean()), "mean_ms": float(ms.mean()) if len(ms) else np.nan,
+            "p95_ms": float(np.percentile(ms, 95)) if len(ms) else np.nan,
+            "worst_ms": float(ms.max()) if len(ms) else np.nan, "link_worst_ms": float(1e3 * log.sent_s.max()),
+            "outage": float((~np.isfinite(log.paper_s)).mean()),
+            "late": float((log.waited_s + log.sent_s > 1 / log.fps + SHORTEST_S).mean()),
+            "infeasible": float((~log.fits).mean()), "skipped": float((~sent).mean()),
+        }  # fmt: skip
 
 
 def one_level(frames: Sequence[Frame], shown: Sequence[Gaussians], pictures: Pictures) -> Level:
-    """The frames of a method that has nothing to choose from."""
     sizes = spread_keys([f.bytes for f in frames], [f.kind == "key" for f in frames])
     return Level(sizes, np.zeros(len(sizes)), psnr_of_all(shown, pictures))
 
@@ -138,14 +220,27 @@ def psnr_of_all(shown: Sequence[Gaussians], pictures: Pictures) -> NDArray[np.fl
 
 def streams_of(method: str, levels: tuple[Level, ...]) -> list[Stream]:
     """The streams of a method: each way to choose among its levels, or to skip, that its frames allow."""
-    choosers = OUR_CHOOSERS if method in OURS else ("unpruned", "paper-no-cliff")[: 1 + (method in INDEPENDENT)]
+    choosers = list(CHOOSERS) if method in OURS else ["unpruned", "paper-no-cliff"][: 1 + (method in INDEPENDENT)]
     return [Stream(method, chooser, levels) for chooser in choosers]
 
 
 def stream(one: Stream, traces: Sequence[Trace], offsets: int, fps: float) -> dict[str, Any]:
-    """A row: means over all runs, and the distribution of transmission times over all frames."""
-    frames = one.options * max(1, round(SECONDS * fps / one.frames))
+    """A row: means over all runs, and percentiles of the paper's times in ms over all frames.
+
+    A frame that was skipped, or pushed while nothing passed, never came: its time counts as infinite.
+    """
+    frames = one.options
+    frames *= max(1, round(SECONDS * fps / len(frames)))
     links = [Link.over(trace.cut(at).ending("loop")) for trace in traces for at in offsets_of(trace, offsets, 1)]
     logs = [push_frames(frames, fps, link, CHOOSERS[one.chooser]) for link in links]
-    row = means(one.chooser, [one.table(log) for log in logs])
-    return {"method": one.method} | row | {"percentiles_ms": time_percentiles(logs)}
+    runs: list[Mapping[str, float]] = [one.table(log) for log in logs]
+    row = {key: _mean_of([run[key] for run in runs]) for key in runs[0]}
+    times = np.concatenate([np.where(log.levels != SKIPPED, log.paper_s, np.inf) for log in logs])
+    percentiles = [float(v) for v in 1e3 * np.percentile(times, PERCENTILES, method="inverted_cdf")]
+    return {"method": one.method, "chooser": one.chooser, "runs": len(runs)} | row | {"percentiles_ms": percentiles}
+
+
+def _mean_of(values: Sequence[float]) -> float:
+    """Mean of the values that are known; NaN where none is."""
+    known = [value for value in values if not math.isnan(value)]
+    return float(np.mean(known)) if known else math.nan

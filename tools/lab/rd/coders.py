@@ -13,9 +13,9 @@ from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import seconds_of
 from tools.lab.rd.layouts import PUBLISHED, V3_FORMS, CodedGroup, mpeg_anchor_layout, v3_layout
 from tools.lab.rd.subject import Coded, Subject, Trial
-from tools.lab.timing import seconds_of
 
 OURS, OURS_WHOLE = "airgs", "airgs, keeps all"
 V3, MPEG = "V3 layout", "MPEG anchor layout"

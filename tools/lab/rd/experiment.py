@@ -17,13 +17,11 @@ from typing import TYPE_CHECKING
 
 from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from tools.lab import Lab, Page, Picture, Section, Table, rows_of, setting
-from tools.lab.page import Row
+from tools.lab import Lab, Page, Picture, Row, Section, Table, rows_of, setting
 from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
-from tools.lab.rd.points import RdPoint, bd_rate, curves, kb_at
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials
-from tools.lab.rd.subject import Measured, Subject, Trial, open_subject
+from tools.lab.rd.subject import Measured, RdPoint, Subject, Trial, bd_rate, curves, kb_at, open_subject
 from tools.lab.rd.written import written_trials
 
 if TYPE_CHECKING:
@@ -39,8 +37,6 @@ BRIEF = 5  # formats that pages show, the README too: ours and the nearest
 
 @dataclass(frozen=True, slots=True)
 class Options(Measured):
-    """What is coded, and by what."""
-
     frames: int = setting(6, "frames measured")
     targets: tuple[float, ...] = setting((47.0, 45.5, 44.0, 42.5, 41.0, 39.5), "PSNR of our packages, dB")
     at: float = setting(43.0, "dB at which bytes are compared")
@@ -50,7 +46,6 @@ class Options(Measured):
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Every coder at every setting."""
     sequence, cameras = options.open()
     subject = open_subject(sequence, cameras, options.frames, options.views)
     points = list(measure(subject, trials(options), lab))
@@ -72,7 +67,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def trials(options: Options) -> Iterator[Trial]:
-    """Everything that is asked for, ours first."""
     yield from our_trials(options.targets, keep_all=False)
     yield from our_trials(options.targets, keep_all=True)
     yield from layout_trials()
@@ -134,7 +128,6 @@ def beside(points: Sequence[RdPoint], at: float) -> list[Row]:
 
 
 def verdict(scene: str, rows: Sequence[Row], at: float) -> str:
-    """How many bytes airgs takes for a scene at the PSNR, and which other format comes nearest."""
     found = {row["format"]: row for row in rows if row["psnr"] == at}
     if OURS not in found:
         return f"No package of airgs was measured on both sides of {at:g} dB."

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
+from tools.lab import seconds_of
 from tools.lab.rd.programs import run_program
 from tools.lab.rd.subject import Coded, Subject, Trial
-from tools.lab.timing import seconds_of
 
 PROFILES = ("fine", "default", "coarse")
 CONVERT = ("-m", "fourdgs.cli", "convert")

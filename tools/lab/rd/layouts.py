@@ -35,22 +35,17 @@ Samples = NDArray[np.floating]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedGroup:
-    """What a layout makes of one group."""
-
     frame_bytes: list[int]  # of each frame: its packets, and its part of what all share
     frames: list[Gaussians]
     decode_s: float
 
     @property
     def bytes(self) -> int:
-        """Of the group."""
         return sum(self.frame_bytes)
 
 
 @dataclass(slots=True)
 class Video:
-    """Codes planes as video, one stream each, and adds up what they cost."""
-
     codec: str  # libx264 or libx265
     preset: str  # of both, or PUBLISHED
     packets: Counter[int] = field(default_factory=Counter)  # bytes of the packets of each frame
@@ -72,7 +67,6 @@ class Video:
         return planes[:, :height, :width].reshape(len(samples), -1)[:, : samples.shape[1]]
 
     def count_ranges(self, number: int) -> None:
-        """Pay for ranges that are sent beside the streams."""
         self.shared += RANGE_BYTES * number
 
     def frame_bytes(self) -> list[int]:
@@ -118,7 +112,6 @@ class Video:
 
 
 def _stripped(packet: bytes) -> bytes:
-    """A packet of H.264 without SEI."""
     return b"".join(b"\0\0\0\1" + unit for unit in units_without_sei(packet))
 
 
@@ -241,7 +234,6 @@ def _mpeg_means(video: Video, values: Samples) -> NDArray[np.float64]:
 
 
 def _mpeg_codes(video: Video, values: Samples, bits: int) -> tuple[NDArray[np.uint16], float, float]:
-    """Codes, low and step of a channel over the whole sequence."""
     video.count_ranges(1)
     low = float(values.min())
     step = (float(values.max()) - low) / (2**bits - 1) or 1.0

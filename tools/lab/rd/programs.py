@@ -21,8 +21,8 @@ from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.formats.splat import read_splat
 from airgs_codec.scene.formats.write import choose_target, write_frames
 from airgs_codec.scene.gaussians import Gaussians
+from tools.lab import seconds_of
 from tools.lab.rd.subject import Coded, Subject, Trial
-from tools.lab.timing import seconds_of
 
 SPZ = "SPZ"
 STATIC_SETTINGS = (  # coder, setting, ending, options
@@ -35,19 +35,9 @@ STATIC_SETTINGS = (  # coder, setting, ending, options
 # Bounds of position (thousandths of a world unit), colour (8-bit levels), rotation (1/128) and scale (per cent); the
 # last ones for scenes of less than a unit.
 SPLAT4D_BOUNDS = (
-    (0.1, 0, 0, 0.25),
-    (0.25, 1, 0, 0.5),
-    (0.5, 1, 0, 1),
-    (1, 2, 0, 2),
-    (2, 4, 0, 2),
-    (4, 6, 1, 4),
-    (8, 8, 2, 8),
-    (16, 12, 2, 12),
-    (32, 16, 4, 16),
-    (0.1, 8, 2, 8),
-    (0.2, 8, 2, 8),
-    (0.4, 8, 2, 8),
-)
+    (0.1, 0, 0, 0.25), (0.25, 1, 0, 0.5), (0.5, 1, 0, 1), (1, 2, 0, 2), (2, 4, 0, 2), (4, 6, 1, 4), (8, 8, 2, 8),
+    (16, 12, 2, 12), (32, 16, 4, 16), (0.1, 8, 2, 8), (0.2, 8, 2, 8), (0.4, 8, 2, 8),
+)  # fmt: skip
 
 
 def splat_transform_trials(command: str) -> Iterator[Trial]:

@@ -16,9 +16,9 @@ from airgs_codec.scene.formats.spz import read_spz
 from airgs_codec.scene.formats.tsog import write_tsog
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
+from tools.lab import seconds_of
 from tools.lab.rd.programs import SPZ
 from tools.lab.rd.subject import Coded, Subject, Trial
-from tools.lab.timing import seconds_of
 
 TSOG_SETTINGS = ((256, 1 << 16), (64, 1 << 12), (32, 1 << 10), (16, 1 << 8), (8, 1 << 6))  # levels, entries of palettes
 SPZ_BITS = (12, 10, 8)  # of the fraction of a position; SH in all 8 bits, which splat-transform does not keep
@@ -97,7 +97,6 @@ def _frame(path: Path, number: int) -> Gaussians:
 
 
 def _spz(bits: int, subject: Subject) -> Coded:
-    """Every frame a file."""
     from gsply import GSData, write_spz  # of the extra `formats`
 
     size, encode_s, decode_s = 0, 0.0, 0.0

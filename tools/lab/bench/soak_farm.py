@@ -43,13 +43,11 @@ SETTINGS = EncodeSettings(
 PAUSE_S = 1.5  # between two failures
 SLOW, SLOW_S, FULL = 0.05, 0.5, 0.01  # share of writes that take longer, how much, and share that fail
 FAULTS = ("worker", "worker", "worker", "scheduler", "cut", "deleted")
-COMMAND = "import sys; from tools.lab.soak.farm import encode_at; sys.exit(encode_at(*sys.argv[1:]))"
+COMMAND = "import sys; from tools.lab.bench.soak_farm import encode_at; sys.exit(encode_at(*sys.argv[1:]))"
 
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """How much work, and how many failures."""
-
     groups: int = setting(50, "of four frames, each of four jobs or five")
     kills: int = setting(50, "failures that are made")
     workers: int = setting(2, "of the cluster")
@@ -58,8 +56,6 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class FaultyFolder(Folder):
-    """A folder whose writes are slow or fail at random."""
-
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
         """Write a file. Raises OSError as on a full disk, now and then."""
         chance = random.random()
@@ -81,7 +77,6 @@ class Cluster:
         self._names = ["scheduler", *(f"worker {number}" for number in range(workers))]
 
     def keep(self) -> None:
-        """Start what is not running."""
         for name in self._names:
             if name not in self._running or self._running[name].poll() is not None:
                 kind = name.split()[0]
@@ -94,11 +89,9 @@ class Cluster:
                 self._running[name] = subprocess.Popen(words, stdout=quiet, stderr=quiet, env=environment)
 
     def kill(self, kind: str, rng: random.Random) -> None:
-        """Kill the scheduler or one of the workers."""
         self._running[rng.choice([name for name in self._names if name.startswith(kind)])].kill()
 
     def close(self) -> None:
-        """End all of them."""
         for process in self._running.values():
             process.kill()
             process.wait()
@@ -121,7 +114,6 @@ def encode_at(address: str, folder: str) -> int:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """Encode both ways. Raises ConfigError where the folder has an encode already."""
     out = lab.folder
     if (out / "scene").exists():
         raise ConfigError(f"{out}: expected a new folder, got one that has been used")

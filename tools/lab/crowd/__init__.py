@@ -1,1 +1,0 @@
-"""A crowd of viewers behind one cache."""

@@ -1,1 +1,0 @@
-"""Long runs in which much fails or much time goes by."""

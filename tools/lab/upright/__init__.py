@@ -1,1 +1,0 @@
-"""Which way is up: what cues are worth on models and scenes whose answer is known."""
