@@ -111,7 +111,7 @@ def test_a_sequence_is_encoded_with_its_attribution_and_decoded_by_names_or_numb
 
 WITHOUT_EXTRAS = """
 import sys
-for name in ("torch", "pycolmap", "gsplat", "matplotlib"):
+for name in ("torch", "gsplat", "matplotlib"):
     sys.modules[name] = None  # an import of it fails as where it is not installed
 from airgs_codec.cli import decode, encode, manifest, play, train
 options = ["--calibrate", "none", "--measure-pictures", "2", "--x264-preset", "ultrafast"]

@@ -23,16 +23,14 @@ from airgs_codec.cli.common import (
     report,
 )
 from airgs_codec.cli.common import frames as frames_option
-from airgs_codec.cli.matching import match_cameras, pose_rig
 from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
-from airgs_codec.progress import about
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, PRESETS, TrainSettings, preset
+from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
     from airgs_codec.trainer.pipeline import Run
@@ -43,6 +41,7 @@ FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 MATCHED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
+SHOWN = 4  # cameras that a line names, those furthest out of step
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 
@@ -52,7 +51,7 @@ class Train:
 
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
-        "or poses_bounds.npy, and pictures or a video of each camera; or videos alone, which COLMAP finds poses for"
+        "or poses_bounds.npy, and pictures or a video of each camera"
     )
     output: Path | None = setting(None, "model folder (default: SCENE.gaussians)", short="-o", metavar="DIR")
     resume: bool = setting(False, "go on with the run in the model folder")
@@ -87,10 +86,6 @@ class Train:
         metavar="UNITS",
         topic="scene",
     )
-    lenses: str = setting(
-        "own", "videos without poses: whether cameras have one lens", choices=("own", "shared"), topic="scene"
-    )
-    pose_frame: int = setting(0, "videos without poses: frame that poses are found from", topic="scene")
     sync: str = setting(
         AUTO,
         "whether cameras that are not in step are matched, by what moves: auto, off, or a JSON file with an object of "
@@ -137,8 +132,7 @@ def train(options: Train) -> int:
     folder = options.output or default_model(options.scene)
     known = known_offsets(folder) if options.resume else None
     scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
-    with closing(Bar(options.json)) as bar:
-        run = open_run(scene, folder, settings, resume=options.resume, device=device, progress=bar)
+    run = open_run(scene, folder, settings, resume=options.resume, device=device)
     if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 
@@ -162,14 +156,37 @@ def _scene(options: Train) -> MultiviewScene:
     expect_rate("--fps", options.fps)
     if options.near is not None and not 0 < options.near < float("inf"):
         raise ConfigError(f"--near: expected a positive distance, got {options.near}")
-    if options.pose_frame < 0:
-        raise ConfigError(f"--pose-frame: expected a frame of at least 0, got {options.pose_frame}")
-    pose_rig(options.scene, frame=options.pose_frame, shared_lens=options.lenses == "shared", quiet=options.json)
     scene = open_scene(options.scene, fps=options.fps)
     frames_of(scene, parse_frames(options.frames))  # those that are not there are told before anything is read
     names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
     scene = with_held_out(scene, names)
     return scene if options.near is None else with_near(scene, options.near)
+
+
+def match_cameras(
+    scene: MultiviewScene, span: tuple[int, int | None], sync: str, known: Mapping[str, float] | None, *, quiet: bool
+) -> MultiviewScene:
+    """The frames [A, B) of a scene with its cameras in step, as --sync says; what was found is said.
+
+    `known`: what the run that goes on has found, after which nothing is looked for again; None: it is a new one.
+    Raises SceneError for a file of offsets, or a picture, that cannot be used.
+    """
+    from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets  # what they import takes a second
+
+    if sync not in (AUTO, OFF):
+        return in_step(scene, read_offsets(Path(sync)), span)
+    if known is not None:
+        return in_step(scene, known if sync == AUTO else {}, span)
+    with closing(Bar(quiet)) as bar:
+        found = find_offsets(scene, span, bar) if sync == AUTO else {}
+    matched = in_step(scene, found, span)
+    if found and not quiet:
+        order = sorted(found, key=lambda name: -abs(found[name]))
+        words = [f"{name} is {abs(found[name]):g} frames {'late' if found[name] > 0 else 'early'}" for name in order]
+        more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
+        left = f"all have {len(matched)} of {len(range(*frames_of(scene, span)))} frames"
+        say(f"{', '.join(words[:SHOWN])}{more}: matched, {left}; --sync off leaves it")
+    return matched
 
 
 def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
@@ -232,7 +249,6 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.record import known_offsets
 
-    pose_rig(scene, quiet=quiet)
     views, folder = with_held_out(open_scene(scene, fps=fps), None), default_model(scene)
     device = open_renderer(device).device
     views = match_cameras(views, (0, None), AUTO, known_offsets(folder), quiet=quiet)
@@ -241,14 +257,14 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
 
 
 def run_training(run: Run, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
-    """Train frame after frame with a progress bar, and say what it takes and what is done.
+    """Train frame after frame with a progress bar, and say what is done.
 
     `page`: writes a page of the run so far, which it does now and then.
     """
     from airgs_codec.trainer.pipeline import train_frames
 
     if not quiet and not run.model.finished():
-        say(foretold(run))
+        say(to_train(run))
     bar = Bar(quiet)
     return follow_training(run, train_frames(run, bar), bar, quiet=quiet, page=page)
 
@@ -274,18 +290,13 @@ def follow_training(
     return run.model
 
 
-def foretold(run: Run) -> str:
-    """Return what there is to train, and about how long that takes and how much memory."""
-    from airgs_codec.trainer.plan import foretell
-
-    capture, done = run.capture, len(run.model.record.frames)
-    seconds, memory = foretell(capture.trainer, capture.views(0), len(capture.scene), done)
-    seen = capture.pictures.cameras()[0]
-    held_out = sum(camera.held_out for camera in capture.scene.cameras)
-    cameras = f"{len(capture.scene.cameras) - held_out} training cameras and {held_out} held out"
-    frames = f"{len(capture.scene) - done} frames of {seen.width}x{seen.height}"
-    takes = f"{about(*seconds)} and {memory / 1e9:.1f} GB"
-    return f"{capture.scene.path}: {frames}, {cameras}: {takes}"
+def to_train(run: Run) -> str:
+    """What there is to train."""
+    scene, seen = run.capture.scene, run.capture.pictures.cameras()
+    held_out = sum(camera.held_out for camera in seen)
+    cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
+    left = len(scene) - len(run.model.record.frames)
+    return f"{scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}"
 
 
 def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:
@@ -305,5 +316,4 @@ def frame_line(r: FrameRecord) -> str:
     if r.rejected_psnr is not None:
         other = "as a keyframe" if r.kind == "frame" else "in the old group"
         kind += f"  ({other} {r.rejected_psnr:.2f} dB)"
-    static = f", static {100 * sum(r.static.values()) / len(r.static):.0f} %" if r.static else ""
-    return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians{static}  {r.seconds:.1f} s{kind}"
+    return f"frame {r.frame:4d}  {r.psnr:.2f} dB{held_out}  {r.gaussians:,} Gaussians  {r.seconds:.1f} s{kind}"

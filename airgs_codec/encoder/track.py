@@ -123,7 +123,7 @@ def tracked(sequence: GaussianSequence, settings: EncodeSettings, work: Work) ->
 def _track(
     sequence: GaussianSequence, names: Sequence[str], folder: Path, cameras: list[Camera], views: ViewPlan, work: Work
 ) -> Tracked:
-    from airgs_codec.trainer.data.drawn import drawn_scene  # torch is loaded where something is tracked
+    from airgs_codec.trainer.data.multiview import drawn_scene  # torch is loaded where something is tracked
     from airgs_codec.trainer.pipeline import open_run, train_frames, train_in_jobs
 
     scene = drawn_scene(sequence, names, cameras, views.renderer)

@@ -31,7 +31,7 @@ from airgs_codec.places.results import OWN, Store, pack, unpack
 
 LIBRARIES = {  # modules that are imported -> distributions whose versions decide results
     "cv2": "opencv-contrib-python-headless", "gsplat": "gsplat", "numba": "numba", "numpy": "numpy",
-    "pycolmap": "pycolmap", "scipy": "scipy", "torch": "torch",
+    "scipy": "scipy", "torch": "torch",
 }  # fmt: skip
 _TYPES_ONLY = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*(?:from (\S+) import (\([^)]*\)|.*)|import (.*))$", re.MULTILINE)

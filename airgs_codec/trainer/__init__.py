@@ -42,8 +42,7 @@ def train(
     """
     require_torch()
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.trainer.data.between import in_step
-    from airgs_codec.trainer.data.sync import find_timing
+    from airgs_codec.trainer.data.sync import find_offsets, in_step
     from airgs_codec.trainer.pipeline import open_run, train_frames
     from airgs_codec.trainer.record import known_offsets
 
@@ -54,8 +53,8 @@ def train(
     tell = told(progress)
     if views is not scene:
         known = known_offsets(model) if resume else None
-        views = in_step(views, find_timing(views, progress=tell).offsets if known is None else known)
-    run = open_run(views, model, chosen, resume=resume, device=found, progress=tell)
+        views = in_step(views, find_offsets(views, progress=tell) if known is None else known)
+    run = open_run(views, model, chosen, resume=resume, device=found)
     for _ in train_frames(run, tell):
         pass
     return run.model

@@ -1,4 +1,4 @@
-"""What the frames of a run are fitted with: the scene, its pictures, and what rests before its cameras."""
+"""What the frames of a run are fitted with: the scene, its pictures, and what rests before its cameras. N Gaussians."""
 
 from __future__ import annotations
 
@@ -6,22 +6,57 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
+from airgs_codec.analysis.grouping import middle_frame
 from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_frames
 from airgs_codec.trainer.data.pictures import Exposure, Pictures, View, pictures_for
-from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle, stored_plate
+from airgs_codec.trainer.data.plates import Masks, Plate, Plates, find_moving, settle
+from airgs_codec.trainer.fit.losses import codec_steps
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Parameters
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
-from airgs_codec.trainer.fit.usage import group_usage
-from airgs_codec.trainer.plan import Plan, Told
 from airgs_codec.trainer.record import Span
 from airgs_codec.trainer.settings import TrainSettings
 
+FOLLOWED = 0.6  # what an iteration of a frame that follows another takes, in those of a first frame
 CAPACITY = 1.5  # times as many Gaussians as the first frame has may there ever be, unless settings say more
+
+
+@dataclass(slots=True)
+class RunProgress:
+    """Progress of a whole run, in iterations of a first frame: its stage is `training`, and after a colon the frame.
+
+    Which frames become keyframes is not known before; what they take more is added when they do.
+    """
+
+    progress: Progress
+    first: float  # of the first frame
+    later: float  # of every other one
+    frames: int
+    _more: float = field(init=False, default=0.0)  # that frames before have taken beyond what was planned
+
+    def of(self, frame: int) -> Progress:
+        """Progress of the fits of a frame, each of which is a stage; one frame at a time, ascending."""
+        planned, cost = (self.later, FOLLOWED) if frame else (self.first, 1.0)
+        begun = self.first + (frame - 1) * self.later if frame else 0.0
+        before, now, more = 0.0, ("", 0.0), self._more
+
+        def tell(stage: str, done: int, total: int) -> None:
+            nonlocal before, now
+            if stage != now[0]:
+                before, now = before + now[1], (stage, cost * total)
+            self._more = more + max(0.0, before + cost * total - planned)
+            at, whole = begun + more + before + cost * done, self.first + (self.frames - 1) * self.later + self._more
+            self.progress(f"training: frame {frame} of {self.frames} ({stage})", round(at), round(whole))
+
+        return tell
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,14 +105,13 @@ class Capture:
 
     def with_plates(self, plates: Iterable[Plate]) -> Capture:
         """The same that knows what rests; `plates`: of every training camera, or none at all."""
-        names = [camera.name for camera in self.scene.cameras if not camera.held_out]
-        stored = [stored_plate(plate, len(names)) for plate in plates]
-        return replace(self, plates=dict(zip(names, stored, strict=True)) if stored else {})
+        names, found = [camera.name for camera in self.scene.cameras if not camera.held_out], list(plates)
+        return replace(self, plates=dict(zip(names, found, strict=True)) if found else {})
 
-    def told(self, progress: Progress) -> Told:
-        """Progress of the whole run."""
+    def told(self, progress: Progress) -> RunProgress:
         cameras = [camera for camera in self.scene.cameras if not camera.held_out]
-        return Told(progress, Plan.of(self.settings, len(cameras), len(self.scene)))
+        first, later = self.settings.iterations_from_scratch(len(cameras)), FOLLOWED * self.settings.frame_iterations
+        return RunProgress(progress, first, later, len(self.scene))
 
     def within(self, frames: Iterable[int]) -> Capture:
         """The same for frames of a chunk: what they share with later ones is not looked for, where they are given."""
@@ -90,7 +124,7 @@ class Capture:
         views = self.pictures.train(frame)
         if not views:
             raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return settle(views, self.plates, self.pictures.exposure).views if self.plates else views
+        return settle(views, self.plates, self.pictures.exposure)[0] if self.plates else views
 
     def first(self) -> FrameViews:
         """The first frame of the run as it is fitted: cameras that saw it before its time saw it after that, too."""
@@ -117,9 +151,9 @@ class Capture:
             return FrameViews(target.frame, [], Masks([]))
         seen, moving = self.pictures.train(frame), None
         if self.plates:
-            now = settle(seen, self.plates, self.pictures.exposure)
-            then = target.moving or now.moving
-            seen, moving = now.views, Masks(then[i] | now.moving[i] for i in early)
+            seen, now = settle(seen, self.plates, self.pictures.exposure)
+            then = target.moving or now
+            moving = Masks(then[i] | now[i] for i in early)
         return FrameViews(target.frame, [replace(seen[i], after=seen[i].after + 1) for i in early], moving)
 
     def target(self, frame: int, start: int) -> FrameViews:
@@ -130,10 +164,10 @@ class Capture:
         before = self._moving.pop(start, None)  # pictures of a frame that is past may be out of memory
         if before is None:
             before = find_moving(self.pictures.train(start), self.plates, exposure)
-        now = settle(self.pictures.train(frame), self.plates, exposure)
+        views, now = settle(self.pictures.train(frame), self.plates, exposure)
         self._moving.clear()
-        self._moving[frame] = now.moving
-        return FrameViews(frame, now.views, Masks(a | b for a, b in zip(before, now.moving, strict=True)))
+        self._moving[frame] = now
+        return FrameViews(frame, views, Masks(a | b for a, b in zip(before, now, strict=True)))
 
     def given(self, frame: int) -> Gaussians:
         """The Gaussians that the pictures of a frame are drawn from, repaired. Raises SceneError for a broken file."""
@@ -143,3 +177,42 @@ class Capture:
     def usage(self, read: Callable[[int], Gaussians], span: Span, progress: Progress = silent) -> Usage:
         """The usage of a group over its frames [start, stop), which `read` gives, and all its training views."""
         return group_usage(read, self.pictures, self.trainer.renderer, span, progress)
+
+
+def group_usage(
+    read: Callable[[int], Gaussians],
+    pictures: Pictures,
+    renderer: Renderer,
+    span: tuple[int, int],
+    progress: Progress = silent,
+) -> Usage:
+    """Usage over all frames [start, stop) of a group, which `read` gives, and all its training views.
+
+    Motion is measured against the middle frame, which the codec's differences start from, in codec steps there.
+    """
+    middle = middle_frame(*span)
+    base = read(middle)
+    steps = codec_steps(base, [view.camera for view in pictures.train(middle)], renderer=renderer)
+    n = len(base)
+    total, peak, hits, moved = np.zeros(n), np.zeros(n), np.zeros(n, np.int64), np.zeros(n)
+    for done, frame in enumerate(range(*span), 1):
+        g = read(frame)
+        loaded, seen = renderer.load(g), np.zeros(n)
+        for view in pictures.train(frame):
+            c = loaded.contribution(view.camera)
+            total += c.total
+            hits += c.hits
+            seen = np.maximum(seen, c.peak)
+        peak = np.maximum(peak, seen)
+        moved = np.maximum(moved, seen * change_in_steps(base, g, steps))
+        progress(f"usage of frames {span[0]} to {span[1] - 1}", done, span[1] - span[0])
+    return Usage(total, peak, hits, moved)
+
+
+def change_in_steps(a: Gaussians, b: Gaussians, steps: Parameters) -> NDArray[np.float64]:
+    """(N,) Euclidean length of the change from a to b over all channels, each in codec steps."""
+    square = np.zeros(len(a))
+    for name in ATTRIBUTES:
+        d = (getattr(b, name) - getattr(a, name)) / steps[name].numpy()
+        square += np.square(d.astype(np.float64)).reshape(len(a), -1).sum(axis=1)
+    return np.sqrt(square)

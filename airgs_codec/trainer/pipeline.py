@@ -1,4 +1,4 @@
-"""The steps of a training run, declared once, and who does them: this process frame after frame, or jobs.
+"""The steps of a training run, and who does them: this process frame after frame, or jobs.
 
 What rests before each camera comes first, then the first frame of the run, then chunks of frames, which begin with a
 keyframe that starts from the first frame and so know nothing of each other.
@@ -19,7 +19,6 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.beside import Usage
 from airgs_codec.trainer.capture import Capture, First
-from airgs_codec.trainer.data.foreground import finds_masks, with_found_masks
 from airgs_codec.trainer.data.multiview import (
     Contents,
     MultiviewScene,
@@ -30,80 +29,9 @@ from airgs_codec.trainer.data.multiview import (
     without_masks,
 )
 from airgs_codec.trainer.data.plates import Plate, find_plate, plate_sources
-from airgs_codec.trainer.fit.points import expect_overlap
 from airgs_codec.trainer.frames import chunks, position_after, train_chunk, train_first
-from airgs_codec.trainer.record import MASKS_NAME, FrameRecord, Model, Record, Span, TrainedFrame, open_model
+from airgs_codec.trainer.record import FrameRecord, Model, Record, Span, TrainedFrame, open_model
 from airgs_codec.trainer.settings import OFF, TrainSettings
-
-
-@dataclass(frozen=True, slots=True)
-class Piece:
-    """A part of a step that knows nothing of its other parts."""
-
-    label: str  # for people
-    frames: Sequence[int] = ()  # whose pictures it reads, besides those of frame 0
-    which: tuple[Any, ...] = ()  # tells the function of the step which piece it is
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A step of a run, which is done in pieces."""
-
-    name: str  # for people
-    pieces: Callable[[MultiviewScene, TrainSettings], list[Piece]]
-    make: Callable[..., Any]  # the result of a piece, from a `Capture`, `which`, and the results that it reads
-    reads: tuple[str, ...] = ()  # names of the steps whose results these are
-    fits: bool = True  # on the device of the run; a step that does not fit needs no device
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Chunk:
-    """The frames of a chunk without the first of the run, and the usage of their groups."""
-
-    frames: tuple[TrainedFrame, ...]
-    usage: dict[Span, Usage]
-
-
-def find_rest(capture: Capture, camera: int, frames: Sequence[int]) -> Plate:
-    """Find what one camera sees at rest. Raises SceneError for a picture that cannot be read."""
-    return find_plate(capture.pictures, camera, frames)
-
-
-def fit_first(capture: Capture, *plates: Plate) -> TrainedFrame:
-    """Fit the first frame of a run. Raises what `train` does."""
-    return train_first(capture.with_plates(plates))
-
-
-def fit_chunk(capture: Capture, span: Span, first: First, *plates: Plate) -> Chunk:
-    """Fit the frames of a chunk and measure the usage of their groups. Raises what `train` does."""
-    capture = capture.with_plates(plates).with_first(first)
-    trained = tuple(train_chunk(capture, range(*span), first.gaussians))
-    known = {0: first.gaussians} | {t.record.frame: t.gaussians for t in trained}
-    starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "key")})
-    groups = list(zip(starts, [*starts[1:], span[1]], strict=True))
-    return Chunk(trained, {group: capture.usage(known.__getitem__, group) for group in groups})
-
-
-def _cameras(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
-    sources = plate_sources(scene) if settings.knows_rest else []
-    return [Piece(scene.cameras[camera].name, frames, (camera, frames)) for camera, frames in sources]
-
-
-def _first(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
-    """Frame 0, and what else tells it: its chunk where Gaussians are given, frame 1 where cameras are not in step."""
-    stop = chunks(len(scene), settings.group_frames)[0][1] if scene.given else seen_until(scene, 1)
-    return [Piece("frame 0", range(stop))]
-
-
-def _chunks(scene: MultiviewScene, settings: TrainSettings) -> list[Piece]:
-    spans = chunks(len(scene), settings.group_frames)
-    return [Piece(f"frames {a}-{b - 1}", range(a, seen_until(scene, b)), ((a, b),)) for a, b in spans]
-
-
-REST = Step("what rests", _cameras, find_rest, fits=False)
-FIRST = Step("first frame", _first, fit_first, reads=(REST.name,))
-CHUNKS = Step("chunks of frames", _chunks, fit_chunk, reads=(FIRST.name, REST.name))
-STEPS = {step.name: step for step in (REST, FIRST, CHUNKS)}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,26 +49,12 @@ def open_run(
     *,
     resume: bool = False,
     device: str = "cpu",
-    progress: Progress = silent,
 ) -> Run:
-    """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises.
-
-    Masks that the scene lacks and shall have are found, and lie in the folder.
-    """
-    capture, finds = Capture.of(scene, settings, device), finds_masks(scene, settings)
-    whole = replace(settings, foreground=OFF, background=None)
-    check_pictures(Capture.of(scene, whole, device) if finds else capture)
+    """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises."""
+    capture = Capture.of(scene, settings, device)
+    check_pictures(capture)
     model = open_model(folder, Record.of(scene, capture.pictures.background, settings), resume)
     model.write_cameras(capture.pictures.cameras())
-    if finds:
-        try:
-            scene = with_found_masks(scene, folder / MASKS_NAME, progress)
-        except AirgsError:
-            if not model.record.frames:
-                model.discard()
-            raise
-        capture = Capture.of(scene, settings, device)
-        check_pictures(capture)  # masks may have been mended
     return Run(capture, model)
 
 
@@ -150,12 +64,9 @@ def check_pictures(capture: Capture) -> None:
     Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene.
     """
     scene, reference = capture.scene, capture.settings.reference
-    cameras = [camera for camera in scene.cameras if not camera.held_out]
-    names = [camera.name for camera in cameras]
+    names = [camera.name for camera in scene.cameras if not camera.held_out]
     if not names:
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
-    if scene.points is None and scene.given is None:
-        expect_overlap(scene.path, cameras)
     if reference not in (None, *names):
         raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
     capture.pictures.check()
@@ -209,13 +120,11 @@ class Here:
 
     @cached_property
     def _settled(self) -> Capture:
-        """The capture that knows what rests."""
         return rested(self.capture, self.progress)
 
     def first(self) -> TrainedFrame:
-        """Fit the first frame of the run."""
-        [piece] = FIRST.pieces(self.capture.scene, self.capture.settings)
-        return train_first(self._settled.within(piece.frames), self.progress)
+        seen = first_frames(self.capture.scene, self.capture.settings)
+        return train_first(self._settled.within(seen), self.progress)
 
     def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
         """Fit the frames behind the last one of the model; each is in it when the next one is asked for."""
@@ -227,19 +136,21 @@ class Here:
                 yield from train_chunk(capture, range(max(start, done), stop), first.gaussians, at, self.progress)
 
 
+def first_frames(scene: MultiviewScene, settings: TrainSettings) -> range:
+    """Frame 0, and what else tells it: its chunk where Gaussians are given, frame 1 where cameras are not in step."""
+    return range(chunks(len(scene), settings.group_frames)[0][1] if scene.given else seen_until(scene, 1))
+
+
 def rested(capture: Capture, progress: Progress = silent) -> Capture:
-    """Do the step of what rests in this process: the capture with the plates of its cameras.
+    """The capture with the plates of its cameras.
 
     Camera after camera, so that no more pictures are in memory than one plate is made of.
     """
-    pieces = REST.pieces(capture.scene, capture.settings)
-
-    def plates() -> Iterator[Plate]:
-        for done, piece in enumerate(pieces, 1):
-            yield REST.make(capture, *piece.which)
-            progress(REST.name, done, len(pieces))
-
-    return capture.with_plates(plates())
+    sources, plates = plate_sources(capture.scene) if capture.settings.knows_rest else [], []
+    for done, (camera, frames) in enumerate(sources, 1):
+        plates.append(find_plate(capture.pictures, camera, frames))
+        progress("what rests", done, len(sources))
+    return capture.with_plates(plates)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,10 +161,36 @@ class Task:
     settings: TrainSettings
     device: str  # cpu or cuda
 
+    def capture(self) -> Capture:
+        return Capture.of(self.scene, self.settings, self.device)
 
-def do_piece(step: str, task: Task, *arguments: Any) -> Any:
-    """The function of all jobs: make a piece of a step."""
-    return STEPS[step].make(Capture.of(task.scene, task.settings, task.device), *arguments)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Chunk:
+    """The frames of a chunk without the first of the run, and the usage of their groups."""
+
+    frames: tuple[TrainedFrame, ...]
+    usage: dict[Span, Usage]
+
+
+def find_rest(task: Task, camera: int, frames: Sequence[int]) -> Plate:
+    """A job: what one camera sees at rest. Raises SceneError for a picture that cannot be read."""
+    return find_plate(task.capture().pictures, camera, frames)
+
+
+def fit_first(task: Task, *plates: Plate) -> TrainedFrame:
+    """A job: the first frame of a run. Raises what `train` does."""
+    return train_first(task.capture().with_plates(plates))
+
+
+def fit_chunk(task: Task, span: Span, first: First, *plates: Plate) -> Chunk:
+    """A job: the frames of a chunk, and the usage of their groups. Raises what `train` does."""
+    capture = task.capture().with_plates(plates).with_first(first)
+    trained = tuple(train_chunk(capture, range(*span), first.gaussians))
+    known = {0: first.gaussians} | {t.record.frame: t.gaussians for t in trained}
+    starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "key")})
+    groups = list(zip(starts, [*starts[1:], span[1]], strict=True))
+    return Chunk(trained, {group: capture.usage(known.__getitem__, group) for group in groups})
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,7 +211,6 @@ class Farm:
 
     @property
     def needs(self) -> Needs:
-        """Return what the worker of a step that fits must have."""
         return {"GPU": 1} if self.device == "cuda" else NOTHING
 
     @cached_property
@@ -284,26 +220,20 @@ class Farm:
 
     @cached_property
     def plates(self) -> tuple[Stored, ...]:
-        """Find what each training camera sees at rest."""
-        jobs = self.jobs(REST)
+        jobs = self.rest_jobs()
         self.work.run(jobs)
         return tuple(job.result for job in jobs)
 
     def first(self) -> TrainedFrame:
-        """Fit the first frame of the run."""
-        [job] = self.jobs(FIRST, *self.plates)
-        trained = self.work.result(job)
+        trained = self.work.result(self.first_job(*self.plates))
         assert isinstance(trained, TrainedFrame)
         return trained
 
-    def chunks(self, first: First) -> dict[Span, Job]:
-        """The job of each chunk, whose result is a `Chunk`; none is done yet."""
-        jobs = self.jobs(CHUNKS, self.work.put(first), *self.plates)
-        return dict(zip(chunks(len(self.scene), self.settings.group_frames), jobs, strict=True))
-
     def others(self, first: First, model: Model) -> Iterator[TrainedFrame]:
         """Fit the chunks that the model does not have whole, all before the first of their frames is given."""
-        done, jobs = len(model.record.frames), self.chunks(first)
+        reads = (self.work.put(first), *self.plates)
+        jobs = {span: self.chunk_job(span, *reads) for span in chunks(len(self.scene), self.settings.group_frames)}
+        done = len(model.record.frames)
         left = {span for span in jobs if span[1] > max(1, done) or span == (0, 1)}
         self.work.run([job for span, job in jobs.items() if span in left])
         for (start, stop), job in jobs.items():
@@ -316,15 +246,33 @@ class Farm:
             if all(trained.record == model.record.frames[trained.record.frame] for trained in chunk.frames):
                 self.usage.update(chunk.usage)
 
-    def jobs(self, step: Step, *reads: Stored) -> list[Job]:
-        """A job for each piece of a step; `reads`: results of the steps that it reads."""
-        return [self.job(step, piece, reads) for piece in step.pieces(self.scene, self.settings)]
+    def rest_jobs(self) -> list[Job]:
+        """The plate of each training camera; none where nothing is known to rest."""
+        sources = plate_sources(self.scene) if self.settings.knows_rest else []
+        return [
+            self._job("what rests", self.scene.cameras[camera].name, frames, find_rest, camera, frames, needs=NOTHING)
+            for camera, frames in sources
+        ]
 
-    def job(self, step: Step, piece: Piece, reads: tuple[Stored, ...]) -> Job:
-        """The job of a piece."""
-        more = (*piece.which, *reads)
+    def first_job(self, *plates: Stored) -> Job:
+        return self._job("first frame", "frame 0", first_frames(self.scene, self.settings), fit_first, *plates)
+
+    def chunk_job(self, span: Span, *reads: Stored) -> Job:
+        """A chunk; `reads`: the `First`, and plates."""
+        frames = range(span[0], seen_until(self.scene, span[1]))
+        return self._job("chunks of frames", f"frames {span[0]}-{span[1] - 1}", frames, fit_chunk, span, *reads)
+
+    def _job(
+        self,
+        kind: str,
+        label: str,
+        frames: Sequence[int],
+        make: Callable[..., Any],
+        *arguments: Any,
+        needs: Needs | None = None,
+    ) -> Job:
+        """A job that reads the pictures of frame 0 and of these frames."""
         settings = replace(self.settings, group_frames=None)  # a chunk says which frames it has
-        task = Task(with_frames(self.scene, {0, *piece.frames}), settings, self.device)
-        content = (settings, self.device, content_of(task.scene, self.contents), more)
-        needs = self.needs if step.fits else NOTHING
-        return Job.of(step.name, piece.label, do_piece, (step.name, task, *more), content, needs)
+        task = Task(with_frames(self.scene, {0, *frames}), settings, self.device)
+        content = (settings, self.device, content_of(task.scene, self.contents), arguments)
+        return Job.of(kind, label, make, (task, *arguments), content, self.needs if needs is None else needs)

@@ -4,7 +4,6 @@
     sequence.json     frame rate and keyframes; transforms.json  cameras at training size
     usage.npz         usage of every Gaussian, when the run is complete
     networks-T.npz    weights of the MLPs after frame T, the last one, while there are frames to come
-    masks/            CAMERA/000000.png, where they were found; they may be mended
     training.json     settings and a record of every finished frame; written last, so that it names only whole frames
 
 A run that was killed goes on behind the last record. All that the next frame depends on is in these files.
@@ -13,7 +12,6 @@ A run that was killed goes on behind the last record. All that the next frame de
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from fractions import Fraction
@@ -35,8 +33,7 @@ from airgs_codec.trainer.settings import BUDGET, TrainSettings
 
 RECORD_NAME = "training.json"
 CAMERAS_NAME = "transforms.json"
-MASKS_NAME = "masks"
-VERSION = 3
+VERSION = 4
 
 Span = tuple[int, int]  # frames [start, stop)
 
@@ -54,7 +51,6 @@ class FrameRecord:
     held_out_matched: float | None  # dB, held-out views, each channel with the gain and offset that show most
     held_out_ssim: float | None  # mean over held-out views
     rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
-    static: dict[str, float]  # share of each attribute's channels that changed by less than half a codec step
     seconds: float
 
 
@@ -92,11 +88,9 @@ class Record:
 
     @property
     def complete(self) -> bool:
-        """Whether every frame is there."""
         return len(self.frames) == self.total
 
     def keyframes(self) -> list[int]:
-        """The frames that start a group."""
         return [f.frame for f in self.frames if f.kind != "frame"]
 
     def spans(self) -> list[Span]:
@@ -114,7 +108,6 @@ class Record:
         return f"qualities are those of the coding: the trained model is itself at {trained}{unseen}"
 
     def warnings(self) -> list[str]:
-        """Return what somebody should know who looks at the run, one sentence each."""
         low = self.settings["min_psnr_db"]
         starts = [f for f in self.frames if f.kind != "frame" or f.rejected_psnr is not None]
         short = [f for f in starts if f.psnr < low]
@@ -172,7 +165,6 @@ class Model:
         """Remove the folder of a run that has no frame yet, unless something else is in it."""
         for path in (self.folder / RECORD_NAME, self.folder / CAMERAS_NAME):
             path.unlink(missing_ok=True)
-        shutil.rmtree(self.folder / MASKS_NAME, ignore_errors=True)
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
 
@@ -214,11 +206,9 @@ class Model:
         self._networks(self.record.frames[-1].frame).unlink(missing_ok=True)
 
     def finished(self) -> bool:
-        """Whether nothing is left to do."""
         return self.record.complete and (self.folder / USAGE_NAME).is_file()
 
     def remove_leftovers(self) -> None:
-        """Remove what a killed run had not finished."""
         for leftover in self.folder.glob(f".*{PART_SUFFIX}"):
             leftover.unlink()
         for stray in sorted(self.folder.glob("*.ply"))[len(self.record.frames) :]:  # written, but not recorded

@@ -87,7 +87,6 @@ def _rendered(model: Model, frame: int, view: View, renderer: Renderer) -> NDArr
 
 
 def _seen(model: Model, pictures: Pictures, frame: int, renderer: Renderer) -> Iterator[tuple[float, View]]:
-    """PSNR in dB of each of the `_views` of a frame."""
     for view in _views(pictures, frame):
         yield psnr(float(np.mean((_rendered(model, frame, view, renderer) - view.target.rgb) ** 2))), view
 
@@ -106,84 +105,48 @@ def _shown_db(r: FrameRecord) -> float:
 
 def training_answer(record: Record, cameras: Mapping[str, float]) -> dict[str, str]:
     """What a run comes to in whole sentences; `cameras`: PSNR in dB of the worst frame in each, the worst first."""
-    tried = sum(r.kind == "frame" and r.rejected_psnr is not None for r in record.frames)
+    frames, (first, *others) = record.frames, record.frames
+    shown, third = [_shown_db(r) for r in frames], len(frames) // 3
+    trained, mean = float(np.mean([r.psnr for r in frames])), float(np.mean(shown))
+    good, change = [], []
+    if not record.complete:
+        left = (record.total - len(frames)) * float(np.mean([r.seconds for r in others])) if others else 0.0
+        time = f"; the others take {about(left)}" if others else ""
+        good.append(f"{len(frames)} of {record.total} frames are trained{time}. This page fills.")
+    if first.held_out_psnr is None:
+        good.append(f"The cameras trained on see {trained:.1f} dB; none is held out, so what others see is not known.")
+    else:
+        good.append(f"Cameras that were held out see {mean:.1f} dB, those trained on {trained:.1f} dB.")
+    of = f" of a budget of {limit:,}" if (limit := record.settings.get("budget")) else ""
+    good.append(f"The model has {first.gaussians:,} Gaussians{of} and took {about(sum(r.seconds for r in frames))}.")
+    worst, (camera, db) = min(frames, key=_shown_db), next(iter(cameras.items()))
+    far = ", far below the mean" if _shown_db(worst) < mean - FAR_DB else ""
+    wrong = [
+        f"Frame {worst.frame} is the worst with {_shown_db(worst):.1f} dB{far}, camera {camera} in it with {db:.1f}."
+    ]
+    if others and others[0].kind == "frame" and others[0].psnr > first.psnr:  # fitted on, though the scene moved
+        more = f"The second frame shows {others[0].psnr - first.psnr:.2f} dB more than the first"
+        change.append(f"{more}, whose fit was not done: more --iterations pay, or --effort high.")
+    if (gap := trained - mean) > FAR_DB:
+        wrong.append(f"Held-out cameras see {gap:.1f} dB less than those trained on: what no camera sees is guessed.")
+        change.append("More cameras, or fewer Gaussians (--budget), lessen what is guessed between cameras.")
+    if (exposure := float(np.mean([(r.held_out_matched or 0) - (r.held_out_psnr or 0) for r in frames]))) > MATCHED_DB:
+        wrong.append(f"{exposure:.1f} dB of the error are the exposure of cameras alone.")
+        change.append("Try --match-exposure on.")
+    if third and (drift := float(np.mean(shown[:third]) - np.mean(shown[-third:]))) > DRIFT_DB:
+        wrong.append(f"The last third of the frames shows {drift:.1f} dB less than the first.")
+        change.append(f"Begin new groups earlier: --max-drop {record.settings['max_drop_db'] / 2:g}.")
+    wrong += [f"Warning: {warning}." for warning in record.warnings()]
+    tried = sum(r.kind == "frame" and r.rejected_psnr is not None for r in frames)
     return {
-        "good": _good(record),
-        "wrong": " ".join(_wrong(record, cameras)),
+        "good": " ".join(good),
+        "wrong": " ".join(wrong),
         "useless": f"{tried} keyframes were fitted and not taken: a larger --max-drop tries fewer." if tried else "",
-        "change": " ".join(_advice(record)) or "Nothing: airgs-encode takes the model as it is.",
+        "change": " ".join(change) or "Nothing: airgs-encode takes the model as it is.",
     }
 
 
-def _good(record: Record) -> str:
-    frames, held_out = record.frames, [r.held_out_psnr for r in record.frames if r.held_out_psnr is not None]
-    trained = f"{np.mean([r.psnr for r in frames]):.1f} dB"
-    told = []
-    if not record.complete:
-        took, left = [r.seconds for r in frames[1:]], record.total - len(frames)
-        time = f"; the others take {about(left * float(np.mean(took)))}" if took else ""
-        told.append(f"{len(frames)} of {record.total} frames are trained{time}. This page fills.")
-    if held_out:
-        told.append(f"Cameras that were held out see {np.mean(held_out):.1f} dB, those trained on {trained}.")
-    else:
-        told.append(f"The cameras trained on see {trained}; none is held out, so what others see is not known.")
-    limit, first = record.settings.get("budget"), frames[0].gaussians
-    of = f" of a budget of {limit:,}" if limit else ""
-    told.append(f"The model has {first:,} Gaussians{of} and took {about(sum(r.seconds for r in frames))}.")
-    if limit_s := record.settings.get("seconds_per_frame"):
-        late = sum(r.seconds > limit_s for r in frames[1:])
-        told.append(f"{late} of {len(frames) - 1} frames took longer than the {limit_s:g} s of --seconds-per-frame.")
-    return " ".join(told)
-
-
-def _shortfalls(frames: Sequence[FrameRecord]) -> tuple[float, float, float]:
-    """How many dB held-out views are under those trained on, that their exposure alone costs, and that the last third
-    of the frames is under the first; 0 where there are none.
-    """
-    shown, third = [_shown_db(r) for r in frames], len(frames) // 3
-    gap = float(np.mean([r.psnr for r in frames]) - np.mean(shown))
-    exposure = float(np.mean([(r.held_out_matched or 0.0) - (r.held_out_psnr or 0.0) for r in frames]))
-    return gap, exposure, float(np.mean(shown[:third]) - np.mean(shown[-third:])) if third else 0.0
-
-
-def _wrong(record: Record, cameras: Mapping[str, float]) -> list[str]:
-    """The worst frame and camera, how far they are from the others, and what the run warns of."""
-    worst, mean = min(record.frames, key=_shown_db), float(np.mean([_shown_db(r) for r in record.frames]))
-    far = ", far below the mean" if _shown_db(worst) < mean - FAR_DB else ""
-    camera, db = next(iter(cameras.items()))
-    gap, exposure, drift = _shortfalls(record.frames)
-    told = [
-        f"Frame {worst.frame} is the worst with {_shown_db(worst):.1f} dB{far}, camera {camera} in it with {db:.1f}."
-    ]
-    if gap > FAR_DB:
-        told.append(f"Held-out cameras see {gap:.1f} dB less than those trained on: what no camera sees is guessed.")
-    if exposure > MATCHED_DB:
-        told.append(f"{exposure:.1f} dB of the error are the exposure of cameras alone.")
-    if drift > DRIFT_DB:
-        told.append(f"The last third of the frames shows {drift:.1f} dB less than the first.")
-    return [*told, *(f"Warning: {warning}." for warning in record.warnings())]
-
-
-def _advice(record: Record) -> list[str]:
-    """What would show more."""
-    told, (gap, exposure, drift) = [], _shortfalls(record.frames)
-    first, *others = record.frames
-    if others and others[0].kind == "frame" and others[0].psnr > first.psnr:  # fitted on, though the scene moved
-        more = (
-            f"The second frame shows {others[0].psnr - first.psnr:.2f} dB more than the first, whose fit was not done"
-        )
-        told.append(f"{more}: more --iterations pay, or --effort high.")
-    if gap > FAR_DB:
-        told.append("More cameras, or fewer Gaussians (--budget), lessen what is guessed between cameras.")
-    if exposure > MATCHED_DB:
-        told.append("Try --match-exposure on.")
-    if drift > DRIFT_DB:
-        told.append(f"Begin new groups earlier: --max-drop {record.settings['max_drop_db'] / 2:g}.")
-    return told
-
-
 def _over_frames(record: Record, axis: Any, name: str) -> None:
-    """Frames along a chart, with the keyframes in red."""
     for r in record.frames:
         if r.kind == "key":
             axis.axvline(r.frame, color=RED, alpha=0.4, linewidth=1)

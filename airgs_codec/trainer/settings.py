@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 from airgs_codec._settings import computed_setting, documented, setting
@@ -20,7 +20,7 @@ UNITS = ("step", "raw")
 STATIC = ("auto", "off")
 MATCHES = AUTO, ON, OFF = ("auto", "on", "off")
 GIVEN = "given"
-FOREGROUNDS = (OFF, GIVEN, AUTO)
+FOREGROUNDS = (OFF, GIVEN)
 DENSIFY = BUDGET, THRESHOLD = ("budget", "threshold")
 PAPER_CAPACITY = 1_000_000  # where nothing but the inflation loss shall hold Gaussians back
 RANDOM = "random"  # a background: another colour at every step
@@ -40,6 +40,28 @@ class Temporal:
         "share of the iterations in which the temporal loss acts; then what is still 0 stays so, and the rest is free; "
         "in fits of networks it acts throughout",
     )
+
+
+Check = Callable[[float], bool]
+RANGES: tuple[tuple[str, Check, str], ...] = (
+    ("weight", lambda v: v >= 0, "a temporal weight of at least 0"),
+    ("until", lambda v: 0 < v <= 1, "a temporal loss until 0 to 1"),
+    ("budget", lambda v: v >= 1, "a budget of at least one Gaussian"),
+    ("sh_degree", lambda v: 0 <= v < len(SH_REST), "an SH degree of 0 to 3"),
+    ("first_iterations", lambda v: v >= 1, "at least one iteration of a first frame"),
+    ("key_iterations", lambda v: v >= 1, "at least one iteration of a keyframe"),
+    ("frame_iterations", lambda v: v >= 1, "at least one iteration of a frame"),
+    ("group_frames", lambda v: v >= 1, "chunks of at least one frame"),
+    ("iteration_views", lambda v: v >= 1, "at least one picture an iteration"),
+    ("coarse", lambda v: 0 <= v <= 1, "a coarse share of 0 to 1"),
+    ("ssim_weight", lambda v: 0 <= v <= 1, "an SSIM weight of 0 to 1"),
+    ("min_psnr_db", lambda v: v >= 0, "a least PSNR of at least 0 dB"),
+    ("max_drop_db", lambda v: v > 0, "a positive drop in dB"),
+    ("max_growth", lambda v: v >= 0, "a growth of at least 0"),
+    ("inflation", lambda v: v >= 0, "an inflation weight of at least 0"),
+    ("max_size", lambda v: v >= 16, "pictures of 16 pixels"),
+    ("seed", lambda v: v >= 0, "a seed of at least 0"),
+)
 
 
 @documented
@@ -64,12 +86,6 @@ class TrainSettings:
     )
     key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
-    seconds_per_frame: float | None = setting(
-        None,
-        "seconds that a fit of a frame behind the first takes at most, about, with fewer iterations where they are too "
-        "many; two runs are then no longer the same",
-        default="as many as its iterations need",
-    )
     iteration_views: int = setting(1, "pictures that an iteration sees", default="1; 4 on CUDA")
     deltas: str = setting(
         "direct",
@@ -133,8 +149,7 @@ class TrainSettings:
     )
     foreground: str = setting(
         OFF,
-        "train only what masks show: those of the scene (given), or else those found where its cameras stand still "
-        "(auto)",
+        "train all (off), or only what the masks of the scene show (given)",
         choices=FOREGROUNDS,
     )
     match_exposure: str = setting(
@@ -152,59 +167,21 @@ class TrainSettings:
 
     def __post_init__(self) -> None:
         named_background(self.background)
-        for good, message in (*self._choices(), *self._ranges()):
-            if not good:
-                raise ConfigError(message)
-
-    def _choices(self) -> list[tuple[bool, str]]:
-        choices: list[tuple[str, str, tuple[str, ...]]] = [
-            ("deltas", self.deltas, DELTAS),
-            ("static", self.static, STATIC),
-            ("foreground", self.foreground, FOREGROUNDS),
-            ("match_exposure", self.match_exposure, MATCHES),
-            ("densify", self.densify, DENSIFY),
-            ("a temporal unit of", self.temporal.unit, UNITS),
-        ]
-        return [(value in known, f"expected {name} {', '.join(known)}, got {value}") for name, value, known in choices]
-
-    def _ranges(self) -> list[tuple[bool, str]]:
-        iterations = min(self.iterations_from_scratch(1), self.key_iterations, self.frame_iterations)
-        return [
-            (self.temporal.weight >= 0, f"expected a temporal weight of at least 0, got {self.temporal.weight}"),
-            (0 < self.temporal.until <= 1, f"expected a temporal loss until 0 to 1, got {self.temporal.until}"),
-            (self.budget is None or self.budget >= 1, f"expected a budget of at least one Gaussian, got {self.budget}"),
-            (
-                self.capacity is None or self.capacity >= (self.budget or 1),
-                f"expected a capacity of at least the budget, got {self.capacity}",
-            ),
-            (0 <= self.sh_degree < len(SH_REST), f"expected an SH degree of 0 to 3, got {self.sh_degree}"),
-            (iterations >= 1, f"expected at least one iteration of each kind of frame, got {iterations}"),
-            (
-                self.group_frames is None or self.group_frames >= 1,
-                f"expected chunks of at least one frame, got {self.group_frames}",
-            ),
-            (
-                self.seconds_per_frame is None or self.seconds_per_frame > 0,
-                f"expected a positive number of seconds a frame, got {self.seconds_per_frame}",
-            ),
-            (self.iteration_views >= 1, f"expected at least one picture an iteration, got {self.iteration_views}"),
-            (0 <= self.coarse <= 1, f"expected a coarse share of 0 to 1, got {self.coarse}"),
-            (0 <= self.ssim_weight <= 1, f"expected an SSIM weight of 0 to 1, got {self.ssim_weight}"),
-            (self.min_psnr_db >= 0, f"expected a least PSNR of at least 0 dB, got {self.min_psnr_db}"),
-            (self.max_drop_db > 0, f"expected a positive drop in dB, got {self.max_drop_db}"),
-            (self.max_growth >= 0, f"expected a growth of at least 0, got {self.max_growth}"),
-            (self.inflation >= 0, f"expected an inflation weight of at least 0, got {self.inflation}"),
-            (self.max_size is None or self.max_size >= 16, f"expected pictures of 16 pixels, got {self.max_size}"),
-            (
-                self.match_exposure != ON or self.background != RANDOM,
-                "expected cameras to be exposed alike or a random background, got both",
-            ),
-            (
-                self.match_exposure != OFF or self.reference is None,
-                f"expected cameras to be exposed alike where one is the reference, got {self.reference} alone",
-            ),
-            (self.seed >= 0, f"expected a seed of at least 0, got {self.seed}"),
-        ]
+        for one in (*fields(self), *fields(self.temporal)):
+            known = one.metadata.get("choices")
+            value = getattr(self if hasattr(self, one.name) else self.temporal, one.name)
+            if known and value not in known:
+                raise ConfigError(f"expected {one.name} {', '.join(known)}, got {value}")
+        given = {name: value for name, value in (asdict(self) | asdict(self.temporal)).items() if value is not None}
+        for name, good, words in RANGES:
+            if name in given and not good(given[name]):
+                raise ConfigError(f"expected {words}, got {given[name]}")
+        if self.capacity is not None and self.capacity < (self.budget or 1):
+            raise ConfigError(f"expected a capacity of at least the budget, got {self.capacity}")
+        if self.match_exposure == ON and self.background == RANDOM:
+            raise ConfigError("expected cameras to be exposed alike or a random background, got both")
+        if self.match_exposure == OFF and self.reference is not None:
+            raise ConfigError(f"expected cameras to be exposed alike where one is the reference, got {self.reference}")
 
     @property
     def knows_rest(self) -> bool:
@@ -221,7 +198,6 @@ class TrainSettings:
         return max(FIRST, FIRST_A_VIEW * views) if self.first_iterations is None else self.first_iterations
 
     def table(self) -> dict[str, Any]:
-        """The settings by name, as `settings_from_table` takes them."""
         return asdict(self)
 
 

@@ -13,7 +13,7 @@ import pytest
 from airgs_codec.encoder.pipeline import code_key
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.job import code_digest, digest, modules_run
-from airgs_codec.trainer.pipeline import do_piece
+from airgs_codec.trainer.pipeline import fit_chunk
 from tests.support.jobs import square
 from tests.support.paths import PACKAGE
 
@@ -57,7 +57,7 @@ def imported(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-@pytest.mark.parametrize("function", [code_key, do_piece])
+@pytest.mark.parametrize("function", [code_key, fit_chunk])
 def test_the_code_of_a_function_is_all_that_its_module_imports(function):
     found = modules_run(function.__module__)
     for path in found.values():

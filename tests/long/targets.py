@@ -250,7 +250,7 @@ def _beside() -> list[Files]:
     numbers = dict.fromkeys(
         ("gaussians", "added", "psnr", "held_out_psnr", "held_out_matched", "held_out_ssim", "rejected_psnr"), 1
     )
-    frame = numbers | {"frame": 0, "kind": "first", "static": {}, "seconds": 1}
+    frame = numbers | {"frame": 0, "kind": "first", "seconds": 1}
     record = {"version": VERSION, "scene": {}, "settings": {}, "total": 1, "fps": "30", "frames": [frame]}
     texts = {
         "trace.csv": (FOX / "trace.csv").read_text()[:3000],

@@ -11,10 +11,10 @@ from airgs_codec.render import measure_contribution
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.beside import load_usage
 from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.trainer.capture import group_usage
 from airgs_codec.trainer.data.pictures import pictures_for
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.losses import codec_steps
-from airgs_codec.trainer.fit.usage import group_usage
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, open_model
 from airgs_codec.trainer.settings import TrainSettings
 from tests.support.multiview_files import write_views
@@ -51,7 +51,7 @@ def test_motion_is_measured_against_the_middle_frame(tmp_path):
     wanted = Record({}, settings.table(), len(frames), "30")
     model = open_model(tmp_path / "model", wanted, resume=False)
     for t, frame in enumerate(frames):
-        record = FrameRecord(t, "frame" if t else "first", 40, 0, 30.0, None, None, None, None, {}, 0.0)
+        record = FrameRecord(t, "frame" if t else "first", 40, 0, 30.0, None, None, None, None, 0.0)
         model.commit(TrainedFrame(frame, record))
     pictures = pictures_for(scene, settings)
     usage = group_usage(model.read, pictures, CPU, (0, 4))

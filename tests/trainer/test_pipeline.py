@@ -24,7 +24,7 @@ from airgs_codec.render.cpu import one_thread
 from airgs_codec.trainer import pipeline, train
 from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.pipeline import CHUNKS, FIRST, REST, Farm, Piece, open_run, train_in_jobs
+from airgs_codec.trainer.pipeline import Farm, open_run, train_in_jobs
 from airgs_codec.trainer.record import read_model
 from tests.support.jobs import square
 from tests.support.training import SETTINGS
@@ -180,8 +180,7 @@ def test_all_that_a_chunk_reads_is_in_its_name(scene, tmp_path):
 
     def names(scene=scene, settings=CHUNKED, device="cpu", first=first):
         farm = Farm.of(Capture.of(scene, settings, device), work)
-        piece = Piece("some frames", (2, 3), ((2, 4),))
-        return farm.job(CHUNKS, piece, (first, *(job.result for job in farm.jobs(REST)))).entry
+        return farm.chunk_job((2, 4), first, *(job.result for job in farm.rest_jobs())).entry
 
     moved = replace(scene.frames[2][1].camera, world_to_camera=np.eye(4))
     shots = (scene.frames[2][0], replace(scene.frames[2][1], camera=moved), *scene.frames[2][2:])
@@ -216,8 +215,8 @@ def test_a_cluster_gives_jobs_to_workers_that_have_what_they_need(scene, expecte
 def test_a_job_on_a_gpu_says_so(scene, tmp_path):
     work = Work(open_store(tmp_path / "work"))
     cpu, cuda = (Farm.of(Capture.of(scene, CHUNKED, device), work) for device in ("cpu", "cuda"))
-    assert [job.needs for job in cuda.jobs(FIRST)] == [{"GPU": 1}] and not any(job.needs for job in cpu.jobs(FIRST))
-    assert cuda.jobs(REST) and not any(job.needs for job in cuda.jobs(REST))
+    assert cuda.first_job().needs == {"GPU": 1} and not cpu.first_job().needs
+    assert cuda.rest_jobs() and not any(job.needs for job in cuda.rest_jobs())
 
 
 @pytest.mark.parametrize(

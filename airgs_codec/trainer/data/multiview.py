@@ -15,19 +15,22 @@ from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.jobs.work import Work
-from airgs_codec.media.image import Lens, check_picture, read_picture
+from airgs_codec.media.image import Lens, check_picture, read_picture, to_bytes
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.sequence import GaussianSequence
+
+if TYPE_CHECKING:
+    from airgs_codec.render.backend import Loaded, Renderer
 
 HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
 
@@ -59,12 +62,10 @@ class Source:
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """The file itself."""
         return (self.path,)
 
     @property
     def content(self) -> int | None:
-        """The number of the frame."""
         return self.frame
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
@@ -85,7 +86,6 @@ class Source:
             raise SceneError(f"{self}: expected a picture of {size[0]}x{size[1]}, got {found[0]}x{found[1]}")
 
     def __str__(self) -> str:
-        """Name the place in a message."""
         return str(self.path) if self.frame is None else f"{self.path} frame {self.frame}"
 
 
@@ -123,8 +123,8 @@ class MultiviewScene:
     frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame
     points: Points | None = None  # of the first frame; None: the scene has none
     background: Background = BLACK  # what its pictures show behind the scene
-    given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`data.drawn`)
-    offsets: Mapping[str, float] = field(default_factory=dict)  # frames that cameras were late, of `between.in_step`
+    given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`drawn_scene`)
+    offsets: Mapping[str, float] = field(default_factory=dict)  # frames that cameras were late, of `sync.in_step`
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -245,3 +245,56 @@ def _content(shot: Shot, contents: Contents) -> tuple[Any, ...]:
 
 def _files(shot: Shot) -> list[Path]:
     return [*shot.source.files, *([shot.mask] if shot.mask else [])]
+
+
+class Drawing:
+    """What draws the frames of a sequence; the last one stays loaded for its further views. It can be pickled."""
+
+    def __init__(self, sequence: GaussianSequence, renderer: Renderer) -> None:
+        self.sequence, self.renderer = sequence, renderer
+        self._loaded: tuple[int, Loaded] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Drawing, (self.sequence, self.renderer)
+
+    def draw(self, frame: int, camera: Camera) -> NDArray[np.uint8]:
+        """(H, W, 3) what a camera sees of a frame. Raises SceneError for a broken one."""
+        if self._loaded is None or self._loaded[0] != frame:
+            self._loaded = frame, self.renderer.load(self.sequence.load([frame]).frames[0])
+        return to_bytes(self._loaded[1].draw(camera).rgb)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """A picture of a frame, in place of a `Source`."""
+
+    frame: int
+    content: str  # names what is in the frame; the camera that sees it is named by the shot
+    camera: Camera
+    drawing: Drawing
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        return ()
+
+    def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
+        """(H, W, 3) the picture, which has the size of its camera. Raises SceneError for a broken frame."""
+        return self.drawing.draw(self.frame, self.camera)
+
+    def check(self, size: tuple[int, int]) -> None:
+        """Nothing: there is one, of the size of its camera."""
+
+    def __str__(self) -> str:
+        return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
+
+
+def drawn_scene(
+    sequence: GaussianSequence, names: Sequence[str], cameras: Sequence[Camera], renderer: Renderer
+) -> MultiviewScene:
+    """The scene that cameras see of a sequence; `names` are those of the contents of its frames."""
+    drawing = Drawing(sequence, renderer)
+    frames = (
+        tuple(Shot(camera, Drawn(frame, name, camera, drawing)) for camera in cameras)
+        for frame, name in enumerate(names)
+    )
+    return MultiviewScene(sequence.folder, sequence.fps, tuple(frames), None, sequence.background, sequence)

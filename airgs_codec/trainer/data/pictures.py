@@ -7,10 +7,11 @@ H x W pixels, n = 3 W interleaved samples a row.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,6 @@ from airgs_codec.media.image import check_picture, read_mask, resize, to_bytes, 
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import Background, Camera, with_pixels
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
-from airgs_codec.trainer.data.recent import Recent
 from airgs_codec.trainer.settings import OFF, RANDOM, TrainSettings, named_background
 
 PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
@@ -29,14 +29,62 @@ TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
 _Key = tuple[int, int]  # frame, and place of the shot in it
 
 
+class Sized(Protocol):
+    """What takes memory, in bytes."""
+
+    @property
+    def nbytes(self) -> int: ...
+
+
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value", bound=Sized)
+
+
+class Recent(Generic[Key, Value]):
+    """Values that are made when they are asked for, of which those used last stay in memory."""
+
+    def __init__(self, make: Callable[[Key], Value], most: int) -> None:
+        """`most`: bytes that stay together; the value that was asked for last stays whatever it takes."""
+        self._make = make
+        self._most = most
+        self._values: OrderedDict[Key, Value] = OrderedDict()
+
+    @property
+    def nbytes(self) -> int:
+        return sum(value.nbytes for value in self._values.values())
+
+    def get(self, key: Key) -> Value:
+        """The value of a key. Raises what making it raises."""
+        if key not in self._values:
+            return self.put(key, self._make(key))
+        self._values.move_to_end(key)
+        return self._values[key]
+
+    def put(self, key: Key, value: Value) -> Value:
+        """Hold a value that is known already, and return it."""
+        self._values[key] = value
+        held = self.nbytes
+        while held > self._most and len(self._values) > 1:
+            held -= self._values.popitem(last=False)[1].nbytes
+        return value
+
+
 class Picture(Protocol):
     """A picture that is at hand, or can be."""
 
     def target(self) -> Target:
         """The picture in float32. Raises SceneError where it cannot be read."""
 
-    def expect(self) -> None:
-        """It will be asked for soon: it is read in another thread where it is not at hand."""
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Buffered:
+    """A picture that is made when it is asked for."""
+
+    buffer: Recent[Any, Target]
+    key: Hashable
+
+    def target(self) -> Target:
+        return self.buffer.get(self.key)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +139,6 @@ class Pictures:
 
     @property
     def exposure(self) -> Exposure:
-        """As it was given."""
         return self._exposure
 
     def with_exposure(self, exposure: Exposure) -> Pictures:
@@ -103,7 +150,6 @@ class Pictures:
 
     @property
     def nbytes(self) -> int:
-        """Memory that pictures and targets hold now, in bytes."""
         return self._stored.nbytes + self._targets.nbytes
 
     def train(self, frame: int) -> list[View]:
@@ -117,7 +163,7 @@ class Pictures:
     def view(self, frame: int, index: int) -> View:
         """The view of a camera, counted as the scene does."""
         shot = self._scene.frames[frame][index]
-        return View(self._scaled(shot.camera), _Shown(self, (frame, index)), after=shot.after)
+        return View(self._scaled(shot.camera), Buffered(self._targets, (frame, index)), after=shot.after)
 
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame at training size."""
@@ -181,7 +227,6 @@ class Pictures:
         check_picture(shot.mask, _full_size(shot))
 
     def _changes(self, shot: Shot) -> bool:
-        """Whether the picture is another one at training size."""
         camera = self._scaled(shot.camera)
         return shot.lens is not None or _full_size(shot) != (camera.width, camera.height)
 
@@ -191,21 +236,6 @@ class Pictures:
             picture = undistort(picture, shot.lens)
         camera = self._scaled(shot.camera)
         return resize(picture, camera.width, camera.height)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shown:
-    """A picture of a scene."""
-
-    pictures: Pictures
-    key: _Key
-
-    def target(self) -> Target:
-        return self.pictures._targets.get(self.key)
-
-    def expect(self) -> None:
-        if self.key not in self.pictures._targets:
-            self.pictures._stored.expect(self.key)
 
 
 def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
@@ -233,7 +263,6 @@ class Target:
 
     @property
     def rows(self) -> NDArray[np.float32]:
-        """The samples (H, n)."""
         return self.rgb.reshape(len(self.rgb), -1)
 
     def before(self, there: Background, now: Background) -> Target:
@@ -245,15 +274,10 @@ class Target:
 
     @property
     def nbytes(self) -> int:
-        """Memory that its arrays hold when the moments are known, in bytes."""
         return 3 * self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
 
     def target(self) -> Target:
-        """Itself: a picture that is at hand."""
         return self
-
-    def expect(self) -> None:
-        """Nothing: it is at hand."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -265,7 +289,6 @@ class Stored:
 
     @property
     def nbytes(self) -> int:
-        """Memory that its arrays hold, in bytes."""
         return self.rgb.nbytes + (0 if self.clear is None else self.clear.nbytes)
 
     def target(self, exposure: Sequence[float] | None) -> Target:

@@ -9,7 +9,6 @@ H x W pixels.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -21,16 +20,15 @@ from airgs_codec.media.image import box_mean, to_bytes, to_floats
 from airgs_codec.scene.camera import Camera
 from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.data.pictures import (
-    PICTURE_BYTES,
     TARGET_BYTES,
+    Buffered,
     Exposure,
-    Picture,
     Pictures,
+    Recent,
     Target,
     View,
     exposed_alike,
 )
-from airgs_codec.trainer.data.recent import Recent
 
 FEWEST = 3  # frames of a run that has plates
 SAMPLES = 16  # most frames that a plate is the median of
@@ -65,14 +63,6 @@ class Masks(Sequence[NDArray[np.bool_]]):
     def __getitem__(self, index: Any) -> Any:
         shape, bits = self._packed[index]
         return np.unpackbits(bits, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Settled:
-    """Views whose targets are the plates where they rest."""
-
-    views: list[View]
-    moving: Masks  # pixels that do not rest, and those right around them: they are as they were
 
 
 def stands_still(scene: MultiviewScene) -> bool:
@@ -111,11 +101,6 @@ def find_plate(pictures: Pictures, camera: int, frames: Sequence[int]) -> Plate:
     return plate_of([to_bytes(pictures.view(frame, camera).target.rgb) for frame in frames])
 
 
-def stored_plate(plate: Plate, count: int) -> Plate:
-    """The plate, on disk where `count` of its size would take too much memory."""
-    return replace(plate, rgb=_on_disk(plate.rgb)) if plate.rgb.nbytes * count > PICTURE_BYTES else plate
-
-
 def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:
     """The plate of a camera that took these pictures (H, W, 3): their lower median, which is a value that was seen."""
     middle = (len(pictures) - 1) // 2
@@ -126,8 +111,8 @@ def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:
     return Plate(rgb, noise, float(np.clip(DEVIATIONS * noise, LEAST, MOST)))
 
 
-def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> Settled:
-    """Views as their plates have them where they rest. `exposure`: of their pictures, as they were read."""
+def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> tuple[list[View], Masks]:
+    """Views as their plates have them where they rest, and where they do not (`find_moving`)."""
 
     def flatten(place: int) -> Target:
         target, rgb = views[place].target, _rest_of(views[place], plates, exposure)
@@ -135,28 +120,15 @@ def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> Settled
 
     masks = find_moving(views, plates, exposure)
     buffer = Recent(flatten, TARGET_BYTES)
-    return Settled([replace(v, picture=_Flattened(buffer, i, v.picture)) for i, v in enumerate(views)], masks)
+    return [replace(view, picture=Buffered(buffer, place)) for place, view in enumerate(views)], masks
 
 
 def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Masks:
-    """The pixels of views that do not rest, as `Settled` has them."""
+    """The pixels of views that do not rest, and those right around them: they are as they were.
+
+    `exposure`: of their pictures, as they were read.
+    """
     return Masks(_moving(v.target.rgb - _rest_of(v, plates, exposure), plates[v.camera.name]) for v in views)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Flattened:
-    """The picture of a view, as its plate has it where it rests."""
-
-    buffer: Recent[int, Target]
-    place: int
-    picture: Picture
-
-    def target(self) -> Target:
-        return self.buffer.get(self.place)
-
-    def expect(self) -> None:
-        if self.place not in self.buffer:
-            self.picture.expect()
 
 
 def _rest_of(view: View, plates: Plates, exposure: Exposure) -> NDArray[np.float32]:
@@ -174,14 +146,6 @@ def _moving(difference: NDArray[np.float32], plate: Plate) -> NDArray[np.bool_]:
     texture = box_mean(np.abs(difference), WINDOW) > plate.noise + 2 * plate.tolerance
     red, green, blue = np.moveaxis(shade | texture, 2, 0)  # numpy reduces so short an axis forty times slower
     return box_mean((red | green | blue).astype(np.float32), HALO) > 1e-6
-
-
-def _on_disk(values: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """The same array in a file without a name, which is there as long as the array is used."""
-    with tempfile.TemporaryFile() as file:
-        file.write(values.tobytes())
-        file.flush()
-        return np.memmap(file, values.dtype, "r", shape=values.shape)
 
 
 def _noise(difference: NDArray[np.float32]) -> float:

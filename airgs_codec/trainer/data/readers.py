@@ -1,14 +1,22 @@
-"""Opening a multi-view scene: the table of formats. To add one, write its module and its row in FORMATS.
+"""Opening a multi-view scene: a reader for each format, and the table of them. T frames.
 
-Those of a JSON file that names pictures with their cameras are read here. nerfstudio's transforms.json has an entry for
-each picture, or for each camera where entries name videos. CMU Panoptic, as Dynamic 3D Gaussians has it, is
-train_meta.json, pictures in ims/, masks in seg/ that are not 0 where something moves, and points of the first frame in
-init_pt_cld.npz.
+nerfstudio's transforms.json has an entry for each picture, or for each camera where entries name videos.
+
+CMU Panoptic, as Dynamic 3D Gaussians has it, is train_meta.json, pictures in ims/, masks in seg/ that are not 0 where
+something moves, and points of the first frame in init_pt_cld.npz.
+
+A COLMAP reconstruction is sparse/ and videos/CAM.mp4, images/CAM/* or one picture each; its points are in points3D.bin
+or points3D.txt. Scenes of HiFi4G and DualGS are image_white_undistortion/FRAME/CAM.png and a reconstruction in
+colmap/sparse/0, in the folder of the frames as it is downloaded or moved beside it; its images are named as the
+pictures of a frame are. Frames are numbered folders, from any number on. The background is white.
+
+A poses_bounds.npy has a row for each camera's video, in the order of their names. N3DV's videos are cam00.mp4 to
+cam20.mp4 with gaps where a camera was not in time; cam00 is the one it holds out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import partial
@@ -18,20 +26,22 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
-from airgs_codec.scene.cameras import forms
+from airgs_codec.scene.camera import Camera, with_pixels
+from airgs_codec.scene.cameras import colmap, forms
 from airgs_codec.scene.cameras.posed import Posed
-from airgs_codec.scene.files import expecting, read_object
+from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
-from airgs_codec.scene.formats.table import has_frames
-from airgs_codec.trainer.data.colmap import has_colmap, has_hifi4g, read_colmap, read_hifi4g
-from airgs_codec.trainer.data.multiview import MultiviewScene, Points, Shot, Source, frames_of, in_frames
-from airgs_codec.trainer.data.rig import has_rig, read_rig
-from airgs_codec.trainer.data.videos import VIDEO_SUFFIXES, CameraFilm, read_poses_bounds, scene_from_films
+from airgs_codec.scene.formats.table import has_frames, natural_key
+from airgs_codec.trainer.data.multiview import MultiviewScene, Points, Shot, Source, frames_of, in_frames, open_video
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
     "init_pt_cld.npz",
 )  # fmt: skip
+VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+SAME_RATE = 1.001  # ratio of frame rates that cameras of one rig measure a little differently
+HELD_OUT = "cam00"  # of N3DV
+PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +93,6 @@ def read_panoptic(folder: Path) -> MultiviewScene:
 
 
 def _frame_rate(path: Path) -> Fraction:
-    """The `fps` of a JSON file. Raises SceneError."""
     with expecting(path, "a frame rate"):
         return frame_rate(str(path), exact_number(str(read_object(path).get("fps", DEFAULT_FPS))))
 
@@ -91,6 +100,210 @@ def _frame_rate(path: Path) -> Fraction:
 def _masked_shot(folder: Path, posed: Posed) -> Shot:
     mask = folder / "seg" / Path(posed.picture).with_suffix(".png")
     return Shot(posed.camera, Source(folder / "ims" / posed.picture), None, mask if mask.is_file() else None)
+
+
+@dataclass(frozen=True, slots=True)
+class CameraFilm:
+    """A camera that stands still, and what it filmed."""
+
+    shot: Shot  # its camera, lens and mask; its source is replaced frame by frame
+    path: Path  # a video, or a folder of pictures in the order of their names
+
+
+def scene_from_films(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    """The scene that these cameras filmed: all of them videos, or all of them folders of pictures.
+
+    Raises SceneError where frame rates of videos or counts of pictures differ, or a video cannot be read.
+    """
+    return _from_folders(folder, films) if any(film.path.is_dir() for film in films) else _from_videos(folder, films)
+
+
+def find_videos(folder: Path) -> list[Path]:
+    """The videos in a folder by name; a folder that is not there has none."""
+    return _with_suffix(folder, VIDEO_SUFFIXES)
+
+
+def find_pictures(folder: Path) -> list[Path]:
+    """The pictures in a folder by name; a folder that is not there has none."""
+    return _with_suffix(folder, PICTURE_SUFFIXES)
+
+
+def read_poses_bounds(folder: Path) -> MultiviewScene:
+    """The scene of a poses_bounds.npy; videos lie beside it or in videos/. Raises SceneError."""
+    path = folder / forms.LLFF
+    videos = sorted(find_videos(folder) + find_videos(folder / "videos"), key=natural_key)
+    cameras = [p.camera for p in forms.read_llff(path)]
+    if len(cameras) != len(videos):
+        raise SceneError(f"{path}: expected a row for each of {len(videos)} videos, got {len(cameras)}")
+    if twice := sorted({v.stem for v in videos if [w.stem for w in videos].count(v.stem) > 1}):
+        raise SceneError(f"{folder}: expected one video for each camera, got several of {', '.join(twice)}")
+    return scene_from_films(folder, [CameraFilm(_filmed(c, v), v) for c, v in zip(cameras, videos, strict=True)])
+
+
+def _filmed(camera: Camera, video: Path) -> Shot:
+    width, height = open_video(video).size  # the matrix may be of the videos before they were shrunk
+    split = "test" if video.stem == HELD_OUT else "train"
+    filmed = replace(with_pixels(camera, width, height), name=video.stem, split=split)
+    return Shot(filmed, Source(video))
+
+
+def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
+
+
+def _from_videos(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    videos = [open_video(film.path) for film in films]
+    rates = sorted({video.fps for video in videos if video.fps})
+    if rates and rates[-1] > SAME_RATE * rates[0]:
+        listed = ", ".join(f"{float(rate):g}" for rate in rates)
+        raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
+    count = min(video.frames for video in videos)
+    sources = [[Source(film.path, number) for number in range(count)] for film in films]
+    return _with_sources(folder, Fraction(rates[0]) if rates else DEFAULT_FPS, films, sources)
+
+
+def _from_folders(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    pictures = [find_pictures(film.path) for film in films]
+    counts = sorted({len(paths) for paths in pictures})
+    if len(counts) > 1:
+        raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
+    return _with_sources(folder, DEFAULT_FPS, films, [[Source(path) for path in paths] for paths in pictures])
+
+
+def _with_sources(
+    folder: Path, fps: Fraction, films: Sequence[CameraFilm], sources: Sequence[Sequence[Source]]
+) -> MultiviewScene:
+    """`sources`: the T pictures of each camera."""
+    frames = tuple(
+        tuple(replace(film.shot, source=source) for film, source in zip(films, moment, strict=True))
+        for moment in zip(*sources, strict=True)
+    )
+    return MultiviewScene(folder, fps, frames)
+
+
+def has_colmap(folder: Path) -> bool:
+    return colmap.find_model(folder) is not None
+
+
+def read_colmap(folder: Path) -> MultiviewScene:
+    """The scene of a reconstruction; an image CAM.ext or CAM/any.ext belongs to the camera CAM.
+
+    A camera's pictures over time are a video or a folder; where no camera has any, the scene is one frame of all
+    images.
+
+    Raises SceneError.
+    """
+    model = colmap.find_model(folder)
+    if model is None:
+        raise SceneError(f"{folder}: expected a COLMAP reconstruction, got none")
+    posed, points = colmap.read(model), read_points3d(model)
+    shots = _first_shots(folder, posed)
+    films = {name: _film(folder, name) for name in shots}
+    if not any(films.values()):
+        frame = tuple(_shot(folder, image, image.picture) for image in posed)
+        return MultiviewScene(folder, DEFAULT_FPS, (frame,), points)
+    if missing := [name for name, film in films.items() if film is None]:
+        raise SceneError(f"{folder}: expected a video or a folder of frames of {', '.join(missing)}")
+    scene = scene_from_films(folder, [CameraFilm(shots[name], film) for name, film in films.items() if film])
+    return replace(scene, points=points)
+
+
+def _first_shots(folder: Path, posed: Sequence[Posed]) -> dict[str, Shot]:
+    """The first image of every camera, by the camera's name: cameras stand still."""
+    shots: dict[str, Shot] = {}
+    for image in posed:
+        relative = Path(image.picture)
+        name = relative.parent.name or relative.stem
+        if name not in shots:
+            shots[name] = _shot(folder, image, name)
+    return shots
+
+
+def _shot(folder: Path, image: Posed, name: str) -> Shot:
+    return Shot(replace(image.camera, name=name), Source(folder / "images" / image.picture), image.lens)
+
+
+def _film(folder: Path, name: str) -> Path | None:
+    """A camera's pictures over time: a video, or a folder of more than one picture."""
+    for video in (*find_videos(folder / "videos"), *find_videos(folder)):
+        if video.stem == name:
+            return video
+    for place in (folder / "frames" / name, folder / "images" / name):
+        if len(find_pictures(place)) > 1:
+            return place
+    return None
+
+
+TRACK_BYTES = 8  # for each picture that saw a point
+
+
+def read_points3d(model: Path) -> Points | None:
+    """The cloud of points in the folder of a reconstruction; None where it has no file of them. Raises SceneError."""
+    for name, rows in (("points3D.bin", _rows_of_binary), ("points3D.txt", _rows_of_text)):
+        path = model / name
+        if path.is_file():
+            with expecting(path, "points of a COLMAP reconstruction"):
+                table = np.array(list(rows(path)), np.float32).reshape(-1, 6)
+            return Points(table[:, :3], table[:, 3:] / np.float32(255))
+    return None
+
+
+def _rows_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
+    """Position and colour of each point, colours 0..255."""
+    cursor = Cursor.open(path)
+    for _ in range(*cursor.take("Q")):
+        _, x, y, z, red, green, blue, _, track = cursor.take("Q3d3BdQ")
+        cursor.skip(TRACK_BYTES * track)
+        yield x, y, z, red, green, blue
+
+
+def _rows_of_text(path: Path) -> Iterator[tuple[float, ...]]:
+    with path.open(encoding="utf-8") as file:
+        for line in file:
+            if line.strip() and not line.startswith("#"):
+                x, y, z, red, green, blue = map(float, line.split(maxsplit=7)[1:7])
+                yield x, y, z, red, green, blue
+
+
+WHITE = (1.0, 1.0, 1.0)
+PICTURES = "image_white_undistortion"
+
+
+def has_hifi4g(folder: Path) -> bool:
+    """Whether the folder has the undistorted pictures of such a scene, or is the folder of them."""
+    return (folder / PICTURES).is_dir() or (folder.name == PICTURES and _hifi4g_model(folder) is not None)
+
+
+def read_hifi4g(folder: Path) -> MultiviewScene:
+    """The scene; cameras are named by their pictures. Raises SceneError."""
+    pictures = folder / PICTURES if (folder / PICTURES).is_dir() else folder
+    model = _hifi4g_model(folder) or _hifi4g_model(pictures)
+    if model is None:
+        raise SceneError(f"{folder}: expected colmap/sparse in it or in {PICTURES}/, got none")
+    numbered = [path for path in pictures.iterdir() if path.is_dir() and path.name.isdecimal()]
+    if not numbered:
+        raise SceneError(f"{pictures}: expected numbered folders, one a frame, got none")
+    posed = sorted(colmap.read(model), key=lambda image: natural_key(Path(image.picture)))
+    frames = tuple(_hifi4g_frame(path, posed) for path in sorted(numbered, key=natural_key))
+    return MultiviewScene(folder, DEFAULT_FPS, frames, read_points3d(model), WHITE)
+
+
+def _hifi4g_model(folder: Path) -> Path | None:
+    return colmap.find_model(folder / "colmap") if (folder / "colmap").is_dir() else None
+
+
+def _hifi4g_frame(folder: Path, posed: list[Posed]) -> tuple[Shot, ...]:
+    """The shots of one frame, in the order of the cameras. Raises SceneError where one has no picture."""
+    by_stem = {path.stem: path for path in find_pictures(folder)}
+    names = [Path(image.picture).stem for image in posed]
+    if missing := [name for name in names if name not in by_stem]:
+        raise SceneError(f"{folder}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
+    return tuple(
+        Shot(replace(image.camera, name=name), Source(by_stem[name]), image.lens)
+        for image, name in zip(posed, names, strict=True)
+    )
 
 
 def _has(name: str) -> Callable[[Path], bool]:
@@ -103,7 +316,6 @@ FORMATS = (  # the first that recognises a folder reads it
     Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
     Format("COLMAP's sparse/", has_colmap, read_colmap),
     Format(forms.LLFF, _has(forms.LLFF), read_poses_bounds),
-    Format("videos of several cameras", has_rig, read_rig),
 )
 
 
@@ -112,11 +324,6 @@ def is_multiview(folder: Path) -> bool:
     if not folder.is_dir() or has_frames(folder, apart_from=POINT_FILES):
         return False
     return any(entry.recognise(folder) for entry in FORMATS)
-
-
-def is_unposed(folder: Path) -> bool:
-    """Whether a folder has videos of cameras whose poses must be found first (`train.data.rig.find_poses`)."""
-    return has_rig(folder) and not any(entry.recognise(folder) for entry in FORMATS if entry.recognise is not has_rig)
 
 
 def open_scene(
@@ -146,7 +353,6 @@ def _read(folder: Path) -> MultiviewScene:
 
 
 def _read_points(folder: Path) -> Points | None:
-    """The cloud of points that lies beside a scene, if there is one."""
     path = next((folder / name for name in POINT_FILES if (folder / name).is_file()), None)
     if path is None:
         return None

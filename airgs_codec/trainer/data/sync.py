@@ -1,17 +1,21 @@
-"""Cameras that are not in step: how many frames later than the others each one shows the same moment.
+"""Cameras that are not in step: how many frames later than the others each one shows the same moment, and a scene in
+whose frames all cameras show the same moment.
 
-It is found from the pictures alone, for cameras that stand still. Whatever moves lies in one plane with the places of
-two cameras, and both see that plane at the same angle around the line between them, however far away it is: what moves,
-summed over bins of that angle, is the same signal in both but for the time between them. Pairs of cameras tell how well
-their signals agree for each lag, and the offsets of all cameras are those that agree best in all pairs together.
+The offset is found from the pictures alone, for cameras that stand still. Whatever moves lies in one plane with the
+places of two cameras, and both see that plane at the same angle around the line between them, however far away it is:
+what moves, summed over bins of that angle, is the same signal in both but for the time between them. Pairs of cameras
+tell how well their signals agree for each lag, and the offsets of all cameras are those that agree best in all pairs
+together.
 
 An offset is positive where a camera is late. T frames, B bins, L lags, in quarters of a frame.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,9 +23,11 @@ from scipy.interpolate import CubicSpline
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import breadth_first_order, minimum_spanning_tree
 
+from airgs_codec.errors import SceneError
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
-from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of
+from airgs_codec.scene.files import expecting, read_object
+from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, frames_of
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.plates import stands_still
 from airgs_codec.trainer.fit.points import neighbours
@@ -42,6 +48,7 @@ AGREED = 0.6  # share of all pairs that must agree, and half of those of a camer
 LEAST = 0.5  # frames: what is less is in step
 DEVIATIONS = 3.0  # by which the offset of a camera must be better than none, over its pairs
 LEAST_DEVIATION = 0.01  # of a correlation
+WHOLE = 1e-3  # frames: an offset that is as near to a whole number is one
 
 Pair = tuple[int, int]
 Curves = Mapping[
@@ -49,36 +56,29 @@ Curves = Mapping[
 ]  # (L,) correlation of two cameras for each lag; NaN: they overlap too little
 
 
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """What the motion in the pictures of a rig tells of its cameras, by name."""
-
-    offsets: Mapping[str, float] = field(default_factory=dict)  # frames, of those not in step: positive where late
-    likeness: Mapping[str, float] = field(default_factory=dict)  # mean correlation with neighbours, at best 1
-
-
-def find_timing(scene: MultiviewScene, span: tuple[int, int | None] = (0, None), progress: Progress = silent) -> Timing:
+def find_offsets(
+    scene: MultiviewScene, span: tuple[int, int | None] = (0, None), progress: Progress = silent
+) -> dict[str, float]:
     """The offsets of a scene's cameras against their median, at most about REACH frames, in quarters of a frame.
 
     `span`: the frames [A, B) that are wanted; those around them tell it as well, where they are few.
 
-    A camera has none where its offset is less than half a frame, or is not sure: where too few of its pairs agree, or
-    it is hardly better than none. Nothing is told, and no picture read, of cameras that move, of fewer than three, or
-    of fewer than FEWEST frames.
+    Only cameras that are not in step have one, positive where they are late. A camera has none where its offset is
+    less than half a frame, or is not sure: where too few of its pairs agree, or it is hardly better than none. Nothing
+    is found, and no picture read, of cameras that move, of fewer than three, or of fewer than FEWEST frames.
 
     Raises SceneError for a picture that cannot be read.
     """
     names = [camera.name for camera in scene.cameras]
     frames = around(scene, span)
     if len(frames) < FEWEST or len(names) < 3 or not stands_still(scene):
-        return Timing()
+        return {}
     curves = compare(scene, frames, progress)
     solution = solve(curves, len(names))
-    judged = [_judged(curves, solution, camera) for camera in range(len(names))]
     agreed = [_agrees(curve, int(solution[b] - solution[a])) for (a, b), curve in curves.items()]
-    sure = sum(agreed) >= max(1, AGREED * len(agreed))
-    offsets = {names[c]: float(solution[c]) / STEPS for c, (known, _) in enumerate(judged) if known and sure}
-    return Timing(offsets, {names[c]: likeness for c, (_, likeness) in enumerate(judged)})
+    if sum(agreed) < max(1, AGREED * len(agreed)):
+        return {}
+    return {name: float(solution[c]) / STEPS for c, name in enumerate(names) if _is_out_of_step(curves, solution, c)}
 
 
 def around(scene: MultiviewScene, span: tuple[int, int | None]) -> range:
@@ -127,7 +127,6 @@ def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], NDArray[np.int
 
 
 def _rays(camera: Camera) -> NDArray[np.float64]:
-    """(H * W, 3) direction of each pixel in the world."""
     x = (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx
     y = (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
     u, v = np.meshgrid(x, y)
@@ -218,25 +217,22 @@ def _along_the_strongest(weighed: Curves, count: int) -> NDArray[np.intp]:
     return np.clip(offsets - int(np.median(offsets)), -REACH * STEPS, REACH * STEPS)
 
 
-def _judged(curves: Curves, offsets: Sequence[int] | NDArray[np.intp], camera: int) -> tuple[bool, float]:
-    """Whether a camera is known to be out of step, and its mean correlation with its neighbours."""
-    known, gains, agreed = [], [], []
+def _is_out_of_step(curves: Curves, offsets: NDArray[np.intp], camera: int) -> bool:
+    """Whether a camera is known to be out of step: its offset is large, its pairs agree on it and all gain by it."""
+    gains, agreed = [], []
     for (a, b), curve in curves.items():
         if camera in (a, b):
             lag = int(offsets[b] - offsets[a])
             without = lag - int(offsets[camera]) * (1 if camera == b else -1)
-            known.append(_at(curve, lag))
             gains.append(_at(curve, lag) - _at(curve, without))
             agreed.append(_agrees(curve, lag))
-    if len(gains) < 2:
-        return False, known[0] if known else 0.0
+    if len(gains) < 2 or abs(offsets[camera]) < LEAST * STEPS or float(np.mean(agreed)) < 0.5:
+        return False
     deviation = max(float(np.std(gains, ddof=1)), LEAST_DEVIATION) / np.sqrt(len(gains))
-    late = abs(offsets[camera]) >= LEAST * STEPS and float(np.mean(agreed)) >= 0.5
-    return bool(late and np.mean(gains) >= DEVIATIONS * deviation), float(np.mean(known))
+    return bool(np.mean(gains) >= DEVIATIONS * deviation)
 
 
 def _at(curve: NDArray[np.float64], lag: int) -> float:
-    """The correlation at a lag, 0 where it is not known."""
     place = lag + len(LAGS) // 2
     return float(np.nan_to_num(curve[place])) if 0 <= place < len(LAGS) else 0.0
 
@@ -244,3 +240,52 @@ def _at(curve: NDArray[np.float64], lag: int) -> float:
 def _agrees(curve: NDArray[np.float64], lag: int) -> bool:
     """Whether a pair of its own would have about this lag."""
     return bool(abs(LAGS[np.nanargmax(curve)] - lag) <= AGREE * STEPS)
+
+
+def in_step(
+    scene: MultiviewScene, offsets: Mapping[str, float], span: tuple[int, int | None] = (0, None)
+) -> MultiviewScene:
+    """The frames [A, B) of a scene, in whose frame t each camera shows what it took nearest to t + its offset.
+
+    An offset is in frames, positive where a camera is late, and 0 unless named. Frames that not all cameras have are
+    left out, and as many behind them taken in, where they are there. Points are those of the first frame of the scene.
+
+    Raises SceneError for frames that are not there, a name that no camera has, cameras that move, and offsets that
+    leave no frame.
+    """
+    first, end = frames_of(scene, span)
+    late = {name: offset for name, offset in offsets.items() if offset}
+    if not late:
+        return replace(scene, frames=scene.frames[first:end], points=None if first else scene.points)
+    names = [camera.name for camera in scene.cameras]
+    if unknown := sorted(set(late) - set(names)):
+        raise SceneError(f"{scene.path}: no camera {', '.join(unknown)}; there are {', '.join(names)}")
+    if not stands_still(scene):
+        raise SceneError(f"{scene.path}: expected cameras that stand still, where they are not in step")
+    of = [late.get(name, 0.0) for name in names]
+    start = max(first, math.ceil(-min(of) - WHOLE))
+    stop = min(start + end - first, math.floor(len(scene) - 1 - max(of) + WHOLE) + 1)
+    if start >= stop:
+        raise SceneError(f"{scene.path}: expected offsets that leave a frame of {end - first} to all cameras")
+    frames = tuple(
+        tuple(_shot_at(scene, index, frame + offset) for index, offset in enumerate(of)) for frame in range(start, stop)
+    )
+    return replace(scene, frames=frames, offsets=late, points=None if first else scene.points)
+
+
+def _shot_at(scene: MultiviewScene, index: int, time: float) -> Shot:
+    """What a camera took nearest to a time in frames; of two that are as near, the earlier one."""
+    nearest = math.ceil(time - 0.5 - WHOLE)
+    after = round(nearest - time, 6)
+    shot = scene.frames[nearest][index]
+    return replace(shot, after=after) if abs(after) > WHOLE else shot
+
+
+def read_offsets(path: Path) -> dict[str, float]:
+    """The offsets in a JSON file, an object of cameras' names and frames. Raises SceneError."""
+    table = read_object(path)
+    with expecting(path, "an object of cameras and by how many frames each is late"):
+        for name, offset in table.items():
+            if isinstance(offset, bool) or not isinstance(offset, (int, float)) or not math.isfinite(offset):
+                raise ValueError(f"got {offset!r} for {name}")
+    return {name: float(offset) for name, offset in table.items()}

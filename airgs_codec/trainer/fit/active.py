@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from airgs_codec.render import cpu
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.pictures import View
-from airgs_codec.trainer.data.recent import Recent
+from airgs_codec.trainer.data.pictures import Recent, View
 from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading
 
 SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
@@ -43,7 +42,6 @@ class Scope:
 
     @property
     def empty(self) -> bool:
-        """Whether no row may change."""
         return self.resting is not None and not (len(self.resting.active) and self.views)
 
     def rows(self, p: Parameters) -> Parameters:
@@ -107,7 +105,6 @@ class _Rest:
 
     @property
     def nbytes(self) -> int:
-        """Memory of its arrays, in bytes."""
         return self.picture.rgb.nbytes + self.picture.transmittance.nbytes
 
 

@@ -91,7 +91,6 @@ def usual_budget(cameras: Sequence[Camera]) -> int:
 
 
 def _unseen(trainer: Trainer, points: Points) -> Gaussians:
-    """What no view sees, so that it is no hole to others."""
     assert points.colours is not None
     return from_points(
         points.positions, points.colours, trainer.settings.sh_degree, UNSEEN_OPACITY, 0.1 * trainer.extent

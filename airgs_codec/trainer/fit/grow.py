@@ -56,7 +56,6 @@ class Growth:
         return round(before + (self.budget - before) * (1 - (1 - share) ** 2)) if self.budget > before else before
 
     def due(self, iteration: int, iterations: int) -> bool:
-        """Whether rows are added after this iteration, counted from 1."""
         return self.start * iterations <= iteration <= self.stop * iterations and iteration % self.every == 0
 
     def removes(self, iteration: int, iterations: int) -> bool:
@@ -148,7 +147,6 @@ def is_visible(p: Parameters, fixed: int, low: float = LOW_OPACITY) -> torch.Ten
 
 
 def _offsets(p: Parameters, rng: np.random.Generator) -> torch.Tensor:
-    """(n, 3) a draw from each Gaussian, relative to its mean."""
     normal = torch.from_numpy(rng.standard_normal((len(p["means"]), 3)).astype(np.float32)).to(p["means"])
     w, x, y, z = torch.nn.functional.normalize(p["quaternions"], dim=1).unbind(1)
     v = normal * p["log_scales"].exp()

@@ -140,17 +140,6 @@ def codec_steps(
     return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in ATTRIBUTES}
 
 
-def static_shares(before: Gaussians, after: Gaussians, steps: Parameters) -> dict[str, float]:
-    """Share of each attribute's channels that changed by less than half a codec step, over the rows of `before`."""
-    shares = {}
-    for name in ATTRIBUTES:
-        old, new = getattr(before, name), getattr(after, name)[: len(before)]
-        if old.size:
-            half = steps[name].cpu().numpy()[: len(before)] / 2
-            shares[name] = float(np.mean(np.abs(new - old) < half))
-    return shares
-
-
 RATE = 2e-3  # learning rate
 ALIKE = (
     0.015  # root mean square of gains off 1, below which cameras are exposed alike; the drawn fox has 0.003, two real
@@ -184,7 +173,6 @@ class ExposureModel:
         return rgb * gains[self._of[view]] + offsets[self._of[view]]
 
     def step(self) -> None:
-        """Move along the gradients, by Adam."""
         if not self.differs:
             return
         self._adam.step()
@@ -200,7 +188,6 @@ class ExposureModel:
         return {name: [round(float(v), 5) for v in row] for name, row in zip(names, rows, strict=True)}
 
     def _tables(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Gains and offsets, (V, 3) each."""
         own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
         logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
         return logs.exp(), offsets

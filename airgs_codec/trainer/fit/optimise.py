@@ -7,8 +7,6 @@ N Gaussians, V views, H x W pixels.
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -28,8 +26,6 @@ from airgs_codec.trainer.data.pictures import Picture, Target, View
 from airgs_codec.trainer.fit.losses import LAMBDA, ExposureModel, photometric
 from airgs_codec.trainer.fit.parameters import Parameters, render_views
 
-TRIED = 10  # iterations that tell how long all take
-WHOLE_COST = 2.5  # times as long as one that sees half the size takes an iteration that sees all
 LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite; rows are added no more often
 
 
@@ -60,14 +56,6 @@ class Schedule:
     views: int = 1  # pictures an iteration, whose losses are averaged
     ssim_weight: float = LAMBDA
     coarse: float = 0.0  # share of the iterations, the first ones, that see pictures of half the size
-    most_s: float = math.inf  # seconds that it may take, about; where it would take more there are fewer iterations
-
-    def within(self, tried: int, took_s: float) -> int:
-        """The iterations of a fit whose first `tried` ones took so long."""
-        if math.isinf(self.most_s):
-            return self.iterations
-        dear = self.coarse + (1 - self.coarse) * WHOLE_COST if self.coarse else 1.0
-        return min(self.iterations, max(tried + 1, tried + int((self.most_s - took_s) / (dear * took_s / tried))))
 
 
 class Deck:
@@ -78,13 +66,8 @@ class Deck:
         self._next: list[int] = []  # the last one comes first
 
     def take(self, count: int) -> list[int]:
-        """The next so many."""
         self._fill(count)
         return [self._next.pop() for _ in range(count)]
-
-    def ahead(self, count: int) -> list[int]:
-        """Up to so many of those that come next; fewer where they are not dealt yet."""
-        return self._next[-count:][::-1]
 
     def _fill(self, count: int) -> None:
         while len(self._next) < count:
@@ -125,20 +108,17 @@ def optimise(
     `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
     finite, on CUDA up to LOOK_EVERY iterations later.
     """
-    begun = time.perf_counter()
     deck = Deck(len(views), rng)
     losses: Losses | None = None
     count = min(schedule.views, len(views))
     schedule = schedule if can_be_halved(views) else replace(schedule, coarse=0.0)
-    iteration, iterations = 0, schedule.iterations
-    whole, views = views, [halve(view) for view in views] if round(schedule.coarse * iterations) else views
-    while iteration < iterations:
-        iteration += 1
-        if iteration > round(schedule.coarse * iterations):
+    iterations = schedule.iterations
+    halved = round(schedule.coarse * iterations)
+    whole, views = views, [halve(view) for view in views] if halved else views
+    for iteration in range(1, iterations + 1):
+        if iteration > halved:
             views = whole
         chosen = deck.take(count)
-        for index in deck.ahead(count):
-            views[index].picture.expect()
         seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
         sh_degree = schedule.sh_degree(iteration / iterations)
         parts = []
@@ -152,8 +132,6 @@ def optimise(
         variables.step(iteration, iterations)
         if exposure:
             exposure.step()
-        if iteration == TRIED < iterations:
-            iterations = schedule.within(TRIED, time.perf_counter() - begun)
         progress(schedule.stage, iteration, iterations)
 
 
@@ -173,7 +151,6 @@ def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[D
 
 
 def _before(view: View, rng: np.random.Generator) -> View:
-    """The view before a random background."""
     return view.before(tuple(rng.uniform(size=3).tolist()))
 
 
@@ -188,13 +165,8 @@ class Halved:
     size: tuple[int, int]  # width and height
 
     def target(self) -> Target:
-        """The picture in float32. Raises SceneError where it cannot be read."""
         whole = self.whole.target()
         return Target(resize(whole.rgb, *self.size), None if whole.clear is None else resize(whole.clear, *self.size))
-
-    def expect(self) -> None:
-        """It will be asked for soon."""
-        self.whole.expect()
 
 
 def can_be_halved(views: Sequence[View]) -> bool:

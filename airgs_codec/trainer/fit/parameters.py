@@ -85,7 +85,6 @@ def to_moving(p: Parameters) -> InMotion:
 
 
 def zeros_like(p: Mapping[str, torch.Tensor]) -> Parameters:
-    """A zero for every element."""
     return {name: torch.zeros_like(value) for name, value in p.items()}
 
 

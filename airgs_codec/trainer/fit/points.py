@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -108,30 +107,6 @@ def _with_random(points: Points, count: int, views: Sequence[View], rng: np.rand
     if points.colours is not None:
         colours = np.concatenate([points.colours, seen_colours(random, views)])
     return Points(positions, colours)
-
-
-SHARED_DEPTHS = (0.3, 3.0)  # of the scene's extent: nearest and farthest depth at which cameras see a common place
-
-
-def expect_overlap(where: Path, cameras: Sequence[Camera]) -> None:
-    """Raise SceneError unless two of the cameras of the scene at `where` see a common place."""
-    if len(cameras) == 1:
-        raise SceneError(f"{where}: expected at least two training cameras or points to start from, got one")
-    if not _see_together(cameras):
-        raise SceneError(f"{where}: expected cameras that look at a common place, none of {len(cameras)} do")
-
-
-def _see_together(cameras: Sequence[Camera]) -> bool:
-    extent = scene_extent(cameras)
-    across = np.linspace(0.1, 0.9, 5)
-    for number, camera in enumerate(cameras):
-        u, v, z = np.meshgrid(across * camera.width, across * camera.height, np.geomspace(*SHARED_DEPTHS, 8) * extent)
-        seen = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z], axis=-1).reshape(-1, 3)
-        places = seen @ camera.world_to_camera[:3, :3] + camera.position
-        others = (*cameras[:number], *cameras[number + 1 :])
-        if any(len(project(other, places)[2]) for other in others):
-            return True
-    return False
 
 
 SPARSE_DEGREES = 30.0  # between neighbouring cameras, from which views between them are soft

@@ -97,13 +97,11 @@ def sparse_cloud(given: Points | None, views: Sequence[View], most: int, rng: np
 
 
 def _some(points: Points, most: int, rng: np.random.Generator) -> Points:
-    """Up to `most` of the points."""
     chosen = np.sort(rng.permutation(len(points.positions))[:most])
     return Points(*(column[chosen] for column in _columns(points)))
 
 
 def _columns(points: Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Positions and colours (P, 3) of points that have both."""
     assert points.colours is not None
     return points.positions, points.colours
 
@@ -125,7 +123,6 @@ def _covered(positions: NDArray[np.floating], cameras: Sequence[Camera]) -> floa
 
 
 def surround(cameras: Sequence[Camera]) -> bool:
-    """Whether cameras stand around what they look at."""
     towards = np.stack([camera.position for camera in cameras]) - looked_at(cameras)
     mean = (towards / np.linalg.norm(towards, axis=1, keepdims=True)).mean(axis=0)
     return len(cameras) >= FEWEST and float(np.linalg.norm(mean)) < SURROUNDS

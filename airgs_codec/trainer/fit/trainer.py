@@ -5,9 +5,8 @@ N Gaussians, U of them those of the frame before.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -75,7 +74,6 @@ class Trainer:
 
     @property
     def device(self) -> str:
-        """Where everything is computed: cpu or cuda."""
         return self.renderer.device
 
     def fit_frame(self, target: FrameViews, before: InMotion, group: Group, progress: Progress = silent) -> Gaussians:
@@ -113,7 +111,7 @@ class Trainer:
             s.temporal.until,
             resting=scope.resting,
         )
-        schedule = self._bounded(self.schedule("motion", iterations, self.full_sh_degree, s.coarse))
+        schedule = self.schedule("motion", iterations, self.full_sh_degree, s.coarse)
         optimise(fitted, scope.views, schedule, self.rng(target.frame, 2), progress=progress)
         found = to_gaussians(fitted.detached())
         return better(before.gaussians, found, target.views[::2], self.renderer) if s.keep_better else found
@@ -160,7 +158,7 @@ class Trainer:
             densifier=Densifier(self.growth(most, scope.views), len(base["means"]), rng),
             resting=scope.resting,
         )
-        schedule = self._bounded(self.schedule("keyframe", s.key_iterations, self.full_sh_degree))
+        schedule = self.schedule("keyframe", s.key_iterations, self.full_sh_degree)
         optimise(variables, scope.views, schedule, rng, progress=progress)
         variables.remove_fainter(self.least_opacity)
         return to_moving(variables.detached())
@@ -175,14 +173,12 @@ class Trainer:
         return {name: s.to(self.device) for name, s in steps.items()}
 
     def networks(self, g: Gaussians) -> Networks | None:
-        """Networks that have learnt nothing yet; None where frames move without."""
         if self.settings.deltas == "direct":
             return None
         return Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
 
     @property
     def capacity(self) -> int:
-        """Return how many Gaussians there may ever be."""
         return self.settings.capacity or max(MOST_BUDGET, self.settings.budget or 1)
 
     @property
@@ -191,7 +187,6 @@ class Trainer:
         return HIDDEN_OPACITY if self.settings.densify == BUDGET else LOW_OPACITY
 
     def growth(self, most: int, views: Sequence[View]) -> Growth:
-        """How a fit to these views adds rows, up to `most`."""
         s = self.settings
         return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
 
@@ -211,7 +206,6 @@ class Trainer:
         return temporal_weights(temporal, steps) if temporal.weight else None
 
     def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> Scope:
-        """Return what may change at a frame; no views where nothing does."""
         if target.moving is None:
             return Scope(target.views)
         active = find_active(before, target.views, target.moving, self.renderer)
@@ -238,12 +232,7 @@ class Trainer:
         s = self.settings
         return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight, coarse)
 
-    def _bounded(self, schedule: Schedule) -> Schedule:
-        """The same that takes no longer than a frame may."""
-        return replace(schedule, most_s=self.settings.seconds_per_frame or math.inf)
-
     def full_sh_degree(self, done: float) -> int:
-        """All SH bands from the start."""
         return self.settings.sh_degree
 
 

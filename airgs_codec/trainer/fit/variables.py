@@ -108,7 +108,6 @@ class PerGaussian:
         return self.resting.joined(fitted) if self.resting else fitted
 
     def detached(self) -> Parameters:
-        """The Gaussians as they are now, among those that rest."""
         with torch.no_grad():
             return self.current()
 
@@ -162,11 +161,9 @@ class PerGaussian:
             densifier.restart(len(self.base["means"]))
 
     def _fitted(self) -> Parameters:
-        """Base + D."""
         return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
 
     def _picked(self, absgrad: AbsGrad) -> AbsGrad:
-        """Gradients of the rows that are fitted."""
         resting = self.resting
         if resting is None:
             return absgrad
@@ -263,11 +260,9 @@ class Networks(torch.nn.Module):
         )
 
     def features(self, p: Mapping[str, torch.Tensor]) -> torch.Tensor:
-        """The standardised input (N, F)."""
         return (self._encode(p) - self.centre) / self.spread
 
     def forward(self, features: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Changes (N, channels) of each attribute from features (N, F)."""
         hidden = torch.relu(torch.matmul(features[None], self.first) + self.first_bias)
         hidden = torch.relu(torch.bmm(hidden, self.second) + self.second_bias)
         scales = SCALES | {"means": SCALES["means"] * self.extent}
@@ -310,7 +305,6 @@ class MlpDriven:
         return {n: p + (1 + after) * self._changes[n] if n in self._changes else p for n, p in self.base.items()}
 
     def detached(self) -> Parameters:
-        """The Gaussians as they are now."""
         with torch.no_grad():
             return self.current()
 
@@ -325,7 +319,6 @@ class MlpDriven:
         return sum((self.temporal[name] * d.abs()).sum() for name, d in self._changes.items())
 
     def step(self, iteration: int, iterations: int) -> None:
-        """Move the weights along the gradients, by Adam."""
         for group in self._adam.param_groups:
             group["lr"] = RATE * RATE_LAST ** (iteration / iterations)
         self._adam.step()

@@ -18,8 +18,7 @@ from airgs_codec.trainer.data.multiview import (
     with_held_out,
     without_masks,
 )
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.data.videos import CameraFilm, scene_from_films
+from airgs_codec.trainer.data.readers import CameraFilm, open_scene, scene_from_films
 from tests.support.multiview_files import plain, write_panoptic, write_video
 from tests.support.views import ring
 

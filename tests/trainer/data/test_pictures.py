@@ -85,15 +85,6 @@ def test_opaque_pictures_at_full_size_are_exact_and_others_within_half_a_level(m
     assert 0 < np.abs(small - resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
 
 
-def test_a_picture_that_is_expected_is_read_by_another_thread():
-    scene, reads = noise(3, (30, 20))
-    views = Pictures(scene).train(0)
-    for view in views[:2] * 2:
-        view.picture.expect()
-    assert [view.target.rgb.shape for view in views] == [(20, 30, 3)] * 3
-    assert sorted(reads) == [0, 1, 2]
-
-
 def test_pictures_are_exposed_alike(moving):
     pictures = Pictures(open_scene(moving))
     before = pictures.train(0)[0].target.rgb

@@ -68,7 +68,7 @@ def broken(tmp_path, what):
     [
         (
             "nothing",
-            "pictures with train_meta.json, transforms.json, image_white_undistortion/ .HiFi4G., COLMAP.s sparse/, ",
+            "pictures with train_meta.json, transforms.json, image_white_undistortion/ .HiFi4G., COLMAP.s sparse/ or ",
         ),
         ("poses", "a row for each of 0 videos, got 2"),
         ("colmap", "expected a COLMAP reconstruction"),

@@ -16,8 +16,6 @@ from airgs_codec.trainer.data.pictures import Pictures, Target, View
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.losses import photometric
 from airgs_codec.trainer.fit.optimise import (
-    TRIED,
-    WHOLE_COST,
     Deck,
     Losses,
     Schedule,
@@ -81,30 +79,11 @@ def test_progress_counts_every_iteration():
     assert said == [("fit", 1, 3), ("fit", 2, 3), ("fit", 3, 3)]
 
 
-@pytest.mark.parametrize(("most_s", "done"), [(1e-9, TRIED + 1), (1e9, 30), (math.inf, 30)])
-def test_a_fit_that_would_take_too_long_has_fewer_iterations(most_s, done):
-    told = []
-    g = coloured_cloud(20)
-    views, variables = views_of(g, ring(2)), PerGaussian(from_gaussians(g), 5.0)
-    schedule = Schedule("fit", 30, lambda done: 0, most_s=most_s)
-    optimise(variables, views, schedule, np.random.default_rng(0), progress=lambda *words: told.append(words[1:]))
-    assert told[-1] == (done, done) and len(told) == done
-
-
-def test_iterations_are_as_many_as_there_is_time_for():
-    small, alike = (Schedule("fit", 1000, lambda done: 0, most_s=30.0, coarse=coarse) for coarse in (0.5, 0.0))
-    assert alike.within(10, 1.0) == 10 + 290
-    assert small.within(10, 1.0) == 10 + int(29 / (0.1 * (0.5 + 0.5 * WHOLE_COST)))
-
-
 def test_a_deck_deals_every_view_before_any_comes_again():
     deck = Deck(7, np.random.default_rng(0))
     dealt = []
     for _ in range(14):
-        expected = deck.ahead(3)
-        taken = deck.take(3)
-        assert taken[: len(expected)] == expected
-        dealt += taken
+        dealt += deck.take(3)
     assert [sorted(dealt[i : i + 7]) for i in range(0, 42, 7)] == [list(range(7))] * 6
     rng, alone = np.random.default_rng(0), Deck(5, np.random.default_rng(0))
     orders = [rng.permutation(5).tolist()[::-1] for _ in range(2)]

@@ -15,10 +15,10 @@ import torch
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.capture import Capture, First
-from airgs_codec.trainer.data.between import in_step
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.sync import in_step
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.parameters import Parameters

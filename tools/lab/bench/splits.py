@@ -36,10 +36,10 @@ from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.scene.camera import BLACK, NEAR
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.trainer.data.between import in_step
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
 from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.sync import in_step
 from airgs_codec.trainer.fit.points import looked_at
 from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import Model, known_offsets, read_model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.render.backend import CPU
-from airgs_codec.trainer.fit.given import is_known
+from airgs_codec.trainer.frames import is_known
 from tests.support.views import coloured_cloud, ring
 
 
