@@ -29,11 +29,10 @@ from airgs_codec.encoder.plan import (
     prune_rows,
     rank_updates,
 )
-from airgs_codec.encoder.sample import CalibrationSample, Cost, at_equal_error, block_rows
+from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.errors import SceneError
-from airgs_codec.media.h264 import BETWEEN
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
@@ -236,17 +235,6 @@ class Withholding:
         return sent
 
 
-def choose_between(sample: CalibrationSample, steps: StepSettings) -> int:
-    """How many B-pictures in a row, of BETWEEN, states take the fewest bytes with."""
-    states = sample.states(sample.code_key(steps, 1.0)[1], steps)
-
-    def cost(between: int) -> float:
-        size, errors = sample.code_states(states, 1.0, between=between)
-        return at_equal_error(size, float(sample.error(errors, steps)[sample.moving].sum()))
-
-    return min(BETWEEN, key=cost)
-
-
 def choose_shares(
     sample: CalibrationSample,
     withholding: Withholding,
@@ -312,13 +300,12 @@ class Calibration:
     key_factors: tuple[float, ...]
     shares: Shares
     byte_price: float
-    between: int
     expected: ExpectedError  # of the top rung
     saved: float  # bytes a frame of the top rung that its steps save at equal error, by the slopes of the trials
 
     def apply(self, settings: EncodeSettings) -> EncodeSettings:
         """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
-        chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price, between=self.between)
+        chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price)
         if settings.calibrate != "ladder":
             return chosen
         ladder = replace(chosen, levels=self.levels, tiers=self.tiers, key_factors=self.key_factors, shares=self.shares)
@@ -340,11 +327,10 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
         shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
         top = replace(sample, moving=withholding.sent(sample, shares[0][1])) if shares else sample
     steps, price, saved = solve_steps(top, subject)
-    between = choose_between(top, steps)
     shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
     if subject.layout.removal_error > 0:
         expected = replace(expected, rows=subject.pruning.within(steps.rows).error)
     if not shares:
-        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, between, expected, saved)
+        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected, saved)
     levels = choose_levels(top, subject, steps, price)
-    return Calibration(steps, levels, TIERS, key_factors(), shares, price, between, expected, saved)
+    return Calibration(steps, levels, TIERS, key_factors(), shares, price, expected, saved)

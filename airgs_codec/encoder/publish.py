@@ -137,7 +137,8 @@ def _encode(
             settings = weigh_colours(settings, original)
         survey_s = watch.lap()
         calibrated, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
-        chosen, trials = calibrated.settings, []
+        chosen = calibrated.settings
+        trials: list[tuple[float, float]] = []
         if goal:
             chosen, trials = search_quality(calibrated, original, goal, work)
         search_s = watch.lap()
@@ -148,7 +149,7 @@ def _encode(
         measure_s = watch.lap()
         progress.end()
     decisions = [*found.notes, *measured.manifest.decisions, *calibrated.decisions, *repairs]
-    manifest, files = replace(measured.manifest, decisions=decisions), {}
+    manifest, files = replace(measured.manifest, decisions=decisions), NO_FILES
     if sound:
         manifest, files = add_sound(manifest, sound)
     size = write_package(place, encoded, manifest, more_files=files)

@@ -24,7 +24,6 @@ from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
 from airgs_codec.encoder.plan import assign_depths
 from airgs_codec.media.h264 import (
-    BETWEEN,
     ClosedGop,
     CodecSettings,
     encode_gop,
@@ -180,12 +179,11 @@ class CalibrationSample:
         return replace(self, lined=worth)
 
     def code_states(
-        self, states: NDArray[np.float64], factor: float, part: slice = slice(None), between: int = BETWEEN[0]
+        self, states: NDArray[np.float64], factor: float, part: slice = slice(None)
     ) -> tuple[float, NDArray[np.float64]]:
         """Bytes a frame of moving rows, and (T, 10 + C, n) errors in steps of what is shown, in the channels `part`.
 
-        `states` are those of `self.states`; `between` B-pictures stand in a row. A row that is not moving has the error
-        of its canonical frame.
+        `states` are those of `self.states`. A row that is not moving has the error of its canonical frame.
         """
         errors = np.zeros_like(states[1:])
         channels = np.arange(states.shape[1])[part]
@@ -194,7 +192,7 @@ class CalibrationSample:
         if not len(moving):
             return 0.0, errors
         values = states[1:, channels[:, None], moving]
-        steps, codec = np.full(len(channels), factor), state_codec(PRESET, between)
+        steps, codec = np.full(len(channels), factor), state_codec(PRESET)
         sizes, decoded = encode_and_decode(values, steps, codec, self.lined)
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0

@@ -62,7 +62,7 @@ class OutOfReachError(ConfigError):
     def __init__(self, goal: Goal, got: float, factor: float) -> None:
         near = f"{got:.4g} at quality factor {factor:.3g}"
         super().__init__(f"target: {goal.value:g} {goal.metric.name} is out of reach, the nearest was {near}")
-        self.got = got
+        self.factor = factor
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.h264 import BETWEEN, DEFAULT_PRESET, KEY_QP, MOST_BETWEEN, PRESETS, STATE_QP
+from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.references import fault_of
 from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region, World
@@ -182,7 +182,6 @@ class EncodeSettings:
         64, "pictures that measure the top rung, spread over all segments, at least one of each; 0: none"
     )
     preset: str = setting(DEFAULT_PRESET, "x264 preset", name="x264-preset", choices=PRESETS)
-    between: int = setting(BETWEEN[0], "B-pictures in a row between states; calibration finds it", option=False)
     threads: int = computed_setting(
         available_cores,
         "representations of a group encoded at the same time; the bytes are the same",
@@ -240,7 +239,6 @@ class EncodeSettings:
             ),
             (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
-            (1 <= self.between <= MOST_BETWEEN, f"expected 1 to {MOST_BETWEEN} B-pictures, got {self.between}"),
             (self.threads >= 1, f"expected at least one thread, got {self.threads}"),
         ]
         for good, message in checks:

@@ -64,7 +64,7 @@ def code_states(
     omissions = StateOmissions.of(layout, bases[0], values, depths)
     omitted, no_planes = omissions.planes(settings.scaled_price)
     still, no_segments = omissions.segments(settings.scaled_price)
-    levels, quality, codec = [], 0, state_codec(settings.preset, settings.between)
+    levels, quality, codec = [], 0, state_codec(settings.preset)
     written = np.arange(len(layout.rows))
     for number, level in enumerate(settings.levels):
         if level.quality != quality:  # no later level carries rows that this one does not
@@ -140,7 +140,7 @@ def encode_states(
     layout: GroupLayout, states: CodedStates, clock: Clock, settings: EncodeSettings
 ) -> list[Representation]:
     """The pictures of every level, a closed GOP for each segment that is fetched."""
-    codec = state_codec(settings.preset, settings.between)
+    codec = state_codec(settings.preset)
 
     def encode(level: CodedLevel) -> Representation:
         if level.samples is None:

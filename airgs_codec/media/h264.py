@@ -33,8 +33,7 @@ _LEVEL = "5.1"  # the highest that every phone decodes, and its limits (ISO/IEC 
 _LEVEL_BUFFER = 184_320  # macroblocks of the pictures that a decoder holds
 _LEVEL_RATE = 983_040  # macroblocks a second
 _MOST_REFERENCES = 4  # more take time and save no bytes
-BETWEEN = (3, 7)  # B-pictures in a row: more where motion is slow or even. A lookahead in planes cannot tell
-MOST_BETWEEN = 16  # that x264 takes
+BETWEEN = 3  # B-pictures in a row between states
 _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
@@ -87,7 +86,7 @@ class CodecSettings:
     qp: int
     pb_ratio: float
     preset: str = DEFAULT_PRESET
-    between: int = BETWEEN[0]  # B-pictures in a row; 0: every GOP is one picture: nothing is referred to or reordered
+    between: int = BETWEEN  # B-pictures in a row; 0: every GOP is one picture: nothing is referred to or reordered
 
     def options(self, size: tuple[int, int], rate: Fraction) -> dict[str, str]:
         """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: `ClosedGop`s decide the IDRs.
@@ -123,9 +122,9 @@ def key_codec(preset: str) -> CodecSettings:
     return CodecSettings(KEY_QP, 1.0, preset, between=0)
 
 
-def state_codec(preset: str, between: int = BETWEEN[0]) -> CodecSettings:
-    """The settings of state pictures at an x264 preset, with so many B-pictures in a row."""
-    return CodecSettings(STATE_QP, STATE_PB_RATIO, preset, between)
+def state_codec(preset: str) -> CodecSettings:
+    """The settings of state pictures at an x264 preset."""
+    return CodecSettings(STATE_QP, STATE_PB_RATIO, preset)
 
 
 def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> CodedGop:

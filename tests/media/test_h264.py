@@ -9,7 +9,6 @@ import pytest
 
 from airgs_codec.errors import CodecError, FormatError
 from airgs_codec.media.h264 import (
-    BETWEEN,
     KEY_QP,
     STATE_QP,
     ClosedGop,
@@ -101,7 +100,7 @@ def test_a_stream_that_decodes_to_something_else_is_not_published():
 
 
 @pytest.mark.parametrize(
-    ("codec", "reordered"), [(key_codec("veryslow"), 0), *((state_codec("veryslow", n), 2) for n in BETWEEN)]
+    ("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)]
 )
 def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
     """Without that in the VUI some decoders hold 16 pictures back."""

@@ -30,7 +30,7 @@ EXPERIMENTS = (
     _bench("keyframe", "How much sooner is a keyframe fitted from the frame before than from scratch?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
     _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
-    _bench("omissions", "What does leaving out save, and cost?", "5 min a scene"),
+    _bench("mechanisms", "What does each mechanism of the encoder buy?", "20 min a scene"),
     Experiment(
         "rd",
         "How many bytes does which quality take, here and in published formats?",
@@ -94,9 +94,6 @@ MEASUREMENTS = (
     Measurement(
         "rivals", "baselines",
         "rivals fox/=fox/transforms.json head10/=head_views.json spinach10/=spinach_views.json",
-    ),
-    Measurement(
-        "omissions", "size", "omissions fox/=fox/transforms.json head/ spinach10/=spinach_views.json"
     ),
     Measurement("static", "size", "static donut_fused.ply kacytran_iter7000.ply playbot/3_0"),
     Measurement("tracked-head", "size", "tracked head/ head_views.json --fps 30"),

@@ -23,8 +23,8 @@ from tools.lab.bench import (
     jobs,
     keyframe,
     link,
+    mechanisms,
     million,
-    omissions,
     scale,
     scenes,
     soak_farm,
@@ -77,11 +77,11 @@ def run_rivals(tmp, patch):
     return page
 
 
-def run_omissions(tmp, patch):
-    some = (omissions.AS_IT_IS, "rows that nobody sees", "planes", "segments")
-    patch.setattr(omissions, "TAKEN_BACK", {name: omissions.TAKEN_BACK[name] for name in some})
+def run_mechanisms(tmp, patch):
+    patch.setattr(mechanisms, "PLAIN", replace(QUICK, calibrate="ladder"))
     scene = write_sequence(tmp / "scene", moving_frames(300, 3, 1))
-    return omissions.run(omissions.Options((str(scene),), x264_preset="ultrafast"), Lab.at(tmp / "lab", quiet=True))
+    options = mechanisms.Options((f"{scene}@{scene / 'transforms.json'}",), only=("colour transform", "static rows"))
+    return mechanisms.run(options, Lab.at(tmp / "lab", quiet=True))
 
 
 def run_static(tmp, patch):
@@ -179,7 +179,7 @@ def run_jobs(tmp, patch):
 
 
 RUNS = {
-    "scenes": run_scenes, "rd-fox": run_rd, "claims": run_claims, "rivals": run_rivals, "omissions": run_omissions,
+    "scenes": run_scenes, "rd-fox": run_rd, "claims": run_claims, "rivals": run_rivals, "mechanisms": run_mechanisms,
     "static": run_static, "tracked-head": run_tracked, "paper": run_paper,
     "splits-fox": run_splits, "keyframe": run_keyframe, "work-precision": run_work_precision, "stiff": run_stiff,
     "extremes": run_extremes, "streaming": run_streaming, "viewpoints": run_viewpoints, "scale": run_scale,

@@ -123,7 +123,8 @@ def growth_words(found: Sequence[Measured], few: int) -> str:
         for name in ("rows", "frames"):
             same = [one for one in found if one.step == step and (one.rows == few) == (name == "frames")]
             if len(same) > 1:
-                power = np.polyfit(*np.log([[getattr(one, name), one.cpu_seconds] for one in same]).T, 1)[0]
+                sizes, seconds = np.log([[getattr(one, name), one.cpu_seconds] for one in same]).T
+                power = np.polyfit(sizes, seconds, 1)[0]
                 times.append(f"{2**power:.1f} times for twice the {'Gaussians' if name == 'rows' else name}")
         if times:
             parts.append(f"{what} takes {listed(times).replace(' for', ' as long for', 1)}")

@@ -1,32 +1,20 @@
 """How far a claimed PSNR is off, against the seconds of looking.
 
-A claim is the PSNR of the top rung in some pictures, views and frames drawn anew for every trial: in a fixed number of
-pictures, or as the encoder does it, in so many again and again until it is sure. The truth is that of many other views
-in all frames.
+A claim is the PSNR of the top rung in a fixed number of pictures, views and frames drawn anew for every trial. The
+truth is that of many other views in all frames.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import cycle, islice
+from itertools import cycle, islice, product
 
 import numpy as np
 
-from airgs_codec.encoder.measure import (
-    ROUNDS,
-    QualityQuery,
-    Round,
-    RoundErrors,
-    Rounds,
-    measure_groups,
-    measure_round,
-    pictures_of,
-)
-from airgs_codec.encoder.survey import Pictures, plan_views
+from airgs_codec.encoder.survey import Pictures
 from airgs_codec.media.metrics import psnr
-from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
 from airgs_codec.scene.gaussians import Gaussians
@@ -37,8 +25,6 @@ from tools.lab.numerics.rows import Bench, Place, Point, Row, Scene, picture_err
 TRUE_VIEWS, TRUE_SEED, TRIAL_SEED = 48, 1000, 2000
 COUNTS = (1, 2, 4, 8, 16, 32)  # pictures
 APART, ONE_VIEW, ONE_FRAME = "own views", "one view", "one frame"
-OWN = "the encoder, until it is sure"
-MEASURED = (2, 5, 20)  # --measure-pictures
 OFF = "dB that the claim is off"
 
 
@@ -69,16 +55,12 @@ def measure(bench: Bench) -> Iterator[Point]:
     for scene in bench.scenes:
         subject = Subject(scene, bench.package(scene, ONE_RUNG, "one-rung"), 4 if bench.quick else TRUE_VIEWS)
         counts = (1, 4, 16) if bench.quick else COUNTS
-        ways: list[tuple[str, int, Callable[[Subject, Place, int], list[Row]]]] = [
-            (curve, count, claim) for curve in (APART, ONE_VIEW, ONE_FRAME) for count in counts
-        ]
-        ways += [(OWN, count, own) for count in MEASURED]
-        for curve, count, make in ways:
+        for curve, count in product((APART, ONE_VIEW, ONE_FRAME), counts):
             if curve == ONE_VIEW and count > len(scene.sequence):
                 continue
             place = Place("claims", scene.name, curve, str(count))
             reads = {"place": place, "trials": bench.repeats, "views": subject.views}
-            yield Point("claim", scene, reads, partial(make, subject, place, bench.repeats))
+            yield Point("claim", scene, reads, partial(claim, subject, place, bench.repeats))
 
 
 def claim(subject: Subject, place: Place, trials: int) -> list[Row]:
@@ -95,29 +77,3 @@ def draws(subject: Subject, curve: str, count: int, trials: int) -> Iterator[Pic
         cameras = draw_views(region, 1 if curve == ONE_VIEW else count, seed)
         some = numbers[:1] if curve == ONE_FRAME else numbers
         yield list(islice(zip(cycle(some), cycle(cameras)), count))
-
-
-def own(subject: Subject, place: Place, trials: int) -> list[Row]:
-    """Return what the encoder claims with so many `--measure-pictures`; it also measures SSIM and CIEDE2000."""
-    looked = [seconds_of(partial(_own, subject, int(place.setting), trial)) for trial in range(trials)]
-    return [Row.of(place, [s for s, _ in looked], [abs(q - subject.truth) for _, q in looked], OFF)]
-
-
-def _own(subject: Subject, count: int, trial: int) -> float:
-    """The PSNR of the top rung that the encoder measures, from the views of later rounds in later trials."""
-    views, package = plan_views(subject.scene.sequence, ONE_RUNG), subject.package
-    m, groups = package.manifest, range(len(package.manifest.groups))
-    at = trial * ROUNDS * len(m.segments) * views.measured(count) % len(views.measuring)
-    measuring, places = ([*of[at:], *of[:at]] for of in (views.measuring, views.places))
-    views = replace(views, measuring=measuring, places=places)
-
-    def ask(asked: Round) -> list[RoundErrors]:
-        drawn = [pictures_of(views, m, group, asked, len(m.segments)) for group in groups]
-        return [
-            measure_round(package, subject.scene.sequence, views.renderer, group, pictures)
-            for group, pictures in zip(groups, drawn, strict=True)
-        ]
-
-    quality = pooled_quality(measure_groups(QualityQuery(m, groups, views, Rounds(count), ask)).whole(m), 0, 0)
-    assert quality is not None
-    return quality.psnr
