@@ -22,7 +22,6 @@ from airgs_codec.scene.gaussians import Gaussians
 Floats = NDArray[np.float32]
 MAX_VIEWS = 8  # rendered for each frame; more views change the estimate little
 CODING_VARIANCE = 0.1  # steps^2: 1/12 of the quantiser and some of H.264
-LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
 
 
 class UsageSums:

@@ -23,7 +23,6 @@ from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, wit
 from airgs_codec.encoder.plan import (
     GroupLayout,
     assign_depths,
-    find_moving,
     keep_rows,
     lay_out,
     prune_rows,
@@ -101,7 +100,7 @@ class Subject:
         weights = channel_weights(
             sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
         )
-        moving = find_moving(states[1:], states[1:] - states[0], weights, settings.keep_all)
+        _, moving = rank_updates(states[1:] - states[0], weights)
         return replace(sample, moving=moving).with_line(states, settings.steps, len(index))
 
 
@@ -286,7 +285,7 @@ def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.flo
         states = state_channels([frame.take(rows) for frame in frames], base.part(rows), layout.state_steps) / steps
         weights, usage, rank = layout.state_weights(rows), layout.usage.take(rows), settings.update_rank
         changes = states[1:] - states[0]
-        score[rows], moving[rows] = rank_updates(states[1:], changes, weights, usage, rank, settings.keep_all)
+        score[rows], moving[rows] = rank_updates(changes, weights, usage, rank)
     return score, moving
 
 

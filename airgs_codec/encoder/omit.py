@@ -14,13 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, pooled_within, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import Pictures, Survey
+from airgs_codec.encoder.survey import Survey
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.layout import STATE
 from airgs_codec.package.tables import STATIC, LeftOut, StateSteps
@@ -29,8 +28,6 @@ from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
 _BYTES = np.dtype(np.float64).itemsize
-
-SEEN = 4  # pictures of a segment, when it is tried without its states
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,37 +251,8 @@ class StateOmissions:
         saved = float(sizes[chosen].sum()) / frames
         return chosen, note_omission("state planes", int(chosen.sum()), cost, saved)
 
-    def segments(self, price: float) -> tuple[NDArray[np.bool_], LeftOut | None]:
-        """(S,) segments of the group for which the canonical space may stand."""
-        frames, count = self.values.frames, self.values.channels
-        spans = self.layout.segments
-        if price == 0 or not len(self.applier.rows):
-            return np.zeros(len(spans), bool), None
-        none = np.zeros(count)
-        whole, still = (self._show(omitted, none) for omitted in (np.zeros(count, bool), np.ones(count, bool)))
-        parts = [np.arange(start, stop) - self.layout.span.start for start, stop in spans]
-        pairs = [self._estimate(none, slice(part[0], part[-1] + 1)) for part in parts]
-        sizes, guesses = (np.array([sum(pair[i]) for pair in pairs]) for i in (0, 1))
-        shares = np.array([len(p) for p in parts]) / frames
-
-        def error(omitted: NDArray[np.bool_], _: float) -> float:
-            costs = []
-            for part in (parts[i] for i in np.flatnonzero(omitted)):
-                errors = list(compare(whole, still, self._of_segment(part), Picture.mse))
-                costs.append(pooled_error(errors) * len(part))
-            return sum(costs) / frames
-
-        chosen, cost = select_omissions(sizes / frames, guesses * shares, error, price)
-        saved = float(sizes[chosen].sum()) / frames
-        return chosen, note_omission("segments", int(chosen.sum()), cost, saved)
-
     def _estimate(self, centres: NDArray[np.float64], frames: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return _estimate_states(self.layout, self.values, self.depths != STATIC, centres, frames)
-
-    def _of_segment(self, places: NDArray[np.intp]) -> Pictures:
-        """Views of frames evenly spaced over a segment, which holds these places of the group."""
-        cameras = [camera for _, camera in self.layout.pictures]
-        return [(int(places[i]), camera) for i, camera in zip(evenly_spaced(len(places), SEEN), cameras, strict=False)]
 
     def _show(self, omitted: NDArray[np.bool_], centres: NDArray[np.float64]) -> Source:
         """The frames of the group, whose `omitted` channels are at their centres."""

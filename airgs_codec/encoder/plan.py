@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import middle_frames
 from airgs_codec.analysis.importance import RowPruning, WrittenRows
-from airgs_codec.analysis.sensitivity import CODING_VARIANCE, LEAK, Sensitivity
+from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, classify_motion, share_class, withheld_error
@@ -90,38 +90,17 @@ class RowUsage:
         return self.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
 
 
-def find_moving(
-    states: NDArray[np.float64], changes: NDArray[np.float64], weights: NDArray[np.float64], keep_all: bool
-) -> NDArray[np.bool_]:
-    """(N,) rows whose states are worth coding; the others are static. Arguments as in `rank_updates`.
-
-    A row is static if it never changes by more than half a step, or, without `keep_all`, if coding its states is
-    expected to add more error than it repairs.
-    """
-    moving: NDArray[np.bool_] = np.abs(changes).max(axis=(0, 1)) > 0.5
-    if keep_all:
-        return moving
-    variance = np.square(states).mean(axis=0, keepdims=True)
-    coded = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
-    return moving & (withheld_error(states, weights) > withheld_error(np.sqrt(coded), weights))
-
-
 def rank_updates(
-    states: NDArray[np.float64],
-    changes: NDArray[np.float64],
-    weights: NDArray[np.float64],
-    usage: RowUsage | None = None,
-    rank: str = "error",
-    keep_all: bool = False,
+    changes: NDArray[np.float64], weights: NDArray[np.float64], usage: RowUsage | None = None, rank: str = "error"
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(N,) scores that rank updates for pruning, and (N,) whether any level carries a row.
+    """(N,) scores that rank updates for pruning, and (N,) whether a row ever changes by half a step, or is static.
 
-    `states` (T, 10 + C, N) are differences to the canonical frame as decoded, `changes` to the original one, both in
-    steps; `weights` (10 + C, N) are the squared error of pictures for a squared step. The score is the error expected
-    of withholding the updates of a row, or, where `rank` is another one than "error", that of its `usage`.
+    `changes` (T, 10 + C, N) are differences to the canonical frame, in steps; `weights` (10 + C, N) are the squared
+    error of pictures for a squared step. The score is the error expected of withholding the updates of a row, or, where
+    `rank` is another one than "error", that of its `usage`.
     """
     score = withheld_error(changes, weights) if usage is None or rank == "error" else usage.rank(rank, changes)
-    return score, find_moving(states, changes, weights, keep_all)
+    return score, np.abs(changes).max(axis=(0, 1)) > 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,13 +60,12 @@ def take_back(
     if rows - expected.rows > beyond and rows - expected.rows >= held - expected.held:
         fewer = replace(settings, steps=replace(settings.steps, rows=settings.steps.rows / 2))
         return fewer, f"Gaussians left out {_cost(rows, expected.rows)}: fewer are"
-    if held - expected.held > beyond:
-        pruned = settings.levels[0].pruned
+    pruned = settings.levels[0].pruned
+    if pruned > 0 and held - expected.held > beyond:
         part = 0.5 if pruned > 0.1 else 0.0
         levels = (replace(settings.levels[0], pruned=part * pruned), *settings.levels[1:])
         shares = tuple((factor, part * share) for factor, share in settings.shares)  # at other qualities as well
-        keep_all = pruned == 0  # nothing was withheld: rows held to be static are to blame
-        fixed = replace(settings, levels=levels, shares=shares, keep_all=settings.keep_all or keep_all)
+        fixed = replace(settings, levels=levels, shares=shares)
         return fixed, f"updates withheld {_cost(held, expected.held)}: fewer are"
     return None
 

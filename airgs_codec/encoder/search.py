@@ -152,7 +152,7 @@ def search_quality(
     top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
     if calibrated.expected is not None:  # what costs more than expected is taken back at any quality
         top = encode_repaired(calibrated, top, work)[1]
-        settings = replace(settings, steps=top.steps, shares=top.shares, keep_all=top.keep_all).at(settings.quality)
+        settings = replace(settings, steps=top.steps, shares=top.shares).at(settings.quality)
     found: list[tuple[float, float]] = []
 
     def trial(factor: float) -> float:

@@ -54,7 +54,7 @@ def code_states(
 
     The states of a level are differences to the one of `bases`, the canonical space as decoded in each key quality,
     that the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more
-    than half a step and rendering shows it. Samples go to files in `scratch`.
+    than half a step. Samples go to files in `scratch`.
     """
     file = scratch / "values"
     values = StateValues.write(file, frames, layout.rows, bases[0], layout.state_steps)
@@ -63,7 +63,6 @@ def code_states(
     static = note_static(layout, values, depths)
     omissions = StateOmissions.of(layout, bases[0], values, depths)
     omitted, no_planes = omissions.planes(settings.scaled_price)
-    still, no_segments = omissions.segments(settings.scaled_price)
     levels, quality, codec = [], 0, state_codec(settings.preset)
     written = np.arange(len(layout.rows))
     for number, level in enumerate(settings.levels):
@@ -73,14 +72,14 @@ def code_states(
             values = StateValues.write(file, frames, layout.rows[written], base, layout.state_steps)
         steps = STATE.steps(layout.state_steps, layout.colours) * level.factor
         rows = np.flatnonzero((depths != STATIC) & (depths >= number))
-        fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2, still)
+        fetched = _fetched_frames(layout, ranked.largest[:, rows], level.factor / 2)
         alpha = bases[quality].opacity[rows].astype(np.float64)
         places = np.searchsorted(written, rows)
         weigh = functools.partial(_weigh, layout, rows, level.factor)
         samples = scratch / f"level {number}"
         coder = LevelCoder(values, places, alpha, steps, weigh, fetched, samples, clock, codec)
         levels.append(coder.code(omitted))
-    return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes, no_segments) if n))
+    return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes) if n))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,12 +105,9 @@ def rank_states(layout: GroupLayout, values: StateValues, base: Canonical, setti
     largest = np.empty((len(segments), values.rows))
     for rows in values.chunks():
         key = state_channels([layout.key.take(rows)], base.part(rows), layout.state_steps)[0]
-        states = values.part(rows) / steps
-        changes = states - key / steps
+        changes = (values.part(rows) - key) / steps
         usage, weights = layout.usage.take(rows), layout.state_weights(rows)
-        score[rows], moving[rows] = rank_updates(
-            states, changes, weights, usage, settings.update_rank, settings.keep_all
-        )
+        score[rows], moving[rows] = rank_updates(changes, weights, usage, settings.update_rank)
         largest[:, rows] = [np.abs(changes[segment]).max(axis=(0, 1)) for segment in segments]
     return RankedStates(score, moving, largest)
 
@@ -121,19 +117,10 @@ def _weigh(layout: GroupLayout, rows: NDArray[np.intp], factor: float, some: NDA
     return layout.state_weights(rows[some]) * factor**2
 
 
-def _fetched_frames(
-    layout: GroupLayout, largest: NDArray[np.float64], least: float, still: NDArray[np.bool_]
-) -> list[slice | None]:
-    """For each segment its frames in the group, None where nothing is to be fetched.
-
-    That is where none of the (S, n) largest changes of its rows exceeds `least`, and where `still` (S,) says
-    that rendering shows nothing.
-    """
-    parts: list[slice | None] = []
-    for (start, stop), changes, omitted in zip(layout.segments, largest, still, strict=True):
-        part = slice(start - layout.span.start, stop - layout.span.start)
-        parts.append(part if (changes > least).any() and not omitted else None)
-    return parts
+def _fetched_frames(layout: GroupLayout, largest: NDArray[np.float64], least: float) -> list[slice | None]:
+    """For each segment its frames in the group, None where none of its (S, n) largest changes exceeds `least`."""
+    parts = [slice(start - layout.span.start, stop - layout.span.start) for start, stop in layout.segments]
+    return [part if (changes > least).any() else None for part, changes in zip(parts, largest, strict=True)]
 
 
 def encode_states(

@@ -9,7 +9,7 @@ import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.coding.quantize import StepSettings, get_step, with_step
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, choose_between, solve_steps
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
@@ -119,18 +119,6 @@ def test_ladders_descend(calibration):
     assert shares == sorted(shares) and [level.pruned for level in settings.at(0.1).levels] <= shares
     alone = calibration.apply(replace(FAST, calibrate="steps"))
     assert (alone.steps, alone.levels, alone.key_factors) == (calibration.steps, FAST.levels, FAST.key_factors)
-
-
-@pytest.mark.parametrize(("speed", "between"), [(0.05, 7), (0.6, 3)])  # slower still, they move along lines
-def test_the_slower_rows_swing_the_more_pictures_lie_between_references(tmp_path, speed, between):
-    first, phase = random_gaussians(600, seed=3), np.arange(600)[:, None]
-    frames = [
-        replace(first, means=(first.means + 0.05 * np.sin(speed * t + phase)).astype(np.float32)) for t in range(24)
-    ]
-    sequence = open_sequence(write_sequence(tmp_path / "swinging", frames))
-    span = GroupSpan(0, 0, 24)
-    subject = Subject.of(sequence, survey_group(sequence, span, ViewPlan.of(sequence, 8)), FAST)
-    assert choose_between(subject.sample(24.0), FAST.steps) == between
 
 
 def test_a_scene_that_stands_still_has_one_level(tmp_path):

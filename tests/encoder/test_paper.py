@@ -104,9 +104,9 @@ def test_hits_rank_alone_whatever_changes():
     rng = np.random.default_rng(0)
     changes, hits = rng.normal(size=(3, 13, 20)) * 9, rng.permutation(20).astype(float)
     usage = RowUsage(rng.random(20), hits, rng.random(20))
-    score, moving = rank_updates(changes, changes, np.ones((13, 20)), usage, "hits", True)
+    score, moving = rank_updates(changes, np.ones((13, 20)), usage, "hits")
     assert score.tolist() == hits.tolist() and moving.all()
-    by_usage, _ = rank_updates(changes, changes, np.ones((13, 20)), usage, "usage", True)
+    by_usage, _ = rank_updates(changes, np.ones((13, 20)), usage, "usage")
     assert by_usage.tolist() == usage.moved.tolist()
 
 

@@ -99,9 +99,7 @@ def test_a_stream_that_decodes_to_something_else_is_not_published():
             check_gop(coded, ClosedGop(other, 7, 1), codec)
 
 
-@pytest.mark.parametrize(
-    ("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)]
-)
+@pytest.mark.parametrize(("codec", "reordered"), [(key_codec("veryslow"), 0), (state_codec("veryslow"), 2)])
 def test_the_stream_says_what_a_decoder_must_hold(codec, reordered):
     """Without that in the VUI some decoders hold 16 pictures back."""
     gop = ClosedGop(pictures(9 if codec.between else 1), 0, 1000)
