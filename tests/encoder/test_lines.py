@@ -61,8 +61,8 @@ def package(scene, tmp_path_factory):
 
 
 def test_segments_of_even_motion_have_lines_and_those_of_one_frame_have_none(package):
-    lines = [[level.lines for level in segment.levels] for segment in package.manifest.segments]
-    assert lines == [[[True], [True]], [[True], [True]], [None, None]]
+    lines = [[level.line for level in segment.levels] for segment in package.manifest.segments]
+    assert lines == [[True, True], [True, True], [None, None]]
 
 
 def test_every_error_is_within_its_bound_and_files_are_what_they_promise(package, scene, capsys):
@@ -113,7 +113,7 @@ def test_segments_of_one_frame_have_files_and_no_line(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path / "scene", drifting(300)[:4], fps=30))
     encode(sequence, tmp_path / "out", replace(SETTINGS, segment_s=1 / 30))
     package = open_package(tmp_path / "out")
-    assert [segment.levels[0].lines for segment in package.manifest.segments] == [None] * 4
+    assert [segment.levels[0].line for segment in package.manifest.segments] == [None] * 4
     assert sum(segment.levels[0].file.bytes > 0 for segment in package.manifest.segments) > 2
     assert decode_slopes(package, 3, 0) is None
     assert all(m.error <= m.bound for m in measure_errors(package, sequence))
@@ -124,5 +124,5 @@ def test_a_scene_of_uneven_motion_has_no_lines(tmp_path):
     shaken = [frozen(replace(first, means=first.means + rng.normal(size=(300, 3)).astype("f4") / 9)) for _ in range(8)]
     sequence = open_sequence(write_sequence(tmp_path / "scene", shaken, fps=30))
     table = encode(sequence, tmp_path / "out", replace(SETTINGS, group_frames=8)).manifest
-    assert all(level.lines is None for segment in table.segments for level in segment.levels)
+    assert all(level.line is None for segment in table.segments for level in segment.levels)
     assert open_package(tmp_path / "out").manifest.segments[0].levels[0].file.bytes

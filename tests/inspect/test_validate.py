@@ -128,7 +128,7 @@ def test_fewer_pictures_than_frames_are_refused():
 def test_frames_of_more_bytes_than_their_file_are_refused():
     place, file = ("segments", 0, "levels", 0, "frame_bytes"), OPENED.manifest.segments[0].levels[0].file
     for more in (1, 10**9):
-        sizes = [[1, 1, 1, file.bytes - 3 + more]]
+        sizes = [1, 1, 1, file.bytes - 3 + more]
         assert reasons(apply(MOVING, set_value(place, sizes, TABLE), reindexed)) == {"size_mismatch"}
 
 

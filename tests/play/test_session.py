@@ -540,7 +540,7 @@ def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, bu
 def segmented(m, count=3):
     """The one group of a tiny manifest in `count` segments."""
     part = m.frames // count
-    levels = [replace(v, frame_bytes=[sizes[:part] for sizes in v.frame_bytes]) for v in m.segments[0].levels]
+    levels = [replace(v, frame_bytes=v.frame_bytes[:part]) for v in m.segments[0].levels]
     return with_segments(m, [Segment(i * part, (i + 1) * part, levels) for i in range(count)])
 
 
