@@ -18,7 +18,7 @@ import numpy as np
 from airgs_codec.errors import SceneError
 
 _BROKEN = (
-    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RuntimeError, MemoryError),
+    *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RuntimeError),
     *(struct.error, zlib.error, zipfile.BadZipFile),  # zipfile raises RuntimeError, too
     MemoryError,  # for an array of more bytes than there are, which the header of an .npy file says
 )

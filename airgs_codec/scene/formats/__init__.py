@@ -1,1 +1,1 @@
-"""Splats in the file formats that people have, one module a format: frames in `table`, clips in `clips`."""
+"""Splats in the file formats that people have: `table` lists them, and finds, reads and writes files of any."""
