@@ -145,7 +145,7 @@ def _encode(
         verified = encode_verified(attempt)
         progress.end()
     decisions = [*found.notes, *verified.manifest.decisions, *calibrated.decisions, *verified.stories]
-    manifest, files = replace(verified.manifest, decisions=decisions), {}
+    manifest, files = replace(verified.manifest, decisions=decisions), NO_FILES
     if sound:
         manifest, files = add_sound(manifest, sound)
     size = write_package(place, verified.encoded, manifest, more_files=files)
