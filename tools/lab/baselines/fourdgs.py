@@ -257,7 +257,7 @@ def write_model(folder: Path, g: Gaussians, field: Field) -> int:
     folder.mkdir(exist_ok=True)
     splats, numbers = folder / "canonical.ply", folder / "field.npz"
     write_ply(splats, g)
-    np.savez(numbers, **{name: value.numpy() for name, value in field.state_dict().items()})  # type: ignore[arg-type]
+    np.savez(numbers, **{name: value.numpy() for name, value in field.state_dict().items()})
     return splats.stat().st_size + numbers.stat().st_size
 
 
