@@ -168,23 +168,18 @@ def with_held_out(scene: MultiviewScene, names: Sequence[str] | None) -> Multivi
 
     Raises SceneError for a name that no camera has, or when no camera is left to train on.
     """
+    known = [camera.name for camera in scene.cameras]
     if names is None:
         if any(camera.held_out for camera in scene.cameras):
             return scene
-        names = _one_in_eight([camera.name for camera in scene.cameras])
-    known = [camera.name for camera in scene.cameras]
+        count = len(known) // HELD_OUT_SHARE  # the middles of equal parts: cameras between others, not at an end
+        names = [known[(2 * i + 1) * len(known) // (2 * count)] for i in range(count)]
     if unknown := sorted(set(names) - set(known)):
         raise SceneError(f"{scene.path}: no camera {', '.join(unknown)}; there are {', '.join(known)}")
     held_out = set(names)
     if not set(known) - held_out:
         raise SceneError(f"{scene.path}: expected cameras to train on, all {len(known)} are held out")
     return _with_cameras(scene, lambda camera: replace(camera, split="test" if camera.name in held_out else "train"))
-
-
-def _one_in_eight(names: Sequence[str]) -> list[str]:
-    """The middles of equal parts: cameras between others, not at an end."""
-    count = len(names) // HELD_OUT_SHARE
-    return [names[(2 * i + 1) * len(names) // (2 * count)] for i in range(count)]
 
 
 def _with_cameras(scene: MultiviewScene, change: Callable[[Camera], Camera]) -> MultiviewScene:

@@ -115,7 +115,26 @@ def scene_from_films(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScen
 
     Raises SceneError where frame rates of videos or counts of pictures differ, or a video cannot be read.
     """
-    return _from_folders(folder, films) if any(film.path.is_dir() for film in films) else _from_videos(folder, films)
+    fps = DEFAULT_FPS
+    if any(film.path.is_dir() for film in films):
+        sources = [[Source(path) for path in find_pictures(film.path)] for film in films]
+        counts = sorted({len(pictures) for pictures in sources})
+        if len(counts) > 1:
+            raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
+    else:
+        videos = [open_video(film.path) for film in films]
+        rates = sorted({video.fps for video in videos if video.fps})
+        if rates and rates[-1] > SAME_RATE * rates[0]:
+            listed = ", ".join(f"{float(rate):g}" for rate in rates)
+            raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
+        fps = Fraction(rates[0]) if rates else DEFAULT_FPS
+        shortest = min(video.frames for video in videos)
+        sources = [[Source(film.path, number) for number in range(shortest)] for film in films]
+    frames = tuple(
+        tuple(replace(film.shot, source=source) for film, source in zip(films, moment, strict=True))
+        for moment in zip(*sources, strict=True)
+    )
+    return MultiviewScene(folder, fps, frames)
 
 
 def find_videos(folder: Path) -> list[Path]:
@@ -151,36 +170,6 @@ def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
     if not folder.is_dir():
         return []
     return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
-
-
-def _from_videos(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
-    videos = [open_video(film.path) for film in films]
-    rates = sorted({video.fps for video in videos if video.fps})
-    if rates and rates[-1] > SAME_RATE * rates[0]:
-        listed = ", ".join(f"{float(rate):g}" for rate in rates)
-        raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
-    count = min(video.frames for video in videos)
-    sources = [[Source(film.path, number) for number in range(count)] for film in films]
-    return _with_sources(folder, Fraction(rates[0]) if rates else DEFAULT_FPS, films, sources)
-
-
-def _from_folders(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
-    pictures = [find_pictures(film.path) for film in films]
-    counts = sorted({len(paths) for paths in pictures})
-    if len(counts) > 1:
-        raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
-    return _with_sources(folder, DEFAULT_FPS, films, [[Source(path) for path in paths] for paths in pictures])
-
-
-def _with_sources(
-    folder: Path, fps: Fraction, films: Sequence[CameraFilm], sources: Sequence[Sequence[Source]]
-) -> MultiviewScene:
-    """`sources`: the T pictures of each camera."""
-    frames = tuple(
-        tuple(replace(film.shot, source=source) for film, source in zip(films, moment, strict=True))
-        for moment in zip(*sources, strict=True)
-    )
-    return MultiviewScene(folder, fps, frames)
 
 
 def has_colmap(folder: Path) -> bool:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.scene.gaussians import join_rows
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.fit.grow import Densifier
 from airgs_codec.trainer.fit.losses import ExposureModel
@@ -73,13 +72,15 @@ def fit_first(
         densifier=Densifier(trainer.growth(most, target.views), len(start), rng),
     )
     iterations = s.iterations_from_scratch(len(target.views))
-    schedule = trainer.schedule("first frame", iterations, partial(_rising_sh_degree, s.sh_degree))
+    schedule = trainer.schedule("first frame", iterations, lambda done: min(s.sh_degree, int(done / SH_SHARE)))
     optimise(variables, [*target.views, *target.later], schedule, rng, exposure, progress)
     variables.remove_fainter(trainer.least_opacity)
     found = to_moving(variables.detached())
     if not (sparse and len(sparse.unseen.positions)):
         return found
-    unseen = _unseen(trainer, sparse.unseen)
+    places, colours = sparse.unseen.positions, sparse.unseen.colours
+    assert colours is not None
+    unseen = from_points(places, colours, s.sh_degree, UNSEEN_OPACITY, largest)
     motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(unseen)), (0, 0)))
     return InMotion(join_rows([found.gaussians, unseen]), motion)
 
@@ -88,14 +89,3 @@ def usual_budget(cameras: Sequence[Camera]) -> int:
     """Gaussians of a first frame that cameras see, where nobody says how many: as many as their pictures can tell."""
     pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
     return round(min(max(LEAST_BUDGET, pixels / GAUSSIAN_PIXELS), MOST_BUDGET))
-
-
-def _unseen(trainer: Trainer, points: Points) -> Gaussians:
-    assert points.colours is not None
-    return from_points(
-        points.positions, points.colours, trainer.settings.sh_degree, UNSEEN_OPACITY, 0.1 * trainer.extent
-    )
-
-
-def _rising_sh_degree(most: int, done: float) -> int:
-    return min(most, int(done / SH_SHARE))

@@ -66,12 +66,9 @@ class Deck:
         self._next: list[int] = []  # the last one comes first
 
     def take(self, count: int) -> list[int]:
-        self._fill(count)
-        return [self._next.pop() for _ in range(count)]
-
-    def _fill(self, count: int) -> None:
         while len(self._next) < count:
             self._next = [*self._rng.permutation(self._views).tolist(), *self._next]
+        return [self._next.pop() for _ in range(count)]
 
 
 class Losses:
@@ -119,7 +116,9 @@ def optimise(
         if iteration > halved:
             views = whole
         chosen = deck.take(count)
-        seen = [_before(views[i], rng) if schedule.random_background else views[i] for i in chosen]
+        seen = [views[i] for i in chosen]
+        if schedule.random_background:
+            seen = [view.before(tuple(rng.uniform(size=3).tolist())) for view in seen]
         sh_degree = schedule.sh_degree(iteration / iterations)
         parts = []
         for index, view, (rgb, _) in zip(chosen, seen, drawn(variables, seen, sh_degree), strict=True):
@@ -148,10 +147,6 @@ def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[D
         render_views(variables.current(view.after), [view.camera], sh_degree, part, [view.redraw])[0]
         for view, part in zip(views, parts, strict=True)
     ]
-
-
-def _before(view: View, rng: np.random.Generator) -> View:
-    return view.before(tuple(rng.uniform(size=3).tolist()))
 
 
 LEAST = 160  # pixels on the shorter side of a picture that is halved: smaller ones lose what moves in them

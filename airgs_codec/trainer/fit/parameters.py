@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 import torch
@@ -168,19 +167,6 @@ class Adam:
         self.parameters[name] = values.detach().clone().requires_grad_(True)
         for moments in (self._moments.first, self._moments.second):
             moments[name] = torch.zeros_like(values)
-
-    def state(self) -> dict[str, Any]:
-        """A copy of everything that `restore` needs, as tensors and numbers."""
-        columns = {"parameters": self.parameters, "first": self._moments.first, "second": self._moments.second}
-        copies = {key: {n: p.detach().clone() for n, p in column.items()} for key, column in columns.items()}
-        return copies | {"steps": self._steps}
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """Go on from what `state` gave."""
-        parameters, first, second = (
-            {n: p.clone() for n, p in state[k].items()} for k in ("parameters", "first", "second")
-        )
-        self.parameters, self._moments, self._steps = _leaves(parameters), _Moments(first, second), state["steps"]
 
     def replace_rows(self, keep: torch.Tensor, added: Mapping[str, torch.Tensor] | None = None) -> None:
         """Keep the rows of a mask (N,), in order, and append new ones, whose moments start at 0."""
