@@ -80,7 +80,8 @@ def run_rivals(tmp, patch):
 def run_mechanisms(tmp, patch):
     patch.setattr(mechanisms, "PLAIN", replace(QUICK, calibrate="ladder"))
     scene = write_sequence(tmp / "scene", moving_frames(300, 3, 1))
-    options = mechanisms.Options((f"{scene}@{scene / 'transforms.json'}",), only=("colour transform", "static rows"))
+    only = ("colour transform", "keyframes as differences")
+    options = mechanisms.Options((f"{scene}@{scene / 'transforms.json'}",), only)
     return mechanisms.run(options, Lab.at(tmp / "lab", quiet=True))
 
 

@@ -56,8 +56,7 @@ QUESTIONS = (
     ),
     Question(
         "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, 0.1,
-        default=(survey.OWN, "5"), log=True, labels=False,
-        why="it looks again until it is sure, since no number of pictures is enough for every scene",
+        default=(survey.APART, "64"), log=True, labels=False,
     ),
     Question(
         "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame", 0.5,

@@ -104,8 +104,8 @@ def push_frames(frames: Sequence[Levels], fps: float, link: Link, choose: Choose
         free_s = link.passed_s(size, begin_s)
         paper_s = 8 * size / now if now > 0 else math.inf
         pushed.append((level, float(size), free_s - begin_s, begin_s - due_s, paper_s, fits))
-    chosen, sizes, sent_s, waited_s, paper_s, fit = (np.array(column) for column in zip(*pushed, strict=True))
-    return FrameLog(chosen, sizes, sent_s, waited_s, paper_s, fit, fps)
+    chosen, sizes, sent, waited, paper, fit = map(np.array, zip(*pushed, strict=True))
+    return FrameLog(chosen, sizes, sent, waited, paper, fit, fps)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
