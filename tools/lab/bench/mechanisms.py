@@ -40,7 +40,8 @@ FRAMES = 6  # of a scene, evenly spaced, that measure
 PLAIN = EncodeSettings(threads=1)
 COLUMNS = {
     "mechanism": ("mechanism", ""), "lines": ("lines", ""), "scene": ("scene", ""),
-    "bytes": ("bytes without it, %", "+.1f"), "psnr": ("PSNR without it, dB", "+.2f"), "seconds": ("time without it, %", "+.0f"),
+    "bytes": ("bytes without it, %", "+.1f"), "psnr": ("PSNR without it, dB", "+.2f"),
+    "seconds": ("time without it, %", "+.0f"),
 }  # fmt: skip
 
 
