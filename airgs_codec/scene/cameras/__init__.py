@@ -1,1 +1,1 @@
-"""Cameras from the files that people have: `colmap` and `forms` know the conventions of each form; `read` takes any of them."""
+"""Cameras from the files that people have: `colmap` and `forms` know what each form means; `read` takes any of them."""
