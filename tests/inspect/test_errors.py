@@ -103,7 +103,7 @@ def test_promises_are_in_the_units_of_what_is_compared(demo_package):
     """Means of a row with twice the motion unit may err by twice as much."""
     package = open_package(demo_package)
     base, group = decode_canonical(package, 0, 0), package.manifest.groups[0]
-    promised = errors._promised(group, base, package.manifest.tiers)
+    promised = errors._promised(group, base)
     moving = base.depths != STATIC
     ratio = base.motion_units / np.median(base.motion_units)
     bound = group.levels[0].max_error[0] / group.state_steps.means

@@ -244,7 +244,7 @@ def test_a_replacement_of_the_same_level_asks_for_keys_alone():
     fetcher = SimpleNamespace(offer=lambda _: offer, missing=lambda _, rung: offer.missing(rung, NONE))
     best, same, other = (offers.names.index(name) for name in ("Q0+L0", "Q1+L0", "Q0+L2"))
     keys, whole = (
-        Buffered(None, fetcher, None)._replacing(SimpleNamespace(position=0, rung=rung), best) for rung in (same, other)
+        Buffered(fetcher, None)._replacing(SimpleNamespace(position=0, rung=rung), best) for rung in (same, other)
     )
     assert keys.files == whole.keys and len(whole.state) > 0
 
@@ -263,7 +263,7 @@ def buffered(slots, unusable=frozenset(), **more):
         usable=lambda batch: unusable.isdisjoint(batch.files), policy=SimpleNamespace(may_replace=True), **more,
     )  # fmt: skip
     playout = SimpleNamespace(pending=lambda: [(slot, offer) for slot in found])
-    return Buffered(SimpleNamespace(all_at_once=False), fetcher, playout), found, offers.names
+    return Buffered(fetcher, playout), found, offers.names
 
 
 def replacements(slots, unusable=frozenset(), rate_bps=8e3):
