@@ -72,7 +72,6 @@ class ExpectedError:
 
     @property
     def total(self) -> float:
-        """All of it."""
         return self.rows + self.held + self.steps
 
     def at(self, quality: float) -> ExpectedError:
@@ -236,7 +235,6 @@ class CostSums:
 
     @staticmethod
     def of(centres: NDArray[np.float64]) -> CostSums:
-        """No rows yet."""
         c = len(centres)
         return CostSums(centres, np.zeros((c, 2, 2 * WIDEST_CHANGE + 1), np.int64), np.zeros(c), np.zeros(c))
 

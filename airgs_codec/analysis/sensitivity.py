@@ -31,13 +31,11 @@ class UsageSums:
         self._total, self._peak, self._hits = np.zeros(rows), np.zeros(rows), np.zeros(rows, np.int64)
 
     def add(self, seen: Contribution) -> None:
-        """One more picture."""
         self._total += seen.total
         self._peak = np.maximum(self._peak, seen.peak)
         self._hits += seen.hits
 
     def usage(self) -> Usage:
-        """Over all pictures added so far."""
         return Usage(self._total, self._peak, self._hits)
 
 

@@ -52,7 +52,6 @@ class Subject:
 
     @staticmethod
     def of(frames: Sequence[Gaussians]) -> Subject:
-        """Points of repaired frames."""
         middle = frames[len(frames) // 2]
         low, high = np.quantile(middle.means.astype(np.float64), [0.01, 0.99], axis=0)
         centre, size = (low + high) / 2, float(np.linalg.norm(high - low) + np.finfo(np.float32).tiny)

@@ -61,7 +61,6 @@ DASK = re.compile(r"dask(?::(.+))?")
 
 
 def package() -> Any:
-    """Returns the field of a package."""
     return required(PACKAGE)
 
 
@@ -82,12 +81,10 @@ def frames(words: str = "all") -> Any:
 
 
 def report(words: str) -> Any:
-    """Returns the field of --report."""
     return setting(None, f"folder for {words}", metavar="DIR")
 
 
 def as_json(words: str = "print figures as JSON") -> Any:
-    """Returns the field of --json."""
     return setting(False, words)
 
 
@@ -97,7 +94,6 @@ def fraction(text: str) -> Fraction:
 
 
 def frame_rate() -> Any:
-    """Returns the field of --fps."""
     return setting(None, "frames a second (default: what the scene says, else 30)", read=fraction, metavar="FPS")
 
 
@@ -110,8 +106,6 @@ class Baking(TypedDict):
 
 @dataclass(frozen=True, slots=True)
 class BakingOptions:
-    """How a clip becomes frames."""
-
     bake_fps: Fraction | None = setting(
         None,
         "frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
@@ -126,11 +120,9 @@ class BakingOptions:
     )
 
     def baking(self) -> Baking:
-        """Returns what the options say."""
         return {"bake_fps": self.bake_fps, "duration": self.duration}
 
     def given(self) -> bool:
-        """Returns whether any option was given."""
         return self != BakingOptions()
 
 

@@ -64,8 +64,6 @@ EVERY = "only every N-th of the frames"
 
 @dataclass(frozen=True, slots=True)
 class Compare:
-    """Options of compare."""
-
     a: str = required(f"the reference: a scene, or {PACKAGE}")
     b: str = required("what is compared with it, either as well")
     frames: str = frames("all that both have")
@@ -134,8 +132,6 @@ def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[
 
 @dataclass(frozen=True, slots=True)
 class Rungs:
-    """Options of rungs."""
-
     package: str = package()
     original: str = required("the sequence that it was made of")
     clip: BakingOptions = nested(BakingOptions, "clips", own=True)

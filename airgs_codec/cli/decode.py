@@ -21,8 +21,6 @@ from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write
 
 @dataclass(frozen=True, slots=True)
 class Decode:
-    """Options of the command."""
-
     package: str = package()
     output: str = required(
         "folder for the frames, 000000.ply and on, or a file whose name ends in a format", short="-o", metavar="PLACE"

@@ -60,8 +60,6 @@ EVERYDAY = ("quality", "group_frames", "margin")  # of the settings of the encod
 
 @dataclass(frozen=True, slots=True)
 class Encode:
-    """Options of the command."""
-
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
         ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of "
@@ -184,7 +182,6 @@ def _settings(options: Encode) -> EncodeSettings:
 
 
 def _default_target(scene: str) -> str:
-    """Beside the scene."""
     place = scene.rstrip("/") if is_address(scene) else Path(scene).resolve()  # "." has no name of its own
     return f"{place}.airgs"
 

@@ -22,8 +22,6 @@ from airgs_codec.package.package import open_package
 
 @dataclass(frozen=True, slots=True)
 class Inspect:
-    """Options of inspect."""
-
     package: str = package()
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
     json: bool = as_json("the same as JSON")
@@ -53,8 +51,6 @@ def inspect(options: Inspect) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Validate:
-    """Options of validate."""
-
     package: str = package()
     against: str | None = setting(None, "the original: measure the errors again", metavar="SEQUENCE")
     clip: BakingOptions = nested(BakingOptions, "clips", own=True)
@@ -87,8 +83,6 @@ def validate(options: Validate) -> int:
 
 @dataclass(frozen=True, slots=True)
 class ExportPage:
-    """Options of export-page."""
-
     packages: tuple[str, ...] = required(PACKAGE, metavar="PACKAGE")
     output: Path = required("folder to write: new, empty, or one that this command wrote", short="-o")
     title: str | None = setting(None, "title of the page (default: the package's name)")
@@ -108,7 +102,6 @@ def export_page(options: ExportPage) -> int:
 
 
 def make_manifest() -> App:
-    """Returns the program with its commands."""
     app = make_app(
         "airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page."
     )

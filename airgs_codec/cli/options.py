@@ -56,8 +56,6 @@ KINDS: dict[Any, tuple[str, str]] = {  # words in help and in errors
 
 @dataclass(frozen=True, slots=True)
 class Nested:
-    """Settings whose fields are options."""
-
     settings: type
     topic: str  # of those that are not among `everyday`
     everyday: Collection[str] | None = ()  # None: all are
@@ -92,7 +90,6 @@ def takes(*options: type) -> Callable[[Callable[..., int]], Callable[..., int]]:
 
 
 def _made(options: type, values: dict[str, Any]) -> Any:
-    """The dataclass of what was given."""
     own = {one.name: values[one.name] for one in fields(options) if one.name in values}
     for one in fields(options):
         if one.name in own and "nested" in one.metadata and is_dataclass(default_of(one)):
@@ -308,7 +305,6 @@ class Columns:
     everything: bool
 
     def render_usage(self, console: Console, options: Any, usage: Any) -> None:
-        """Print how the command is called."""
         self._print(console, textwrap.fill(f"usage: {str(usage).removeprefix('Usage:').strip()}", self._width()))
 
     def render_description(self, console: Console, options: Any, description: Any) -> None:
@@ -317,7 +313,6 @@ class Columns:
             self._print(console, "\n".join(["", *(textwrap.fill(line, self._width()) for line in text.split("\n"))]))
 
     def __call__(self, console: Console, options: Any, panel: HelpPanel) -> None:
-        """Print a group of options."""
         shown = self.everything or panel.title in {one.name for one in (ARGUMENTS, COMMANDS, EVERYDAY)}
         entries = [entry for entry in panel.entries if not FLAGS & set(entry.names)]
         if shown and entries:

@@ -46,8 +46,6 @@ TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBP
 
 @dataclass(frozen=True, slots=True)
 class Play:
-    """Options of the command."""
-
     package: str = required(f"{PACKAGE}, or where a web server has it", metavar="PACKAGE|URL")
     trace: str | None = setting(None, f"rates of the link: {TRACES}")
     policy: str = setting(DEFAULT_POLICY, f"what chooses rungs; {', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG")

@@ -26,8 +26,6 @@ ANY_HOST = ("0.0.0.0", "::")
 
 @dataclass(frozen=True, slots=True)
 class Serve:
-    """Options of the command."""
-
     packages: tuple[Path, ...] = required(PACKAGES, metavar="PACKAGE")
     host: str = setting("127.0.0.1", "address to listen at; 0.0.0.0: all")
     port: int = setting(8000, "port to listen at, 0: any free one")

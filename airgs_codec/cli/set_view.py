@@ -24,8 +24,6 @@ def read_point(text: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True, slots=True)
 class SetView:
-    """Options of set-view."""
-
     package: str = package()
     up: tuple[float, ...] | None = setting(
         None, "direction that points up, x, -y, … or X,Y,Z", read=read_up, metavar="AXIS", signed=True

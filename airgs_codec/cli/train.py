@@ -47,8 +47,6 @@ EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 @dataclass(frozen=True, slots=True)
 class Train:
-    """Options of the command."""
-
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
         "or poses_bounds.npy, and pictures or a video of each camera"
@@ -291,7 +289,6 @@ def follow_training(
 
 
 def to_train(run: Run) -> str:
-    """What there is to train."""
     scene, seen = run.capture.scene, run.capture.pictures.cameras()
     held_out = sum(camera.held_out for camera in seen)
     cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
@@ -300,7 +297,6 @@ def to_train(run: Run) -> str:
 
 
 def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:
-    """How far cameras are exposed differently."""
     gains = {name: sum(values[:3]) / 3 for name, values in exposure.items()}
     dark, bright = min(gains, key=gains.__getitem__), max(gains, key=gains.__getitem__)
     ends = f"{dark} has {100 * gains[dark]:.0f} % of the average and {bright} {100 * gains[bright]:.0f}"

@@ -49,7 +49,6 @@ def get_step(steps: StepSettings, name: str) -> float:
 
 
 def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
-    """Change one step of some."""
     side, _, attribute = name.partition(".")
     changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
     return replace(steps, **{side: changed})

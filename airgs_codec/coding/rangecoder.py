@@ -212,7 +212,6 @@ def encode_columns(columns: Sequence[Column]) -> bytes:
 
 
 def _mutable(numbers: list[int], compiled: Loop | None) -> Any:
-    """Numbers as a loop takes them."""
     return np.array(numbers, np.int64) if compiled else numbers
 
 

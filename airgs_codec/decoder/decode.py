@@ -41,8 +41,6 @@ from airgs_codec.scene.gaussians import Gaussians
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """A decoded frame of the sequence."""
-
     number: int
     gaussians: Gaussians
 

@@ -86,7 +86,6 @@ class EncodeProgress:
         self._progress(told, round(self._done), round(self._total))
 
     def end(self) -> None:
-        """Say that all is done."""
         self._progress("encoding", round(self._total), round(self._total))
 
 

@@ -65,8 +65,6 @@ SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withhol
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
-    """The group that is calibrated on."""
-
     frames: Sequence[Gaussians]  # all of the group, with all input rows
     layout: GroupLayout
     pruning: RowPruning

@@ -119,8 +119,6 @@ class CodedAtlas:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedKeys:
-    """The keys of one group."""
-
     tiers: tuple[tuple[CodedAtlas, ...], ...]  # key tier x key quality
     coarser: tuple[int, ...]  # of each key quality: its cells of canonical means are 2^coarser times the finest
     left_out: tuple[LeftOut, ...]

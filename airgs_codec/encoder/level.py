@@ -45,7 +45,6 @@ class StoredSamples:
     frames: range  # of these
 
     def part(self, start: int, stop: int) -> StoredSamples:
-        """Fewer of the frames."""
         return replace(self, frames=self.frames[start:stop])
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
@@ -72,8 +71,6 @@ class CodedLevel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedLine:
-    """The slopes of a segment."""
-
     gop: CodedGop  # of one picture
     escapes: Escapes
     samples: NDArray[np.uint8]  # (P, n) as decoded

@@ -229,7 +229,6 @@ def _begin(
 
 
 def _published(m: Manifest, sequence: GaussianSequence, notes: list[str]) -> PublishedGroup:
-    """The newest group."""
     group, now = m.groups[-1], time.time()
     first, last = (sequence.paths[frame].stat().st_mtime for frame in (group.start, group.stop - 1))
     return PublishedGroup(len(m.groups), group, (now - first, now - last), notes)

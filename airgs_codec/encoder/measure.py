@@ -32,8 +32,6 @@ RungErrors = list[list[list[Difference]]]  # of each segment of a group, of each
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A package whose quality is known."""
-
     manifest: Manifest
     uncertainty: float  # relative standard error of the mean squared error of the top rung; infinite: of one picture
 

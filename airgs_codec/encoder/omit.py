@@ -160,7 +160,6 @@ class KeyOmissions:
 
     @staticmethod
     def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
-        """Estimate the cost of every channel."""
         centres = np.median(values, axis=1)
         apart = (values - centres[:, None]) / layout.row_steps()
         weights = layout.key_weights() * np.array(layout.factors)[layout.tiers] ** 2

@@ -187,8 +187,6 @@ def draw_poster(sequence: GaussianSequence, frame: int, camera: Camera, renderer
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """Something that a step reads."""
-
     value: Any  # may be `Stored`: the result of another step
     name: Any  # tells it from any other: plain values that `digest` takes
 
@@ -250,12 +248,10 @@ class PreparedSequence:
     together: int | None = None  # bytes of frames that are held while groups are encoded; None: nobody holds any
 
     def __len__(self) -> int:
-        """Count groups."""
         return len(self.groups)
 
     @cached_property
     def spans(self) -> tuple[GroupSpan, ...]:
-        """Its groups with their numbers."""
         return tuple(GroupSpan(index, *group) for index, group in enumerate(self.groups))
 
     @cached_property

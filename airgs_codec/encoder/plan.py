@@ -131,11 +131,9 @@ class GroupLayout:
 
     @property
     def colours(self) -> int:
-        """Number of colour channels, C."""
         return len(self.transform)
 
     def tier_rows(self, tier: int) -> slice:
-        """Rows of a tier."""
         low, high = np.searchsorted(self.tiers, [tier, tier + 1])
         return slice(int(low), int(high))
 

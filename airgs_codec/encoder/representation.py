@@ -37,8 +37,6 @@ DIGITS = 3  # of a bound, which is rounded up to them
 
 @dataclass(frozen=True, slots=True)
 class Clock:
-    """Time in a package."""
-
     fps: Fraction  # frames a second
     timescale: int  # ticks a second, at least 1000
     frame_ticks: int  # ticks a frame

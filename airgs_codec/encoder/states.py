@@ -35,8 +35,6 @@ from airgs_codec.scene.gaussians import Gaussians
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CodedStates:
-    """The states of one group."""
-
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
     levels: tuple[CodedLevel, ...]
     left_out: tuple[LeftOut, ...]

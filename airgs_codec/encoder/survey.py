@@ -164,7 +164,6 @@ class GroupSpan:
 
     @property
     def frames(self) -> int:
-        """Number of frames."""
         return self.stop - self.start
 
     @property

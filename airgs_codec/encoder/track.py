@@ -79,7 +79,6 @@ def decide(sequence: GaussianSequence, settings: EncodeSettings) -> tuple[Encode
 
 
 def _rough(kilobytes: float) -> str:
-    """A size that is known roughly."""
     return f"{kilobytes:.0f}" if kilobytes >= 10 else f"{kilobytes:.1f}"
 
 

@@ -123,12 +123,10 @@ class Comparison:
 
     @property
     def ranked(self) -> list[Seen]:
-        """All pictures, the worst first."""
         return sorted(self.pictures, key=lambda seen: seen.psnr)
 
     @property
     def worst(self) -> Seen:
-        """The picture with the largest error."""
         return self.ranked[0]
 
     @property

@@ -32,8 +32,6 @@ REGION = "region"  # the split of views that are drawn from the package's region
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Side:
-    """An open scene or package."""
-
     name: str  # where it is
     rung: str | None  # key quality and level, as Q0+L0; None for a scene
     frames: int
@@ -188,7 +186,6 @@ def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:
 
 
 def splits_of(cameras: Sequence[Camera]) -> dict[str, int]:
-    """How many cameras each split has."""
     names = [camera.split for camera in cameras]
     return {name: names.count(name) for name in dict.fromkeys(names)}
 

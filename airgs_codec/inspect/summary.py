@@ -32,8 +32,6 @@ FEW = 4  # groups of which each has a line of its own, where something was left 
 
 @dataclass(frozen=True, slots=True)
 class GroupSummary:
-    """One group of frames."""
-
     frames: tuple[int, int]  # [start, stop)
     gaussians: int  # rows written
     static: int  # rows that no level carries
@@ -56,8 +54,6 @@ class KeySummary:
 
 @dataclass(frozen=True, slots=True)
 class LevelSummary:
-    """One level without its keys."""
-
     id: str
     pruned: float  # share of the moving rows, 0..1
     factor: float  # of the quantiser steps
@@ -84,16 +80,12 @@ class RungSummary:
 
 @dataclass(frozen=True, slots=True)
 class SoundSummary:
-    """The sound."""
-
     form: str  # mono, stereo
     mean_bps: float
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """The figures of a package."""
-
     frames: int
     fps: float
     duration_s: float
@@ -115,7 +107,6 @@ class Summary:
     attribution: str
 
     def to_json(self) -> dict[str, Any]:
-        """The same as plain values."""
         return dataclasses.asdict(self)
 
 
@@ -286,7 +277,6 @@ def _without_plane(atlas: Atlas, layout: Layout) -> str:
 
 
 def span(low: int, high: int) -> str:
-    """A range of whole numbers."""
     return str(low) if low == high else f"{low}-{high}"
 
 

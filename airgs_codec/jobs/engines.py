@@ -26,8 +26,6 @@ NOTHING: Needs = {}
 
 
 class Engine(Protocol):
-    """Calls functions somewhere."""
-
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
         """Return what `function` gives for each tuple of arguments, as they are finished.
 
@@ -41,8 +39,6 @@ class Engine(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class InProcess:
-    """One call after the other, here."""
-
     def map(self, function: Callable[..., Any], calls: Calls, needs: Needs = NOTHING) -> Iterator[Any]:
         for call in calls:
             yield function(*call)

@@ -181,8 +181,6 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Who did a job, and when."""
-
     kind: str
     label: str
     worker: str  # machine and process

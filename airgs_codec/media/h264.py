@@ -81,8 +81,6 @@ class CodedGop:
 
 @dataclass(frozen=True, slots=True)
 class CodecSettings:
-    """What x264 is told."""
-
     qp: int
     pb_ratio: float
     preset: str = DEFAULT_PRESET
@@ -187,7 +185,6 @@ class _Encoder:
         return self._coded(self._context.encode(frame))
 
     def finish(self) -> list[CodedPicture]:
-        """Return what x264 still holds back."""
         return self._coded(self._context.encode(None))
 
     def _coded(self, packets: Iterable[av.Packet]) -> list[CodedPicture]:
@@ -221,8 +218,6 @@ def _frame(picture: NDArray[np.uint8]) -> av.VideoFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pictures:
-    """The pictures of a media segment."""
-
     samples: Sequence[bytes]  # those of its first page, then those of the next
     where: str  # names the segment in errors
     pages: int = 1

@@ -58,7 +58,6 @@ class _Voice:
         self._stream = container.add_stream("aac", rate=SOUND_RATE, layout=LAYOUTS[samples.shape[1]])
 
     def go_on(self, stop: int) -> None:
-        """Write the samples before one."""
         part = np.ascontiguousarray(self._samples[self._given : stop])
         if not len(part):
             return
@@ -68,7 +67,6 @@ class _Voice:
         self._container.mux(self._stream.encode(frame))
 
     def end(self) -> None:
-        """Write what the encoder still has."""
         self._container.mux(self._stream.encode(None))
 
 
@@ -118,7 +116,6 @@ class VideoReader:
             raise SceneError(f"{self._path}: cannot decode frame {self._next}: {error}") from error
 
     def close(self) -> None:
-        """Free the decoder."""
         self._container.close()
 
     def _open(self) -> None:

@@ -41,8 +41,6 @@ _UNITY = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)  # t
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """What a media segment holds."""
-
     checksums: tuple[int, ...]  # of the luma of as many pictures as there are samples, each page in display order
     columns: bytes | None  # a column file; None: there is none, every number in it is 0
     samples: tuple[bytes, ...]  # coded pictures in decoding order: NAL units, each after its length in 4 bytes
@@ -50,8 +48,6 @@ class Segment:
 
 @dataclass(frozen=True, slots=True)
 class CodedPicture:
-    """One picture of a closed GOP."""
-
     data: bytes  # its parameter sets and slices: NAL units, each after its length in 4 bytes
     number: int  # its place in display order
     bytes: int  # of its slices with their lengths

@@ -36,7 +36,6 @@ class SoundTrack:
 
     @property
     def init(self) -> bytes:
-        """The init segment of its fragments."""
         return sound_init(self.channels, self.pre_skip)
 
 

@@ -56,7 +56,6 @@ class _Block:
         return bisect_right(getattr(self, count), number) - 1
 
     def path(self, place: int) -> str:
-        """The page at a place."""
         return page_path(self.level, self.groups[place] // PAGE**self.level + 1)
 
     def entry(self, place: int) -> Entry:

@@ -106,7 +106,6 @@ def sound_path(number: int | str) -> str:
 
 
 def group_path(number: int) -> str:
-    """Table of a group."""
     return f"group/{number}.json.gz"
 
 

@@ -47,7 +47,6 @@ class Groups(Sequence[Group]):
 
     @staticmethod
     def of(groups: Sequence[Group]) -> Groups:
-        """Groups that are in memory."""
         index, pages = build_index(groups, [pack_group(group) for group in groups])
         return Groups(index, lambda path, _: pages[path], lambda number, _: groups[number])
 
@@ -107,7 +106,6 @@ class Manifest(Header):
 
     @property
     def segments(self) -> Segments:
-        """The segments of all groups."""
         return Segments(self.groups)
 
     def group_of(self, segment: int) -> int:
@@ -115,7 +113,6 @@ class Manifest(Header):
         return self.groups.places.at_segment(segment)
 
     def segments_of(self, group: int) -> range:
-        """The segments of a group."""
         entry = self.groups.places.entry(group)
         return range(entry.first_segment, entry.first_segment + entry.segments)
 
@@ -204,7 +201,6 @@ class Manifest(Header):
         return {INIT_NAME: self.init, POSTER_NAME: self.poster, SOUND_INIT_NAME: sound}.get(path)
 
     def bytes_of(self, paths: Iterable[str]) -> int:
-        """Total length of files."""
         return sum(self.entry(path).bytes for path in paths)
 
     def media_bytes(self) -> int:

@@ -206,7 +206,6 @@ def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | No
 
 
 def _presentation(m: Manifest, duration: str, clock: LiveClock | None, longest: int) -> dict[str, str]:
-    """Attributes of the MPD element."""
     common = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
     if not m.live:
         return {"type": "static", **common, "mediaPresentationDuration": duration}

@@ -40,7 +40,6 @@ class Package:
 
     @property
     def manifest_bytes(self) -> int:
-        """All tables and manifest.mpd together."""
         return self.root_bytes + self.mpd_bytes + self.manifest.bytes_of(self.manifest.table_files())
 
     @property
@@ -143,7 +142,6 @@ def open_manifest(root: Root, read: Read) -> Manifest:
 
 
 def root_of(m: Manifest) -> Root:
-    """The airgs.json of a package."""
     return Root(**_shared(m), index=m.groups.columns)
 
 
@@ -153,7 +151,6 @@ def manifest_of(root: Root, groups: Sequence[Group]) -> Manifest:
 
 
 def _shared(one: Root | Manifest) -> dict[str, Any]:
-    """The fields that both have."""
     return {field.name: getattr(one, field.name) for field in fields(Header)} | {"init": one.init}
 
 

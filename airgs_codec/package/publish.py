@@ -93,7 +93,6 @@ class GrowingPackage:
         self._write_root()
 
     def close(self) -> None:
-        """No group will follow."""
         self.manifest = replace(self.manifest, live=False)
         self._write_root()
 

@@ -154,7 +154,6 @@ def _check_bounds(where: str, bounds: Iterator[Bound]) -> None:
 
 
 def _check_columns(where: str, spans: Spans) -> None:
-    """Columns are of one length."""
     lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / DIGEST]
     if len(set(lengths)) > 1:
         raise _bad(where, f"expected columns of one length, got {lengths}")

@@ -83,7 +83,6 @@ def view_from(region: Region, position: Vector, target: Vector, up: Vector, name
 
 
 def background_of(region: Region) -> Background:
-    """The colour behind the scene."""
     if region.background is None:
         return BLACK
     r, g, b = region.background
@@ -150,7 +149,6 @@ class RegionSummary:
 
     @staticmethod
     def of(region: Region) -> RegionSummary:
-        """The figures of a region."""
         reach = [place.reach for place in region.places]
         away = [float(np.linalg.norm(np.subtract(place.position, place.focus))) for place in region.places]
         spans = (min(reach), max(reach)), (min(away), max(away))
@@ -159,7 +157,6 @@ class RegionSummary:
 
     @property
     def words(self) -> str:
-        """Where a viewer may be."""
         places = "1 place" if self.places == 1 else f"{self.places} places"
         return (
             f"{SOURCES[self.source]}: {places} with a reach of {_span(self.reach)} units, {_span(self.distance)} units "
@@ -168,7 +165,6 @@ class RegionSummary:
 
     @property
     def views(self) -> str:
-        """What a viewer's pictures are like."""
         return f"{self.width}x{self.height} pixels, {self.fov_y:.3g}° high, near plane at {self.near:g} units"
 
 

@@ -78,8 +78,6 @@ class Length:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """One of some words."""
-
     words: tuple[str, ...]
 
     def refusal(self, value: str) -> str | None:
@@ -184,8 +182,6 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Views:
-    """How many pictures were looked at."""
-
     decided: Count  # of each group, to decide what matters
     measured: Count  # of each segment, to measure quality: other views than those
     reference: Annotated[str, OneOf(("original", "none"))]  # the unpruned input; none: quality was not measured
@@ -286,8 +282,6 @@ def plane_height(rows: int, plane_width: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class GroupTier:
-    """A key tier of one group."""
-
     count: Count  # rows; a tier without rows has no files
     factor: Factor  # on the key steps, beside that of the key quality
     sidecar: FileEntry  # shared by all its qualities
@@ -297,8 +291,6 @@ class GroupTier:
 
 @dataclass(frozen=True, slots=True)
 class SegmentLevel:
-    """One level of one segment."""
-
     file: FileEntry  # none: nothing to fetch, the canonical space is shown
     frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, the first with the slopes; empty without a file
     psnr: list[Decibels]  # for each key quality; empty: not measured
@@ -367,7 +359,6 @@ class Spans:
         return len(self.frames)
 
     def file(self, place: int) -> FileEntry:
-        """The file of a part."""
         return FileEntry(self.bytes[place], self.sha256[DIGEST * place : DIGEST * (place + 1)])
 
 
@@ -417,7 +408,6 @@ class Header:
 
     @property
     def measured(self) -> bool:
-        """Whether quality was measured."""
         return self.views.reference != "none"
 
     def level_index(self, choice: str | int) -> int:
@@ -431,8 +421,6 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Root(Header):
-    """airgs.json."""
-
     init: FileEntry  # init.mp4, for DASH players alone
     index: Annotated[list[Spans], Length(1, MAX_LEVELS)]  # groups, then pages of each level: what fills no page above
 

@@ -129,8 +129,6 @@ class Folder(Place):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Memory(Place):
-    """Files in memory."""
-
     name: str
     files: dict[str, bytes] = field(default_factory=dict)
 
@@ -193,7 +191,6 @@ class Bucket(Place):
             self._objects.put(path, data, attributes=dict(headers))
 
     def copy(self, source: str, target: str) -> None:
-        """Copy an object inside the store."""
         with self._told(target):
             self._objects.copy(source, target)
 
@@ -290,7 +287,6 @@ class Copied:
         return words.replace(str(self.path), self.address).replace(str(self.path.parent), holder)
 
     def __str__(self) -> str:
-        """What was copied, for people."""
         return f"{self.address}: {self.files} file{'s' * (self.files != 1)}, {self.bytes / 1e6:.3g} MB, copied here"
 
     def __reduce__(self) -> tuple[object, ...]:

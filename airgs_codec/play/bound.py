@@ -206,7 +206,6 @@ class _Constraints:
         self._high: list[float] = []
 
     def add(self, terms: Sequence[tuple[int, float]], low: float, high: float) -> None:
-        """One more row."""
         self._columns += [column for column, _ in terms]
         self._values += [value for _, value in terms]
         self._ends.append(len(self._columns))
@@ -214,6 +213,5 @@ class _Constraints:
         self._high.append(high)
 
     def matrix(self, columns: int) -> LinearConstraint:
-        """All rows over so many variables."""
         matrix = csr_array((self._values, self._columns, self._ends), shape=(len(self._low), columns))
         return LinearConstraint(matrix, np.array(self._low), np.array(self._high))

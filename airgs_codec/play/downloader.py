@@ -52,8 +52,6 @@ class Retry:
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """What came of a request."""
-
     request: Request
     first_byte_s: float
     at_s: float  # of the last byte, or of giving up
@@ -65,7 +63,6 @@ class Arrival:
 
     @property
     def complete(self) -> bool:
-        """Whether every file can be used."""
         return len(self.whole) == len(self.request.batch.files)
 
     @property
@@ -76,8 +73,6 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Arrived:
-    """A batch arrived, whole or not."""
-
     arrival: Arrival
     decision: Decision
     budget_bytes: float  # what the policies' rule of thumb would have spent
@@ -128,8 +123,6 @@ Event = Arrived | Replaced | Lost | Cut | Shown
 
 @dataclass(frozen=True, slots=True)
 class Partial:
-    """A download under way."""
-
     at_s: float
     elapsed_s: float  # since its first byte
     bytes: float  # so far, headers included
@@ -162,8 +155,6 @@ class Connection(Protocol):
 
 
 class Downloader(Connection, Protocol):
-    """Fetches one batch after another."""
-
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """Request a batch and wait for it. `give_up` is asked every CHECK_S whether to abandon it.
 

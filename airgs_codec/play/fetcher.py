@@ -50,7 +50,6 @@ class TableStore:
     _complete: dict[int, Manifest] = field(default_factory=dict)  # segments of which nothing is missing, and as of when
 
     def add(self, arrival: Arrival) -> None:
-        """Keep what arrived."""
         self._paths.update(path for path in arrival.usable if file_kind(path) in (FileKind.MANIFESTS, FileKind.POSTER))
 
     def has(self, position: int) -> bool:
@@ -106,7 +105,6 @@ class KeyStore:
     _options: dict[tuple[int, int], dict[SegmentOffer, tuple[Option, ...]]] = field(default_factory=dict)  # by root
 
     def decoded(self, loop: int) -> Keys:
-        """The keys of a loop."""
         return self._keys.get(loop, NONE)
 
     def shows(self, loop: int, offer: SegmentOffer, rung: int) -> bool:
@@ -145,8 +143,6 @@ class KeyStore:
 
 @dataclass(slots=True, eq=False)
 class Fetcher:
-    """The fetching side of one session."""
-
     offers: Offers
     connection: Connection
     policy: Policy
@@ -186,7 +182,6 @@ class Fetcher:
         return tuple(path for path in self.tables.missing(reach) if path not in self.unusable)
 
     def fetch_tables(self, paths: tuple[str, ...], position: int) -> Steps:
-        """Fetch tables and nothing else."""
         request = Request(BatchKind.TABLES, position, 0, Batch(tables=paths), self.now_s, self.connection.rtt_s)
         arrival = yield from self.receive(request)
         yield Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)

@@ -123,7 +123,6 @@ class _Window:
         self.limit = asyncio.timeout(None)
 
     def restart(self) -> None:
-        """Give all of the time again."""
         self._came = 0
         self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
 
@@ -351,7 +350,6 @@ class HttpDownloader:
             self._runner.run(self._fetch(request, None))
 
     def close(self) -> None:
-        """Close the connections."""
         self._runner.run(self._files.session.close())
         self._runner.close()
 

@@ -29,8 +29,6 @@ from airgs_codec.play.trace import Link
 
 @dataclass(frozen=True, slots=True)
 class Fetch:
-    """One batch on the wire."""
-
     kind: BatchKind
     position: int  # of the segment in the session
     rung: int
@@ -196,8 +194,6 @@ TICK_PSNR = "mean over display ticks of the dB of what was on the screen; frozen
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """One column of a table."""
-
     name: str  # in rows and records
     heading: str  # with the unit
     meaning: str

@@ -58,8 +58,6 @@ class KeyOffer:
 
 @dataclass(frozen=True, slots=True)
 class RungOffer:
-    """One form of a segment."""
-
     quality: int  # of the keys
     level: int
     psnr: float  # dB; 0 where it was not measured
@@ -74,8 +72,6 @@ class RungOffer:
 
 @dataclass(frozen=True, eq=False)
 class SegmentOffer:
-    """A segment."""
-
     segment: int  # in the package
     start: int  # frame
     stop: int
@@ -141,7 +137,6 @@ class SegmentOffer:
 
     @cached_property
     def _keys(self) -> list[frozenset[Key]]:
-        """The keys of every rung."""
         return [frozenset(offer.key for offer in rung.keys) for rung in self.rungs]
 
     @cached_property
@@ -178,7 +173,6 @@ class Offers:
 
     @staticmethod
     def of(package: Package) -> Offers:
-        """The offers of an open package."""
         return Offers(package.manifest, root_bytes=package.root_bytes)
 
     def grow(self, manifest: Manifest, root_bytes: int) -> None:
@@ -227,7 +221,6 @@ class Offers:
 
     @property
     def rungs(self) -> list[tuple[int, int]]:
-        """(key quality, level) of every rung."""
         return [(q, j) for q in range(len(self.manifest.qualities)) for j in range(len(self.manifest.levels))]
 
     @property

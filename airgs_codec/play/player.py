@@ -81,8 +81,6 @@ def play_steps(
 
 @dataclass(slots=True, eq=False)
 class Player:
-    """State of one session."""
-
     fetcher: Fetcher
     playout: Playout
     end: int = 0  # positions, so far where the package grows

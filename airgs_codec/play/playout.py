@@ -17,8 +17,6 @@ from airgs_codec.play.settings import SessionSettings
 
 @dataclass(slots=True, eq=False)
 class Slot:
-    """A segment of the timeline."""
-
     position: int
     seconds: float  # of play
     ready_s: float  # when it has arrived and is decoded
@@ -29,7 +27,6 @@ class Slot:
 
     @property
     def end_s(self) -> float:
-        """When it is over."""
         return self.start_s + self.seconds
 
     @property
@@ -40,8 +37,6 @@ class Slot:
 
 @dataclass(slots=True, eq=False)
 class Playout:
-    """The timeline of a session."""
-
     settings: SessionSettings
     timeline: list[Slot] = field(default_factory=list)
     _began_s: float = math.inf  # where the first segment was forgotten: its start
@@ -50,7 +45,6 @@ class Playout:
 
     @property
     def last(self) -> Slot | None:
-        """The segment that was enqueued last."""
         return self.timeline[-1] if self.timeline else None
 
     @property
@@ -115,7 +109,6 @@ class Playout:
         return self.timeline[0] if self.timeline else None
 
     def finish(self, now_s: float) -> None:
-        """Nothing will follow."""
         if self._first_waiting < len(self.timeline):
             self.resume(now_s)
 

@@ -53,12 +53,10 @@ def write_report(log: SessionLog, directory: Path) -> Path:
 
 
 def region_record(log: SessionLog) -> dict[str, Any]:
-    """The viewing region as plain values."""
     return dataclasses.asdict(RegionSummary.of(log.offers.manifest.region))
 
 
 def _pictures(log: SessionLog) -> list[Picture]:
-    """The link and the quality."""
     rates = "The link and what was asked of it; red: the viewer waits."
     shown = "PSNR on the screen over time; red: the viewer waits."
     return [Picture(rates, partial(_rates, log)), Picture(shown, partial(_psnr, log))]
@@ -217,8 +215,6 @@ def lowest_mbps(log: SessionLog) -> float:
 
 
 class Stall(NamedTuple):
-    """A wait after the first picture."""
-
     at_s: float
     seconds: float
     why: str  # of REASONS

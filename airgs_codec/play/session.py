@@ -72,7 +72,6 @@ class SessionLog:
         settings: SessionSettings,
         link: Link | None = None,
     ) -> SessionLog:
-        """The log of a player's events."""
         fold = _Fold(offers)
         for event in events:
             fold.add(event)
@@ -90,7 +89,6 @@ class SessionLog:
 
     @cached_property
     def metrics(self) -> SessionMetrics:
-        """Figures of the session."""
         return session_metrics(self.offers, self.link, self.fetches, self.shown, self.bytes_by_kind)
 
     @property
@@ -213,7 +211,6 @@ class _Fold:
     state_source: dict[int, int] = field(default_factory=dict)  # position -> the batch that brought its state
 
     def add(self, event: Event) -> None:
-        """Take in the next event."""
         if isinstance(event, Arrived):
             self._arrived(event)
         elif isinstance(event, Replaced):

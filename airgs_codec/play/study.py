@@ -39,8 +39,6 @@ Row = dict[str, Any]  # what is known of one session or run, by name
 
 @dataclass(frozen=True, slots=True)
 class StudySettings:
-    """What is compared on what."""
-
     policies: tuple[str, ...]
     traces: tuple[str, ...]  # as `Trace.open` takes them
     offsets: int = 8  # of each trace, drawn from `seed`

@@ -102,7 +102,6 @@ class Trace:
 
     @property
     def mean_bps(self) -> float:
-        """Mean rate over the whole trace."""
         return self._totals[-1] / self.duration_s
 
     def rate_at(self, at_s: float) -> float:
@@ -148,7 +147,6 @@ class Trace:
         return max(at_s, rounds * self.duration_s + self._starts[i] + inside)
 
     def ending(self, end: str) -> Trace:
-        """The same with another end."""
         return replace(self, end=end)
 
     def cut(self, offset_s: float = 0.0, scale: float = 1.0) -> Trace:

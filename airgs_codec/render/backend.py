@@ -50,12 +50,9 @@ class Loaded(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Renderer:
-    """What draws on a device."""
-
     device: str = "cpu"  # cpu or cuda
 
     def load(self, gaussians: Gaussians) -> Loaded:
-        """Gaussians on the device, activated."""
         active = cpu.activate(gaussians)
         if self.device == "cpu":
             return _OnCpu(active)
@@ -109,8 +106,6 @@ def _missing() -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _OnCpu:
-    """Gaussians for the CPU's kernels."""
-
     inputs: RasterInputs[Floats]
 
     def draw(self, camera: Camera, background: Background | None = None) -> Render:

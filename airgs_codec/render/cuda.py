@@ -233,14 +233,11 @@ def _transmittance(alpha: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnCuda:
-    """Gaussians for gsplat."""
-
     inputs: RasterInputs[Floats]
     tensors: RasterInputs[torch.Tensor]  # the same on the device
 
     @staticmethod
     def of(inputs: RasterInputs[Floats], device: str = "cuda") -> OnCuda:
-        """Activated Gaussians, copied to a device."""
         return OnCuda(inputs, RasterInputs(*(upload(column, device) for column in inputs)))
 
     def draw(self, camera: Camera, background: Background | None = None) -> Render:

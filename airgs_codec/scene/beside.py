@@ -34,8 +34,6 @@ SETTINGS_NAME = "sequence.json"
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What sequence.json says."""
-
     fps: Fraction = DEFAULT_FPS  # frames a second
     keyframes: tuple[int, ...] | None = None  # first frames of groups
     background: Background = BLACK  # colour behind the scene

@@ -84,7 +84,6 @@ class HeldFrames:
         return frame
 
     def clear(self) -> None:
-        """Let go of all frames."""
         with self._lock:
             self._frames.clear()
             self._bytes = 0

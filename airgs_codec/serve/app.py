@@ -198,7 +198,6 @@ class _Site:
         return HTMLResponse(page, headers=headers | {POLICY: content_policy(page)})
 
     async def page(self, request: Request) -> Response:
-        """A file of the player."""
         name = request.path_params["page"]
         kind = PAGE_TYPES.get(name)
         if kind is None:

@@ -88,7 +88,6 @@ def export_page(
 
 
 def _open(place: str | Path) -> tuple[str, Package]:
-    """A package under its name."""
     package = open_package(place)
     if package.manifest.live:
         raise ConfigError(f"{place}: expected a finished package, got one that is still growing")
@@ -106,7 +105,6 @@ def _is_site(folder: Path) -> bool:
 
 
 def _export(stage: Path, name: str, package: Package, progress: Progress) -> Exported:
-    """Copy one package."""
     m = package.manifest
     copied = _copy(package, name, Folder(stage / PACKAGES / name), progress)
     return Exported(name, look_at(m, package.root_bytes + package.mpd_bytes), copied)
@@ -133,15 +131,12 @@ def _copy(package: Package, name: str, target: Folder, progress: Progress) -> in
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """A package in a site."""
-
     name: str
     seen: Glance
     bytes: int  # of its files
 
     @property
     def title(self) -> str:
-        """Its name as a title."""
         return title_of(self.name)
 
     @property

@@ -112,7 +112,6 @@ class Glance:
 
     @property
     def words(self) -> str:
-        """The same for people."""
         about = "" if self.whole else "about "
         best = [f"{about}{self.bps / 1e6:.3g} Mbit/s", *([] if self.psnr is None else [f"{self.psnr:.1f} dB"])]
         parts = [

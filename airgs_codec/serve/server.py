@@ -35,8 +35,6 @@ class Certificate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ServerSettings:
-    """The settings of a server."""
-
     certificate: Certificate | None = None  # for https and HTTP/2 in browsers
     patience_s: float = PATIENCE_S  # for the headers of a request, and for the next request
     grace_s: float = 3.0  # for answers under way when the server stops

@@ -66,8 +66,6 @@ class TrainedFrame:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """A run so far."""
-
     scene: dict[str, Any]  # what must not change between sessions
     settings: dict[str, Any]  # `TrainSettings.table`, through JSON
     total: int  # frames of the whole run
@@ -94,7 +92,6 @@ class Record:
         return [f.frame for f in self.frames if f.kind != "frame"]
 
     def spans(self) -> list[Span]:
-        """Frames [start, stop) of each group."""
         starts = self.keyframes()
         return list(zip(starts, [*starts[1:], len(self.frames)], strict=True))
 
@@ -127,8 +124,6 @@ class Record:
 
 
 class Model:
-    """The model folder of a run."""
-
     def __init__(self, folder: Path, record: Record) -> None:
         """`record`: as the folder has it; see `open_model` and `read_model`."""
         self.folder = folder

@@ -62,8 +62,6 @@ MODELS = (  # by COLMAP's number
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sensor:
-    """One row of cameras.{bin,txt}."""
-
     model: _Model
     size: tuple[int, int]  # width, height
     parameters: tuple[float, ...]
@@ -71,8 +69,6 @@ class _Sensor:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Image:
-    """One row of images.{bin,txt}."""
-
     name: str  # relative to the folder of images
     sensor: int
     pose: tuple[float, ...]  # a quaternion (w, x, y, z) and a translation

@@ -45,15 +45,12 @@ class Property:
 
 @dataclass(frozen=True, slots=True)
 class Element:
-    """Rows of the same properties."""
-
     name: str
     count: int
     properties: tuple[Property, ...]
 
     @property
     def has_lists(self) -> bool:
-        """Return whether rows differ in size."""
         return any(p.length_type is not None for p in self.properties)
 
     def row_type(self) -> np.dtype:
@@ -63,8 +60,6 @@ class Element:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header of a .ply file."""
-
     ascii: bool
     elements: tuple[Element, ...]
     size: int  # bytes of the header

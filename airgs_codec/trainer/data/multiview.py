@@ -36,8 +36,6 @@ HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
 
 
 class Readable(Protocol):
-    """What a picture is read from."""
-
     @property
     def files(self) -> tuple[Path, ...]:
         """The files whose bytes name what the picture shows, together with `content`."""
@@ -131,7 +129,6 @@ class MultiviewScene:
 
     @property
     def cameras(self) -> list[Camera]:
-        """The cameras of the first frame."""
         return [shot.camera for shot in self.frames[0]]
 
 

@@ -252,8 +252,6 @@ Exposure = Mapping[str, Sequence[float]]  # camera -> gains r, g, b and offsets 
 
 
 class Target:
-    """A picture to be matched."""
-
     def __init__(self, rgb: NDArray[np.float32], clear: NDArray[np.float32] | None = None) -> None:
         """`rgb`: (H, W, 3), 0..1. `clear`: (H, W) share of the background in it; None: not known."""
         self.rgb = np.ascontiguousarray(rgb, np.float32)

@@ -81,7 +81,6 @@ def stands_still(scene: MultiviewScene) -> bool:
 
 
 def _lens(camera: Camera) -> tuple[float, ...]:
-    """Size and intrinsics, in pixels."""
     return camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
 
 

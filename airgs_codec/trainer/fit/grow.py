@@ -168,8 +168,6 @@ TIGHT = 0.7  # radius of a seed, over the distance to the nearest ones: they lie
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """Points that views see."""
-
     positions: NDArray[np.float64]  # (P, 3) world units
     colours: NDArray[np.float64]  # (P, 3) mean over the views that see a point, 0..1
     disagreement: NDArray[np.float64]  # (P,) variance over these views, summed over colours

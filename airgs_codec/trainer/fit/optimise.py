@@ -30,8 +30,6 @@ LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite
 
 
 class Variables(Protocol):
-    """The variables that an iteration moves."""
-
     def current(self, after: float = 0.0) -> Parameters:
         """The Gaussians as they are now, so many frames after their time, differentiable by the variables."""
 
@@ -154,8 +152,6 @@ LEAST = 160  # pixels on the shorter side of a picture that is halved: smaller o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halved:
-    """A picture at half its size."""
-
     whole: Picture
     size: tuple[int, int]  # width and height
 
@@ -165,7 +161,6 @@ class Halved:
 
 
 def can_be_halved(views: Sequence[View]) -> bool:
-    """Whether all pictures are large enough."""
     return all(min(view.camera.width, view.camera.height) >= LEAST for view in views)
 
 

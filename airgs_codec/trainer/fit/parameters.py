@@ -31,8 +31,6 @@ LENGTHS = (0.1, 10.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InMotion:
-    """Gaussians, and how they move."""
-
     gaussians: Gaussians
     velocity: NDArray[np.float32] | None = None  # (N, 3) what means move by in a frame; None: not known
 
@@ -62,7 +60,6 @@ def _of_usual_length(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def to_gaussians(p: Mapping[str, torch.Tensor]) -> Gaussians:
-    """Copies in float32."""
     return Gaussians(*(p[name].detach().cpu().numpy().astype(np.float32) for name in ATTRIBUTES))
 
 
