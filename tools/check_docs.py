@@ -134,7 +134,6 @@ def headings(text: str) -> set[str]:
 
 
 def scripts() -> dict[str, str]:
-    """The installed commands: name to module:function."""
     return dict(tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]["scripts"])
 
 

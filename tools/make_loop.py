@@ -36,7 +36,6 @@ UP = np.array([0.0, 1.0, 0.0])
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    """Run it; the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sequence", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)

@@ -70,7 +70,6 @@ class Published:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Do what the arguments say; gives the exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
     if not words:
         print(*(f"{one.name:<16} {one.question} ({one.takes})" for one in EXPERIMENTS), sep="\n")

@@ -29,7 +29,6 @@ EXPERIMENTS = (
     _bench("jobs", "What does sharing work cost and gain?", "10 min"),
     _bench("keyframe", "How much sooner is a keyframe fitted from the frame before than from scratch?", "10 min"),
     _bench("link", "How far are simulated sessions from real ones?", "20 s a trace"),
-    _bench("million", "How long does decoding a million Gaussians take?", "10 min"),
     _bench("mechanisms", "What does each mechanism of the encoder buy?", "20 min a scene"),
     Experiment(
         "rd",
@@ -131,12 +130,11 @@ MEASUREMENTS = (
     ),
     Measurement("engines", "views", "engines --scenes fox/ ball-0 ball-3"),
     Measurement("scale", "time", "scale"),
-    Measurement("million", "time", "million --fox fox/"),
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("dense", "crowd", "soak-live")
+NO_LONGER_MEASURED = ("dense", "crowd", "soak-live", "million")
 
 
 @dataclass(frozen=True, slots=True)

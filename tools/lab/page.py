@@ -134,7 +134,6 @@ def wrapped(text: str) -> str:
 
 
 def text_of(page: Page) -> str:
-    """The page for a terminal: answers and tables."""
     lines: list[str] = []
     for section in page.sections:
         lines += [wrapped(f"{section.question} {section.answer}".strip())]

@@ -109,7 +109,6 @@ def lines_of(value: Any, indent: int = 0, before: str = "", after: str = "") -> 
 
 
 def read_figures() -> dict[str, Any]:
-    """What has been published: an entry for each measurement."""
     return dict(json.loads(FIGURES.read_text(encoding="utf-8"))) if FIGURES.exists() else {}
 
 

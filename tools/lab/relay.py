@@ -55,7 +55,6 @@ class Bucket:
         self._free_s = 0.0  # when all bytes before have passed
 
     def begin(self) -> None:
-        """The first request is there; later calls do nothing."""
         if self._zero is None:
             self._zero = self._clock()
 
@@ -76,7 +75,6 @@ class _Relay:
         self._port, self._bucket, self._rtt_s = port, bucket, rtt_s
 
     async def accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one connection until either side ends it."""
         queue: asyncio.Queue[tuple[float, bytes]] = asyncio.Queue(QUEUE)
         with contextlib.closing(writer), contextlib.suppress(OSError, asyncio.CancelledError):
             answers, server = await asyncio.open_connection("127.0.0.1", self._port, limit=CHUNK_BYTES)
@@ -99,7 +97,6 @@ class _Relay:
             await queue.put((time.monotonic() + self._rtt_s, data))
 
     async def _answer(self, answers: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Pass answers on at the rate of the link."""
         asked_s = time.monotonic()
         while data := await answers.read(CHUNK_BYTES):
             await asyncio.sleep(self._bucket.take(len(data), idle=time.monotonic() - asked_s > IDLE_S))

@@ -16,7 +16,6 @@ from tools.lab.bench import (
     engines,
     jobs,
     keyframe,
-    million,
     scale,
     static,
     streaming,
@@ -202,7 +201,6 @@ ANSWERS = {
     "viewpoints": lambda: [viewpoints.page(rows("viewpoints")).sections[0].answer],
     "engines": lambda: [engines.page(rows("engines"), "").sections[0].answer],
     "scale": lambda: [scale.growth_words([scale.Measured(**row) for row in rows("scale", "scale-steps")], 2000)],
-    "million": lambda: [million.words(rows("million"))],
     "jobs": lambda: [jobs.words({row["way"]: row["seconds"] for row in rows("jobs")}, jobs.Options())],
 }  # fmt: skip
 

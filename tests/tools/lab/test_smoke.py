@@ -24,7 +24,6 @@ from tools.lab.bench import (
     keyframe,
     link,
     mechanisms,
-    million,
     scale,
     scenes,
     soak_farm,
@@ -169,12 +168,6 @@ def run_scale(tmp, patch):
     return scale.run(scale.Options(rows=(), frames=(2,), few=200), Lab.at(tmp, quiet=True))
 
 
-def run_million(tmp, patch):
-    frames = [random_gaussians(100, seed=1)] * million.LOOPED
-    options = million.Options(write_sequence(tmp / "fox", frames), rows=400, frames=2, swings=(0.5,), repeat=1)
-    return million.run(options, Lab.at(tmp / "lab", quiet=True))
-
-
 def run_jobs(tmp, patch):
     return jobs.run(jobs.Options(frames=4, rows=100), Lab.at(tmp, quiet=True))
 
@@ -184,7 +177,7 @@ RUNS = {
     "static": run_static, "tracked-head": run_tracked, "paper": run_paper,
     "splits-fox": run_splits, "keyframe": run_keyframe, "work-precision": run_work_precision, "stiff": run_stiff,
     "extremes": run_extremes, "streaming": run_streaming, "viewpoints": run_viewpoints, "scale": run_scale,
-    "million": run_million, "jobs": run_jobs,
+    "jobs": run_jobs,
 }  # fmt: skip
 
 

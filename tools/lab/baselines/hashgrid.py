@@ -135,8 +135,6 @@ class HashField(torch.nn.Module):
 
 
 class _Product(torch.autograd.Function):
-    """A sparse matrix times the tables (E, F)."""
-
     @staticmethod
     def forward(ctx: Any, table: torch.Tensor, weights: csr_matrix) -> torch.Tensor:
         ctx.weights = weights

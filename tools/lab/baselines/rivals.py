@@ -49,7 +49,6 @@ def run(options: Options, lab: Lab) -> Page:
 
 
 def trials(qps: Sequence[int]) -> Iterator[Trial]:
-    """V^3's layouts at our preset."""
     coders = [v3_name(form, PRESETS[-1]) for form in V3_FORMS]
     return (one for one in layout_trials() if one.coder in coders and one.setting in [f"qp {qp}" for qp in qps])
 

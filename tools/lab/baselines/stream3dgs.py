@@ -43,8 +43,6 @@ BETAS = (0.9, 0.99)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Region:
-    """Where Gaussians move; those outside rest."""
-
     box: NDArray[np.float64]  # (2, 3) lowest and highest corner, world units
 
     @property
@@ -53,7 +51,6 @@ class Region:
         return float(np.linalg.norm(self.box[1] - self.box[0]))
 
     def rows(self, g: Gaussians) -> NDArray[np.intp]:
-        """(M,) the Gaussians inside."""
         return np.flatnonzero(((g.means >= self.box[0]) & (g.means <= self.box[1])).all(axis=1))
 
     def new_cache(self, settings: FieldSettings, seed: int = 0) -> HashField:
@@ -101,7 +98,6 @@ def hamilton(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-    """Vectors (M, 3) turned by unit quaternions (M, 4)."""
     twice = 2 * torch.linalg.cross(q[:, 1:], v)
     return v + q[:, :1] * twice + torch.linalg.cross(q[:, 1:], twice)
 
@@ -145,7 +141,6 @@ class CacheDriven:
         return self._absgrad
 
     def penalty(self) -> float:
-        """0: 3DGStream has the loss of the pictures alone."""
         return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:

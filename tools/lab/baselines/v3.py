@@ -125,8 +125,6 @@ class V3Settings:
 
 @dataclass(frozen=True, slots=True)
 class V3:
-    """V^3 as a method."""
-
     chosen: V3Settings = field(default_factory=V3Settings)
     name: str = "v3"
 
@@ -192,7 +190,6 @@ class FieldDriven:
         """None: rows are not added."""
 
     def penalty(self) -> float:
-        """0: nothing holds the field."""
         return 0.0
 
     def step(self, iteration: int, iterations: int) -> None:

@@ -87,7 +87,6 @@ def _patched(*patches: tuple[Any, str, Any]) -> Off:
 
 
 def _free(of: Any) -> tuple[Any, str, Any]:
-    """Planes of which none can be left out."""
     choose = of.planes
     return of, "planes", lambda self, price: choose(self, 0.0)
 
@@ -142,7 +141,6 @@ MECHANISMS = (
 
 
 def run(options: Options, lab: Lab) -> Page:
-    """A row for each scene and mechanism."""
     known = [one.name for one in MECHANISMS]
     chosen = [one for one in MECHANISMS if one.name in (options.only or known)]
     rows: list[Row] = []

@@ -93,7 +93,6 @@ def scenes_of(found: Sequence[Measured]) -> list[Row]:
 
 
 def measure_scene(rows: int, frames: int) -> Iterator[Measured]:
-    """Make a scene and take every step with it."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         make_scene(rows, frames, folder / "scene")
@@ -105,7 +104,6 @@ def measure_scene(rows: int, frames: int) -> Iterator[Measured]:
 
 
 def take_step(step: str, folder: Path) -> None:
-    """One of STEPS; calibrations are kept in the folder."""
     os.environ["XDG_CACHE_HOME"] = str(folder)
     if step == "decode":
         package = open_package(folder / "cold")

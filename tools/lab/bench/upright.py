@@ -139,7 +139,6 @@ class Model:
         return np.einsum("vj,vjab,vb->va", weights, bones[joints], points)[:, :3]
 
     def _colours(self, part: dict[str, Any], count: int) -> Floats:
-        """(V, 3) of vertices."""
         material = self.document["materials"][part["material"]] if "material" in part else {}
         surface = material.get("pbrMetallicRoughness", {})
         colours = np.tile(
@@ -153,7 +152,6 @@ class Model:
         return colours
 
     def _picture(self, source: int) -> Floats:
-        """(H, W, 3), 0..1."""
         if source not in self.pictures:
             view = self.document["bufferViews"][self.document["images"][source]["bufferView"]]
             start = view.get("byteOffset", 0)

@@ -56,7 +56,6 @@ def _row(place: Place, sequence: GaussianSequence, settings: EncodeSettings, rep
 
 
 def variants(presets: Sequence[str], deciding: Sequence[int]) -> Iterator[tuple[str, str, EncodeSettings]]:
-    """(curve, setting, settings) of every point."""
     calibrated = replace(ONE_RUNG, calibrate="steps")
     for preset in presets:
         yield PLAIN, preset, replace(ONE_RUNG, preset=preset)

@@ -164,7 +164,6 @@ class Judged:
         return f"{figure(row.error)} {self.question.unit} in {seconds(row.seconds)}{beside}"
 
     def difference(self, gain: float) -> str:
-        """A gain or a loss in the unit."""
         return f"{figure(abs(gain))} {self.question.unit.split()[0]}"
 
 
@@ -222,7 +221,6 @@ def around(one: Judged) -> str:
 
 
 def seconds(value: float) -> str:
-    """A time with its unit."""
     if value >= 1:
         return f"{figure(value)} s"
     return f"{figure(1e3 * value)} ms" if value >= 1e-3 else f"{figure(1e6 * value)} µs"
@@ -247,7 +245,6 @@ def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
 
 
 def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> None:
-    """Curves with their bars, and settings beside their points."""
     drawn = [row for row in rows if row.error > 0 or not question.log]
     for curve in dict.fromkeys(row.curve for row in drawn):
         some = [row for row in drawn if row.curve == curve]

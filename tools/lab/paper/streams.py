@@ -69,8 +69,6 @@ CHOOSERS: dict[str, Chooser] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameLog:
-    """(n,) arrays over the frames of a session."""
-
     levels: NDArray[np.int64]  # SKIPPED where nothing was sent
     sizes: NDArray[np.float64]  # bytes
     sent_s: NDArray[np.float64]  # from the first bit to the last; 0 for a skipped frame

@@ -138,7 +138,6 @@ def _samples_of(frame: av.VideoFrame, bits: int) -> NDArray[np.unsignedinteger]:
 
 
 def _stack(frames: Sequence[Gaussians], name: str) -> NDArray[np.float64]:
-    """(T, N, C) values of an attribute."""
     values = np.stack([getattr(f, name) for f in frames])
     return values.reshape(*values.shape[:2], int(np.prod(values.shape[2:]))).astype(np.float64)
 

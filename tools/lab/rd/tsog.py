@@ -99,7 +99,6 @@ def _write_archive(path: Path, meta: Meta, pixels: Mapping[str, Pixels]) -> None
 
 
 def _webp(samples: Pixels) -> bytes:
-    """(H, W, 4) as lossless WebP."""
     target = io.BytesIO()
     Image.fromarray(samples).save(target, "WEBP", lossless=True, exact=True)
     return target.getvalue()
