@@ -56,7 +56,7 @@ QUESTIONS = (
     ),
     Question(
         "claims", "How many pictures does a claim need?", survey.measure, survey.OFF, CPU, 0.1,
-        default=(survey.APART, "64"), log=True, labels=False,
+        log=True, labels=False,
     ),
     Question(
         "decode", "What does a cheaper rung save in decoding?", decode.measure, decode.UNIT, f"{CPU} a frame", 0.5,
