@@ -22,7 +22,6 @@ from airgs_codec.coding.motion import channel_weights, withheld_error
 from airgs_codec.coding.quantize import StepSettings, from_codes, to_codes
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
-from airgs_codec.encoder.plan import assign_depths
 from airgs_codec.media.h264 import (
     ClosedGop,
     CodecSettings,
@@ -151,17 +150,6 @@ class CalibrationSample:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
         values = state_channels([self.key, *self.frames], base, steps.state)
         return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
-
-    def cost_of(
-        self, states: NDArray[np.float64], steps: StepSettings, scores: NDArray[np.float64], share: float
-    ) -> tuple[float, float]:
-        """Bytes a frame and error of pictures without the `share` of the updates with the least `scores`.
-
-        `states` are those of `self.states`.
-        """
-        sent = assign_depths(scores, self.moving, [share]) == 0
-        size, coded = replace(self, moving=sent).code_states(states, 1.0)
-        return size, float(self.error(np.where(sent, coded, states[1:]), steps).sum())
 
     def with_line(self, states: NDArray[np.float64], steps: StepSettings, most: int) -> CalibrationSample:
         """The same sample, with a line in time if at most so many blocks of it take fewer bytes with one.
