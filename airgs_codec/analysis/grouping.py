@@ -19,11 +19,6 @@ class Grouping:
     notes: list[str]
 
 
-def middle_frame(start: int, stop: int) -> int:
-    """The frame in the middle of a group [start, stop)."""
-    return start + (stop - start) // 2
-
-
 def named_runs(sequence: GaussianSequence) -> list[tuple[int, int]]:
     """Frames [start, stop) of each run between named keyframes and `breaks`."""
     return _between({*sequence.breaks, *(sequence.keyframes or ())}, len(sequence))

@@ -39,12 +39,10 @@ from airgs_codec.encoder.search import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
 from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import format_ladder, format_summary, summarise
 from airgs_codec.media.sound import encode_sound
 from airgs_codec.package.package import open_package
-from airgs_codec.package.region import place_view
 from airgs_codec.places.place import is_address
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
@@ -97,12 +95,7 @@ class Encode:
     )
     work: WorkOptions = nested(WorkOptions, "work", ("jobs", "work"), own=True)
     device: str = device("where video is trained, and pictures that decide and measure are drawn", topic="work")
-    contact_sheet: Path | None = setting(
-        None, "write a PNG of the scene from every place of its region", metavar="FILE", topic="output"
-    )
-    audio: Path | None = setting(
-        None, "a file whose sound goes with the frames (default: the clip's own)", metavar="FILE", topic="output"
-    )
+    audio: Path | None = setting(None, "a file whose sound goes with the frames", metavar="FILE", topic="output")
     attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
     report: Path | None = report("a page with what came out beside what was given")
     verbose: bool = setting(False, "print all tables, as airgs-manifest inspect does", topic="output")
@@ -147,10 +140,6 @@ def encode(options: Encode) -> int:
         done = publish(sequence, target, settings, goal=goal, work=work)
         if options.report:
             write_report(options.report, sequence, open_package(target), done, bar)
-    if options.contact_sheet:
-        region = done.manifest.region
-        places = [place_view(region, place, f"place {i}") for i, place in enumerate(region.places)]
-        write_contact_sheet(options.contact_sheet, sequence.read(len(sequence) // 2), places)
     for line in done.manifest.decisions:
         if line.startswith(GUESS):
             warn(line)
@@ -202,7 +191,7 @@ def _open(options: Encode) -> GaussianSequence:
 
 def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
     """Encode a sequence that somebody still writes."""
-    whole = ("target_psnr", "target_de", "target_kb", "target_mbps", "audio", "contact_sheet", "report")
+    whole = ("target_psnr", "target_de", "target_kb", "target_mbps", "audio", "report")
     asked = {name: getattr(options, name) for name in whole} | options.clip.baking()
     told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
     if option := next(iter(told), options.work.shared_by()):

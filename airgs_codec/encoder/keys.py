@@ -83,7 +83,6 @@ def lay_out_again(
     here, there = (_coarseness(base.classes, *of) for of in ((sensitivity, key), (base.sensitivity, base.key)))
     if here > COARSER * there:
         return None
-    score, moved = survey.score(settings.usage), survey.usage.moved if settings.usage == "max" else None
     return replace(
         base,
         span=survey.span,
@@ -93,7 +92,7 @@ def lay_out_again(
         notes=tuple(loaded.notes),
         removal_error=written.error,
         key=key,
-        usage=RowUsage(score[rows], survey.usage.measure("hits")[rows], None if moved is None else moved[rows]),
+        usage=RowUsage(survey.score(settings.usage)[rows], survey.usage.measure("hits")[rows]),
         sensitivity=sensitivity,
         keeps=base.span.index + 1,
         before=base.key,

@@ -72,11 +72,10 @@ class RowUsage:
 
     score: NDArray[np.float64]  # (N,) usage, by the measure that ranks rows for key tiers
     hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
-    moved: NDArray[np.float64] | None  # (N,) `Usage.moved`, where the trainer left it and `score` is max: max x change
 
     def take(self, rows: NDArray[np.intp] | slice) -> RowUsage:
         """The usage of some rows, in the order of `rows`."""
-        return RowUsage(self.score[rows], self.hits[rows], None if self.moved is None else self.moved[rows])
+        return RowUsage(self.score[rows], self.hits[rows])
 
     def rank(self, name: str, changes: NDArray[np.float64]) -> NDArray[np.float64]:
         """(N,) score of updates: "hits" alone as in the paper, or "usage" x size of the change.
@@ -85,8 +84,6 @@ class RowUsage:
         """
         if name == "hits":
             return self.hits
-        if self.moved is not None:
-            return self.moved
         return self.score * np.sqrt(np.einsum("tcn,tcn->n", changes, changes) / len(changes))
 
 
@@ -182,7 +179,6 @@ def lay_out(
     steps = settings.steps.scaled(settings.quality)
     canonical = mean_frame(loaded.frames).take(written.rows)
     score = survey.score(settings.usage)
-    moved = survey.usage.moved if settings.usage == "max" else None  # it is a product of that measure alone
     tiers = assign_tiers(score[written.rows], settings.tiers)
     sensitivity = survey.sensitivity.take(written.rows).means
     classes = classify_motion(sensitivity, canonical)
@@ -208,7 +204,7 @@ def lay_out(
         factors=(1.0,) * len(settings.tiers),
         codes=codes[order],
         classes=classes[order],
-        usage=RowUsage(score[rows], survey.usage.measure("hits")[rows], None if moved is None else moved[rows]),
+        usage=RowUsage(score[rows], survey.usage.measure("hits")[rows]),
         sensitivity=survey.sensitivity.take(rows),
         grid=grid,
         key_steps=steps.key,

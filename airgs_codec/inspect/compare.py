@@ -22,16 +22,14 @@ from airgs_codec._arguments import argument
 from airgs_codec._report import table
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.sides import Side, before_both, expect_same_rate, is_package, shared_views, side_of, splits_of
-from airgs_codec.media.image import contact_sheet, to_bytes, write_png
+from airgs_codec.media.image import contact_sheet, to_bytes
 from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr, squared_error
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress, silent, told
-from airgs_codec.render import Camera, Render, render_views
+from airgs_codec.render import Camera
 from airgs_codec.render.compare import View, draw_frames, draw_once, draw_still, in_order
 from airgs_codec.render.compare import compare as compare_views
-from airgs_codec.scene.camera import resized
-from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
@@ -40,7 +38,6 @@ LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so t
 MOST_LETTERS = 44  # of a line
 MOST_GAIN = 64
 SHOWN = 0.999  # of the differences are not cut off
-SIDE = 240  # pixels, of the square that each picture of a contact sheet fits into; larger ones are made smaller
 
 Measure = TypeVar("Measure")
 Scene = Package | GaussianSequence
@@ -291,32 +288,3 @@ def _with_room(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def _shortened(text: str) -> str:
     return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 12]}..{text[-10:]}"
-
-
-def write_contact_sheet(path: Path, frame: Gaussians, cameras: Sequence[Camera], notes: Sequence[str] = ()) -> None:
-    """Write a PNG of `frame` as each camera sees it under its name, its position and its note, if any.
-
-    Raises SceneError when the frame has no finite row; ConfigError without a camera, or when the file cannot be
-    written.
-    """
-    if not cameras:
-        raise ConfigError(f"{path}: expected at least one camera for a contact sheet, got none")
-    usable = repair([frame], path.name).frames[0]
-    more = [f"\n{note}" for note in notes] + [""] * (len(cameras) - len(notes))
-    places = [", ".join(f"{coordinate:.3g}" for coordinate in camera.position) for camera in cameras]
-    captions = [f"{c.name}  ({place}){note}" for c, place, note in zip(cameras, places, more, strict=True)]
-    pictures = render_views(usable, [resized(c, SIDE / max(c.width, c.height)) for c in cameras])
-    sheet = contact_sheet([_tile(picture) for picture in pictures], captions)
-    try:
-        write_png(path, sheet)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot write the contact sheet: {error}") from error
-
-
-def _tile(picture: Render) -> NDArray[np.uint8]:
-    """(SIDE, SIDE, 3) a picture in the middle of black."""
-    height, width = picture.transmittance.shape
-    tile = np.zeros((SIDE, SIDE, 3), np.uint8)
-    top, left = (SIDE - height) // 2, (SIDE - width) // 2
-    tile[top : top + height, left : left + width] = to_bytes(picture.rgb)
-    return tile

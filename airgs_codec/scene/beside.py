@@ -98,7 +98,6 @@ class Usage:
     total: NDArray[np.float64]  # (N,) sum of alpha T
     peak: NDArray[np.float64]  # (N,) max of alpha T, 0..1
     hits: NDArray[np.int64]  # (N,) pixels where it is blended: the paper's usage frequency, literally
-    moved: NDArray[np.float64] | None = None  # (N,) max over frames of max alpha T x size of the change, in codec steps
 
     def measure(self, name: str) -> NDArray[np.float64]:
         """(N,) the measure of that name: max, sum or hits. Raises KeyError for any other."""
@@ -109,8 +108,8 @@ def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
     """Write the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
     arrays: dict[str, NDArray] = {}
     for (start, stop), usage in groups.items():
-        columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits, "moved": usage.moved}
-        arrays |= {f"{start}:{stop}/{name}": column for name, column in columns.items() if column is not None}
+        columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits}
+        arrays |= {f"{start}:{stop}/{name}": column for name, column in columns.items()}
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
@@ -120,7 +119,7 @@ def load_usage(path: Path, start: int, stop: int, count: int) -> Usage | None:
 
     Raises SceneError when the file is not one that `save_usage` wrote, or has more rows: they are not unpacked.
     """
-    names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits", "moved")}
+    names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits")}
     with (
         expecting(path, "usage as the trainer writes it"),
         path.open("rb") as opened,

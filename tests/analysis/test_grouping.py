@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from airgs_codec.analysis.grouping import closed_groups, middle_frame, plan_groups
+from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
@@ -38,7 +38,3 @@ def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(tmp_path
     named = open_sequence(write_sequence(tmp_path / "b", moving_frames(9, 8), keyframes=[0, 5]))
     assert closed_groups(named, 0, 3, done=False) == [(0, 5)]
     assert closed_groups(named, 5, 3, done=True) == [(5, 8)]
-
-
-def test_the_middle_of_a_group_is_inside_it():
-    assert [middle_frame(4, stop) for stop in (5, 6, 7, 10)] == [4, 5, 5, 7]

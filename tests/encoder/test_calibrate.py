@@ -67,9 +67,9 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
     for number in (1, 2, 4):  # neither first, canonical nor last
         write_ply(sorted(folder.glob("*.ply"))[number], random_gaussians(30, seed=number))
         digests.append(digest())
-    usage = Usage(np.ones(30), np.ones(30), np.ones(30, np.int64), np.ones(30))
-    for moved in (usage.moved, 2 * usage.moved):
-        save_usage(folder / USAGE_NAME, {(0, 6): replace(usage, moved=moved)})
+    usage = Usage(np.ones(30), np.ones(30), np.ones(30, np.int64))
+    for total in (usage.total, 2 * usage.total):
+        save_usage(folder / USAGE_NAME, {(0, 6): replace(usage, total=total)})
         digests.append(digest())
     assert len(set(digests)) == len(digests)
     assert digest() == digests[-1]

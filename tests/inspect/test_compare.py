@@ -8,27 +8,24 @@ import pytest
 
 from airgs_codec.cli.manifest import main
 from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     LABEL,
     MOST_GAIN,
-    SIDE,
     compare_two,
     comparison_json,
     difference_gain,
     format_two,
     side_by_side,
-    write_contact_sheet,
 )
 from airgs_codec.inspect.sides import left_out, open_side
-from airgs_codec.media.image import read_picture, to_bytes
+from airgs_codec.media.image import to_bytes
 from airgs_codec.media.metrics import PSNR_CAP, mse, psnr
 from airgs_codec.package.package import open_package
 from airgs_codec.render import render
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
-from tests.support.views import coloured_cloud, moved, ring
+from tests.support.views import moved, ring
 
 PACKAGE = VALID / "moving"
 
@@ -176,30 +173,3 @@ def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
     result = compare_two(original, other, range(1), ring(1))
     assert result.gaussians[1] == (39, 39) and np.isfinite(result.quality.psnr)
     assert comparison_json(original, other, result)["compared"]["gaussians"] == [39, 39]
-
-
-def test_every_camera_has_its_tile(tmp_path):
-    wide, *others = ring(5, 300)
-    cameras = [replace(wide, width=600, cx=300.0), *others[1:], ring(1, 48)[0]]
-    file = tmp_path / "sheet.png"
-    write_contact_sheet(file, coloured_cloud(), cameras, ["score 0.12"])
-    sheet = read_picture(file)
-    assert sheet.shape == (2 * SIDE, 4 * SIDE, 3)
-    bodies = [sheet[y + 40 : y + SIDE, x : x + SIDE] for y in (0, SIDE) for x in range(0, 4 * SIDE, SIDE)]
-    assert [bool(body.any()) for body in bodies] == [True] * 5 + [False] * 3
-    assert not bodies[0][-SIDE // 8 :].any() and bodies[0].any(), "a wide picture is not stretched"
-
-
-def test_broken_rows_are_passed_over(tmp_path):
-    g = random_gaussians(30)
-    means = g.means.copy()
-    means[3] = np.nan
-    write_contact_sheet(tmp_path / "sheet.png", replace(g, means=means), ring(2))
-    assert read_picture(tmp_path / "sheet.png").any()
-
-
-def test_what_cannot_be_drawn_is_refused(tmp_path):
-    with pytest.raises(ConfigError, match="at least one camera"):
-        write_contact_sheet(tmp_path / "sheet.png", random_gaussians(5), [])
-    with pytest.raises(ConfigError, match="cannot write"):
-        write_contact_sheet(tmp_path / "missing" / "sheet.png", random_gaussians(5), ring(2))

@@ -22,7 +22,6 @@ from airgs_codec.scene.files import Cursor, expecting
 WORDS = "a COLMAP reconstruction"
 TEST_NAME = "test.txt"
 PARTS = tuple(f"{name}.{suffix}" for name in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
-CAMERA_PARTS = (*(part for part in PARTS if not part.startswith("points3D")), TEST_NAME)  # what cameras are read from
 POINT2D_BYTES = 24  # x, y as doubles and the number of a point
 
 

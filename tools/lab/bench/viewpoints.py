@@ -1,8 +1,7 @@
 """How near found viewpoints are to the true cameras of scenes that come with them, and what is said of scenes without.
 
 Viewpoints are found in the first, middle and last frame of each scene. Each true camera is compared with the nearest
-that was found: the distance between them, in distances to what the true one sees, and the angle. A contact sheet of
-each scene goes to the folder.
+that was found: the distance between them, in distances to what the true one sees, and the angle.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.viewpoints import Sample, find_viewpoints
-from airgs_codec.inspect.compare import write_contact_sheet
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, listed, required
@@ -38,7 +36,7 @@ class Options:
 
 
 def run(options: Options, lab: Lab) -> Page:
-    return page([measure(scene, lab.folder) for scene in options.scenes])
+    return page([measure(scene) for scene in options.scenes])
 
 
 def page(rows: Sequence[Row]) -> Page:
@@ -57,7 +55,7 @@ def page(rows: Sequence[Row]) -> Page:
     return Page([Section(" ".join(words), tables=[Table("viewpoints", rows, COLUMNS)])])
 
 
-def measure(scene: str, folder: Path) -> Row:
+def measure(scene: str) -> Row:
     place, _, cameras = scene.partition("=")
     sequence = open_sequence(place)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), FRAMES)])
@@ -65,7 +63,6 @@ def measure(scene: str, folder: Path) -> Row:
     row = {"scene": name_of(scene), "sure": found.confident, "story": re.split(r":| \(", found.story)[0]}
     if cameras:
         row |= compare(read_cameras(Path(cameras)), found.cameras, Sample.of(middle, ROWS))
-    write_contact_sheet(folder / f"{row['scene']}.png", middle, found.cameras)
     return row
 
 
