@@ -39,16 +39,6 @@ class UsageSums:
         return Usage(self._total, self._peak, self._hits)
 
 
-def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera], renderer: Renderer = CPU) -> Usage:
-    """Usage over some frames of one group, seen by all cameras."""
-    sums = UsageSums(len(frames[0]))
-    for frame in frames:
-        loaded = renderer.load(frame)
-        for camera in cameras:
-            sums.add(loaded.contribution(camera))
-    return sums.usage()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivity:
     """Mean over picture samples of the squared derivative by each channel of an attribute, summed over its channels.
@@ -65,7 +55,6 @@ class Sensitivity:
     sh_rest: NDArray[np.float64]  # (N,)
 
     def take(self, rows: NDArray[np.intp] | slice) -> Sensitivity:
-        """The sensitivity of some rows, in the order of `rows`."""
         return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def by_attribute(self) -> NDArray[np.float64]:

@@ -97,20 +97,6 @@ def _made(options: type, values: dict[str, Any]) -> Any:
     return options(**own)
 
 
-def read_options(options: type[Options], argv: Sequence[str], name: str) -> Options:
-    """Returns the options of a program. Raises SystemExit: 0 after --help, 2 for options that it does not take."""
-    found: list[Options] = []
-
-    def keep(values: Options) -> int:
-        found.append(values)
-        return 0
-
-    status = run_program(name, takes(options)(keep), argv)
-    if not found:
-        raise SystemExit(status)
-    return found[0]
-
-
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
     """Returns the program `name`, which does `command`; without one its commands are added to it."""
     app = App(

@@ -60,13 +60,6 @@ def state_units(package: Package, index: int, level: int) -> NDArray[np.float32]
     return code_units(steps * m.levels[level].factor, m.state_gain)
 
 
-def decode_slopes(package: Package, index: int, level: int) -> NDArray[np.int32] | None:
-    """(10 + C, n) codes of the slopes of a segment with a file, None where it has none. Raises FormatError."""
-    shown = next(decode_pictures(package, index, level, range(1)))
-    atlas = replace(shown.atlas, centres=[0] * len(shown.atlas.centres))
-    return None if shown.slopes is None else read_codes(shown.slopes[0], atlas, shown.slopes[1])
-
-
 def decode_pictures(package: Package, index: int, level: int, frames: range) -> Iterator[ShownState]:
     """Consecutive frames of a segment with a file, counted from its start. Raises FormatError."""
     m, first, last = package.manifest, frames.start, frames.stop

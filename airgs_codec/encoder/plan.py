@@ -74,7 +74,6 @@ class RowUsage:
     hits: NDArray[np.float64]  # (N,) pixels where a row is blended: the paper's usage frequency
 
     def take(self, rows: NDArray[np.intp] | slice) -> RowUsage:
-        """The usage of some rows, in the order of `rows`."""
         return RowUsage(self.score[rows], self.hits[rows])
 
     def rank(self, name: str, changes: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,13 +23,14 @@ from airgs_codec.analysis.importance import (
     pooled_within,
     select_omissions,
 )
-from airgs_codec.analysis.sensitivity import CODING_VARIANCE, MAX_VIEWS, measure_sensitivity, measure_usage
+from airgs_codec.analysis.sensitivity import CODING_VARIANCE, MAX_VIEWS, measure_sensitivity
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import render
 from airgs_codec.scene.camera import training_views
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
+from tests.support.views import measure_usage
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.sensitivity import measure_sensitivity, measure_usage, measure_views
+from airgs_codec.analysis.sensitivity import measure_sensitivity, measure_views
 from airgs_codec.coding.motion import channel_weights, motion_classes, motion_units, withheld_error
 from airgs_codec.media.metrics import mse
 from airgs_codec.package.tables import StateSteps
@@ -13,6 +13,7 @@ from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply, sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
+from tests.support.views import measure_usage
 
 BLACK_DC = np.full((1, 3), -10, np.float32)
 

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from airgs_codec.cli import play as play_command
-from airgs_codec.cli.options import read_options
+from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.play import main
 from airgs_codec.play.http import HttpSettings
 from airgs_codec.play.settings import SessionSettings
@@ -79,13 +79,16 @@ def test_report_and_film(capsys, tmp_path):
 
 
 def test_defaults_are_those_of_the_settings():
-    options = read_options(play_command.Play, ["scene.airgs"], "airgs-play")
+    taken = []
+    keep = takes(play_command.Play)(lambda options: taken.append(options) or 0)
+    assert run_program("airgs-play", keep, ["scene.airgs"]) == 0
+    (options,) = taken
     assert options.player == SessionSettings() and options.http == HttpSettings()
     changed = {"buffer": "3", "startup": "2", "resume": "1", "decode-frame": "0.005", "loops": "4", "budget": "9"}
     words = [word for name, value in changed.items() for word in (f"--player.{name}", value)]
     flags = ["--player.no-replace", "--player.no-abandon", "--player.no-pipelined"]
-    options = read_options(play_command.Play, ["scene.airgs", *words, *flags], "airgs-play")
-    assert options.player == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
+    assert run_program("airgs-play", keep, ["scene.airgs", *words, *flags]) == 0
+    assert taken[1].player == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
 
 
 def test_policies_are_compared_over_traces(capsys):

@@ -8,7 +8,7 @@ import pytest
 from airgs_codec.cli.manifest import main
 from airgs_codec.coding.atlas import line_times
 from airgs_codec.decoder.decode import decode, decode_frames
-from airgs_codec.decoder.states import decode_pictures, decode_slopes
+from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.sample import encode_and_decode, fit_slopes, worth_line
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
@@ -18,6 +18,7 @@ from airgs_codec.media.mp4 import read_segment
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.digests import decode_slopes
 from tests.support.scenes import frozen, random_gaussians, write_sequence
 
 FRAMES, SEGMENT = 17, 8  # the last group has one frame

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.render import read_cameras
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.views import measure_usage
 
 FIRST, KEYFRAME, LAST = 7, 12, 16  # frames of the full sequence, last included
 COUNT = 5_000  # Gaussians of the first group; the second keeps the same rows and what was added

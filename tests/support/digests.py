@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from hashlib import sha256
 
 import numpy as np
 
+from airgs_codec.coding.atlas import read_codes
 from airgs_codec.decoder.decode import decode_key
-from airgs_codec.decoder.states import decode_pictures, decode_slopes
+from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
+
+
+def decode_slopes(package: Package, index: int, level: int) -> np.ndarray | None:
+    """(10 + C, n) codes of the slopes of a segment with a file, None where it has none."""
+    shown = next(decode_pictures(package, index, level, range(1)))
+    atlas = replace(shown.atlas, centres=[0] * len(shown.atlas.centres))
+    return None if shown.slopes is None else read_codes(shown.slopes[0], atlas, shown.slopes[1])
 
 
 def digest(codes: np.ndarray) -> str:

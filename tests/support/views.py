@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from airgs_codec.analysis.sensitivity import measure_views
 from airgs_codec.render import Camera, render
+from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.pictures import Target, View
@@ -80,3 +83,8 @@ def ball_shape(ball: Gaussians) -> list[np.ndarray]:
 def views_of(g: Gaussians, cameras: list[Camera]) -> list[View]:
     """What the cameras see of `g`."""
     return [View(c, Target(np.clip(render(g, c).rgb, 0, 1))) for c in cameras]
+
+
+def measure_usage(frames: Sequence[Gaussians], cameras: Sequence[Camera]) -> Usage:
+    """Usage over some frames of one group, seen by all cameras."""
+    return measure_views([(frame, camera) for frame in frames for camera in cameras])[0]

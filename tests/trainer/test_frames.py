@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.analysis.sensitivity import measure_usage
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import load_usage
 from airgs_codec.scene.sequence import open_sequence
+from tests.support.views import measure_usage
 
 
 def test_usage_is_of_all_frames_and_the_encoder_takes_it(run):

@@ -16,13 +16,14 @@ import numpy as np
 from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.decoder.decode import decode_key
-from airgs_codec.decoder.states import decode_pictures, decode_slopes
+from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.tables import unpack_matrix
 from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
 from tests.makers.vectors.tables import PAGE, Tables, pages_to
 from tests.makers.vectors.text import Table, binary
+from tests.support.digests import decode_slopes
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 
 ATTRIBUTES = ("means", "quaternions", "log_scales", "alpha", "colours")

@@ -12,7 +12,7 @@ from __future__ import annotations
 import ast
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -148,7 +148,6 @@ def run(options: Options, lab: Lab) -> Page:
         curve = [_once(scene, replace(PLAIN, quality=quality), None, lab) for quality in QUALITIES]
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
-            lab.tell(f"{rows[-1]}")
     rows.sort(key=lambda row: known.index(row["mechanism"]))
     return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS)])])
 
@@ -159,30 +158,28 @@ Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held
 def row_of(one: Mechanism, scene: str, curve: Sequence[Result], got: Result) -> Row:
     """What a scene takes without a mechanism, in per cent of what it takes as it is for the same PSNR, or time."""
     sizes, quality = [np.log(size) for size, _, _ in curve], [shown for _, shown, _ in curve]
-    seconds = curve[QUALITIES.index(1.0)][2]
     return {
         "mechanism": one.name, "lines": one.lines, "scene": scene,
         "bytes": 100 * (got[0] / float(np.exp(_along(quality, sizes, got[1]))) - 1),
-        "psnr": got[1] - _along(sizes, quality, float(np.log(got[0]))), "seconds": 100 * (got[2] / seconds - 1),
+        "psnr": got[1] - _along(sizes, quality, float(np.log(got[0]))),
+        "seconds": 100 * (got[2] / curve[QUALITIES.index(1.0)][2] - 1),
     }  # fmt: skip
 
 
 def _along(xs: Sequence[float], ys: Sequence[float], x: float) -> float:
     """The value at x of the line through the two nearest of some points, which goes on past them."""
-    order = np.argsort(xs)
-    at, of = np.array(xs)[order], np.array(ys)[order]
+    at, of = np.array(sorted(zip(xs, ys, strict=True))).T
     k = int(np.clip(np.searchsorted(at, x) - 1, 0, len(at) - 2))
     return float(of[k] + (of[k + 1] - of[k]) * (x - at[k]) / (at[k + 1] - at[k]))
 
 
 def _once(scene: str, settings: EncodeSettings, one: Mechanism | None, lab: Lab) -> Result:
-    place = scene.partition("@")[0].partition("=")[0]
-    reads = (scene, content(Path(place)), settings.quality, one.name if one else "")
+    reads = (scene, content(Path(scene.partition("@")[0].partition("=")[0])), settings.quality, one and one.name)
     return lab.results.once("mechanism", reads, lambda: _encoded(scene, settings, one))
 
 
 def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Result:
-    """Encode a scene with nothing that was calibrated before, and measure from its held-out views what comes out."""
+    """Encode a scene with nothing calibrated before, and measure what comes out from held-out views."""
     place, _, held = scene.partition("@")
     place, _, views = place.partition("=")
     sequence = open_sequence(place, views=views or None)
@@ -194,19 +191,15 @@ def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Res
         encode(sequence, Path(folder) / "x.airgs", settings)
         seconds = time.process_time() - begun
         package = open_package(Path(folder) / "x.airgs")
-        errors = list(_errors(package, sequence, cameras))
+        errors = []
+        for number in evenly_spaced(len(sequence), FRAMES):
+            shown, original = decode(package, number), sequence.load([number]).frames[0]
+            errors += [mse(render(shown, camera).rgb, render(original, camera).rgb) for camera in cameras]
         size = rung_bytes(package.manifest, 0, 0, package.manifest_bytes) / package.manifest.frames
     return size, psnr(float(np.mean(errors))), seconds
 
 
-def _errors(package: Any, sequence: Any, cameras: Sequence[Any]) -> Iterator[float]:
-    for number in evenly_spaced(len(sequence), FRAMES):
-        shown, original = decode(package, number), sequence.load([number]).frames[0]
-        yield from (mse(render(shown, camera).rgb, render(original, camera).rgb) for camera in cameras)
-
-
 def answer(rows: Sequence[Row]) -> str:
-    """Which mechanisms bring enough, and which are there for another reason."""
     names = dict.fromkeys(row["mechanism"] for row in rows)
     counts = {name: sum(_earns(row) for row in rows if row["mechanism"] == name) for name in names}
     enough, others = ([name for name, count in counts.items() if (count >= 2) == there] for there in (True, False))
