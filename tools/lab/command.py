@@ -63,8 +63,6 @@ class Output:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """Options of `publish`."""
-
     data: Path = required("a folder of scenes, by the names that commands of documents give them")
     only: tuple[str, ...] = setting(tuple(one.name for one in MEASUREMENTS), "of these measurements")
 

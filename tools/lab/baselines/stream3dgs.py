@@ -47,7 +47,6 @@ class Region:
 
     @property
     def diagonal(self) -> float:
-        """Its length in world units."""
         return float(np.linalg.norm(self.box[1] - self.box[0]))
 
     def rows(self, g: Gaussians) -> NDArray[np.intp]:
