@@ -66,7 +66,7 @@ class Measurement:
 
 
 # In the folder of scenes, frames of fox_alone/ are those of naive 3DGS in `paper`, its transforms.json that of
-# fox_views/ with the cameras that `paper` holds out.
+# fox_views/ with the cameras that `paper` holds out. fox_b/ is fox/, with cam02, 06, 11 and 14 held out.
 PEERS = "--splat4d peers/bin/splat4d --fourdgs peers/bin/python --splat-transform 'peers/splat-transform -g cpu'"
 MEASUREMENTS = (
     Measurement(
@@ -129,12 +129,16 @@ MEASUREMENTS = (
         "kacytran_iter7000.ply",
     ),
     Measurement("engines", "views", "engines --scenes fox/ ball-0 ball-3"),
+    Measurement(
+        "mechanisms", "mechanisms",
+        "mechanisms fox/=fox/transforms.json fox_b/=fox_b.json head/@head_held.json spinach25/=spinach_views.json",
+    ),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("dense", "crowd", "soak-live", "million")
+NO_LONGER_MEASURED = ("dense", "crowd", "soak-live", "million", "mechanisms-cut")
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,7 +115,6 @@ class HashField(torch.nn.Module):
 
     @property
     def nbytes(self) -> int:
-        """Size of what `to_bytes` gives."""
         return WIRE.itemsize * sum(p.numel() for p in self.parameters())
 
     def to_bytes(self) -> bytes:

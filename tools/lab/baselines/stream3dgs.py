@@ -225,7 +225,6 @@ def decode(before: Gaussians, data: bytes, cache: FieldSettings, region: Region)
 
 
 def _added(data: bytes, sh_degree: int) -> Gaussians:
-    """The rows of `_wire`."""
     shapes = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (), "sh_dc": (3,)}
     shapes["sh_rest"] = (SH_REST[sh_degree], 3)
     widths = [math.prod(shapes[name]) for name in ATTRIBUTES]
