@@ -190,7 +190,6 @@ def _open(options: Encode) -> GaussianSequence:
 
 
 def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
-    """Encode a sequence that somebody still writes."""
     whole = ("target_psnr", "target_de", "target_kb", "target_mbps", "audio", "report")
     asked = {name: getattr(options, name) for name in whole} | options.clip.baking()
     told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]

@@ -89,7 +89,6 @@ def _as_words(published: PublishedGroup) -> str:
 
 
 def _bytes(published: PublishedGroup) -> int:
-    """Bytes of the files of the top rung."""
     group = published.group
     keys = sum(tier.sidecar.bytes + tier.pictures[0].bytes for tier in group.tiers)
     return keys + sum(segment.levels[0].file.bytes for segment in group.segments)

@@ -122,7 +122,6 @@ def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, wor
 
 
 def _longest(prepared: PreparedSequence) -> int:
-    """The middle one of the longest groups."""
     most = max(span.frames for span in prepared.spans)
     longest = [span.index for span in prepared.spans if span.frames == most]
     return longest[len(longest) // 2]

@@ -77,12 +77,10 @@ def _small(camera: Camera) -> Camera:
 
 
 def _worst(result: Comparison) -> Seen:
-    """The worst picture of the worst frame."""
     return next(seen for seen in result.ranked if seen.frame == result.frames[int(np.argmin(result.by_frame))])
 
 
 def _film(a: Side, b: Side, camera: Camera) -> Iterator[NDArray[np.uint8]]:
-    """Both sides next to each other, frame after frame."""
     span = range(a.frames)
     first, second = (draw_frames(in_order(span, side.read(span))) for side in (a, b))
     for frame in span:

@@ -182,6 +182,8 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Views:
+    """How many pictures were looked at."""
+
     decided: Count  # of each group, to decide what matters
     measured: Count  # of each segment, to measure quality: other views than those
     reference: Annotated[str, OneOf(("original", "none"))]  # the unpruned input; none: quality was not measured
@@ -282,6 +284,8 @@ def plane_height(rows: int, plane_width: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class GroupTier:
+    """A key tier of one group."""
+
     count: Count  # rows; a tier without rows has no files
     factor: Factor  # on the key steps, beside that of the key quality
     sidecar: FileEntry  # shared by all its qualities
@@ -291,6 +295,8 @@ class GroupTier:
 
 @dataclass(frozen=True, slots=True)
 class SegmentLevel:
+    """One level of one segment."""
+
     file: FileEntry  # none: nothing to fetch, the canonical space is shown
     frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, the first with the slopes; empty without a file
     psnr: list[Decibels]  # for each key quality; empty: not measured
@@ -421,6 +427,8 @@ class Header:
 
 @dataclass(frozen=True, slots=True)
 class Root(Header):
+    """airgs.json."""
+
     init: FileEntry  # init.mp4, for DASH players alone
     index: Annotated[list[Spans], Length(1, MAX_LEVELS)]  # groups, then pages of each level: what fills no page above
 

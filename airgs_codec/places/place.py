@@ -209,7 +209,6 @@ class Bucket(Place):
 
     @contextmanager
     def _told(self, path: str = "") -> Iterator[None]:
-        """Raise errors of the store as one line."""
         from obstore.exceptions import BaseError
 
         try:

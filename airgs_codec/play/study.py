@@ -115,7 +115,6 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
 
 
 def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
-    """Rows of the sessions on one trace."""
     path, name, settings = task
     c = Offers.of(open_package(path))
     whole = Trace.open(name)

@@ -182,7 +182,6 @@ def _three(values, i):
 
 @njit
 def _put(table, i, values):
-    """Write numbers into row i of a table."""
     for c in range(len(values)):
         table[i, c] = values[c]
 

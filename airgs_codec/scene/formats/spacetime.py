@@ -114,7 +114,6 @@ def _frame(load: Load, frames: int, path: Path, frame: int) -> Gaussians:
 
 
 def _model(load: Load, path: Path) -> Moving:
-    """The model of a file as it is now."""
     with reading(path):
         return _cached(load, path, path.stat().st_mtime_ns)
 

@@ -57,7 +57,7 @@ def test_the_model_as_ply_gives_the_frames_of_its_splatv(tmp_path, splatv):
     for frame in (0, 5):
         for name in a.read(0).__slots__:
             np.testing.assert_allclose(getattr(a.read(frame), name), getattr(b.read(frame), name), atol=2e-5)
-    assert plan_groups(b, 4).spans == [(0, 4), (4, 6)]
+    assert plan_groups(b, 4).spans == [(0, 3), (3, 6)]
 
 
 def test_how_many_frames_is_said_and_the_clip_can_be_sent_to_a_worker(splatv):
