@@ -11,9 +11,7 @@ import pytest
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.analysis.importance import (
-    CLOSE,
     DETAIL,
-    LEAST_PIXELS,
     CostSums,
     RowPruning,
     WrittenRows,
@@ -105,66 +103,6 @@ def test_a_row_is_as_important_as_it_is_seen_and_as_its_alpha_counts():
     assert importance(frames, usage, s).tolist() == [0.5 * 8.0 * 4.0 * 0.625, 0.0]
 
 
-class Lamps:
-    """Rows in one row of pixels: the first missing one leaves its pixel dark, and those behind it are not seen."""
-
-    def __init__(self, weight=1.0):
-        self.weight, self.drawn = weight, []
-
-    def load(self, g):
-        return self
-
-    def without(self, camera):
-        def draw(keep):
-            if keep is not None:
-                self.drawn.append(int(keep.sum()))
-            picture = np.ones((1, 8, 3), np.float32)
-            if keep is not None and not keep.all():
-                picture[0, np.argmin(keep)] = 0.5
-            return picture
-
-        return draw
-
-    def weights(self, camera, mask):
-        return SimpleNamespace(ids=np.flatnonzero(mask), inside=np.full(mask.sum(), self.weight))
-
-
-def with_lamps(lamps, written, allowed, known=None):
-    pruning = RowPruning([(None, None), (None, None)], np.arange(8.0), {}, lamps)
-    if known is not None:
-        pruning.error_of(known)
-    return pruning.with_details(WrittenRows(np.array(written), 0.0), allowed)
-
-
-def test_details_come_back_in_rounds_since_some_hide_others():
-    found, lamps = with_lamps(Lamps(), [2, 5, 6, 7], 0.01), Lamps()
-    assert found.rows.tolist() == list(range(8)) and found.error == 0.0
-    found = with_lamps(lamps, [7], 0.01)
-    assert found.rows.tolist() == [0, 1, 2, 3, 4, 7]  # five rounds
-    assert found.error == pytest.approx(0.25 / 8) and lamps.drawn == [n for n in range(1, 7) for _ in range(2)]
-
-
-def test_pictures_that_were_drawn_last_are_not_drawn_again():
-    lamps = Lamps()
-    assert with_lamps(lamps, range(1, 8), 0.01, known=7).error == 0.0 and lamps.drawn == [7, 7, 8, 8]
-    lamps = Lamps()
-    assert with_lamps(lamps, range(2, 8), 0.01, known=7).error == 0.0 and lamps.drawn == [7, 7, 6, 6, 7, 7, 8, 8]
-
-
-@pytest.mark.parametrize(
-    ("weight", "allowed", "back"),
-    [
-        (1.0, 0.5 / DETAIL, False),
-        (1.0, 0.49 / DETAIL, True),
-        (LEAST_PIXELS / 2, 0.01, False),
-        (0.6 * LEAST_PIXELS, 0.01, True),
-    ],
-)
-def test_details_are_what_is_plainly_different_in_enough_pixels_of_all_pictures(weight, allowed, back):
-    found = with_lamps(Lamps(weight), range(1, 8), allowed)
-    assert (len(found.rows) == 8) is back and found.error == pytest.approx(0.0 if back else 0.25 / 8)
-
-
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
     assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
     assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4
@@ -177,23 +115,6 @@ def test_no_more_pictures_are_drawn_of_what_is_sure_to_be_beyond():
     errors = iter([0.3, 0.4, 0.1, 0.2])
     assert pooled_within(errors, 4, 0.249) == math.inf and list(errors) == [0.1, 0.2]
     assert pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
-
-
-def test_the_number_of_rows_is_guessed_from_errors_that_are_known(scene, monkeypatch):
-    """Errors that grow with the fourth power of the number: two lines through their logarithms meet the allowed one."""
-    _, frames = scene
-    rows = len(frames[0])
-    pruning = RowPruning([], np.concatenate([np.zeros(100), np.ones(rows - 100)]), {})
-    looked = []
-
-    def error(count):
-        looked.append(count)
-        return pruning._errors.setdefault(count, (count / rows) ** 4)
-
-    monkeypatch.setattr(pruning, "_error", error)
-    kept = pruning.within(0.2)  # squared: (0.447 of the rows) ^ 4
-    assert kept.error <= 0.2**2 and kept.error >= CLOSE * 0.2**2 and len(kept.rows) == rows - looked[-1]
-    assert looked[:2] == [100, rows - 1] and len(looked) == 3
 
 
 def test_where_no_line_tells_the_number_of_rows_it_is_halved(monkeypatch):
@@ -286,16 +207,3 @@ def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_th
     )
     seldom = np.arange(8.0)[None, None]  # each of them once: three bits a row
     assert estimate_cost(seldom, np.zeros(1), ones)[0].tolist() == [3.0]
-
-
-def test_all_rows_are_written_without_an_error():
-    whole = WrittenRows.all(3)
-    assert (whole.rows.tolist(), whole.error) == ([0, 1, 2], 0.0)
-
-
-def test_guessed_bytes_are_the_entropy():
-    values = np.zeros((2, 2, 8))
-    values[:, 1] = [[-1, 1] * 4] * 2  # one bit a row in the first picture, nothing changes after it
-    sizes, errors = estimate_cost(values, np.zeros(2), np.ones((2, 8)))
-    assert sizes.tolist() == [0.0, 1.0]
-    assert errors.tolist() == [0.0, pytest.approx(8 - 0.8)]

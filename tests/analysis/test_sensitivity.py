@@ -71,15 +71,6 @@ def replace_means(g: Gaussians, means) -> Gaussians:
     return Gaussians(means, *(getattr(g, n) for n in g.__slots__[1:]))
 
 
-def test_motion_units_are_the_nearest_power_of_two_to_one_over_the_root_of_the_derivative(scene):
-    _, _, s = scene
-    floor = 1e-3 * float(np.median(s.means))
-    units = motion_units(motion_classes(s.means, floor))
-    wanted = np.maximum(s.means, floor) ** -0.25
-    assert (np.abs(np.log2(units / wanted)) <= 0.5 + 1e-6).all()
-    assert len(np.unique(units)) > 3
-
-
 def test_the_cost_of_withholding_is_the_rendered_one(scene):
     frame, cameras, s = scene
     steps = StateSteps(means=1e-4, quaternions=0.01, log_scales=0.02, opacity=1e-3, sh_dc=0.01, sh_rest=0.01)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.viewpoints import AROUND, Sample, find_viewpoints
+from airgs_codec.analysis.viewpoints import AROUND, find_viewpoints
 from airgs_codec.errors import SceneError
 from airgs_codec.render import render
-from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.formats.ply import read_ply
 from tests.support.paths import FOX
 from tests.support.places import ball, filmed_room, floor, needles
@@ -112,47 +111,3 @@ def test_a_frame_without_finite_rows_is_refused():
     g = random_gaussians(4)
     with pytest.raises(SceneError, match="finite"):
         find_viewpoints([replace(g, means=np.full((4, 3), np.nan, np.float32))])
-
-
-def camera(position, target):
-    up = np.array([0.0, -1.0, 0.0])
-    return look_at(np.array(position), np.array(target), up, size=32, fov_y=1.0, name="test")
-
-
-def test_the_filmed_side_scores_and_needles_do_not():
-    sample = Sample.of(filmed_room(), 4000)
-    (front, _), (aside, _) = sample.look(camera([0, 0, 0.0], [0, 0, 4.0])), sample.look(camera([0, 0, 0.0], [-4, 0, 0]))
-    assert front > 0.05 and aside < 0.2 * front
-
-
-def test_a_few_rows_stand_for_all():
-    g, view = filmed_room(), camera([0.5, 0, 0.0], [0, 0, 4.0])
-    full, part = (Sample.of(g, rows).look(view) for rows in (len(g), 4000))
-    assert part[0] == pytest.approx(full[0], rel=0.2) and part[1] == pytest.approx(full[1], rel=0.1)
-    assert len(Sample.of(g, 2000).flatness) == pytest.approx(2000, rel=0.1)
-
-
-def test_a_hole_lowers_a_score():
-    view, room = camera([0, 0, 0.0], [0, 0, 4.0]), filmed_room()
-    whole, half = room, room.take(np.flatnonzero((room.means[:, 0] > 0) | (room.means[:, 2] < 3)))
-    assert Sample.of(half, len(half)).look(view)[0] < 0.3 * Sample.of(whole, len(whole)).look(view)[0]
-
-
-def test_the_distance_is_that_of_what_is_seen():
-    assert Sample.of(ball(), 1000).look(camera([0, 0, -5.0], [0, 0, 0.0]))[1] == pytest.approx(5, rel=0.05)
-
-
-def test_objects_are_solid_and_needles_are_not():
-    view = camera([0, 0, -2.0], [0, 0, 0.0])
-    assert Sample.of(ball(), 3000).solidity(view) > 0.6
-    assert Sample.of(needles(), 3000).solidity(view) < 0.4
-
-
-def test_a_look_away_from_everything_is_nothing():
-    assert Sample.of(ball(), 1000).look(camera([0, 0, -5.0], [0, 0, -9.0]))[0] == 0
-
-
-def test_what_cannot_be_seen_has_no_sample():
-    g = random_gaussians(5)
-    with pytest.raises(SceneError, match="opacity"):
-        Sample.of(replace(g, opacity_logits=np.full(5, -20, np.float32)), 10)

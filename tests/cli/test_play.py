@@ -91,12 +91,6 @@ def test_defaults_are_those_of_the_settings():
     assert taken[1].player == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
 
 
-def test_policies_are_compared_over_traces(capsys):
-    options = ["--compare", "--traces", str(TRACE), "--offsets", "1", "--policies", "fixed:0", "--player.loops", "1"]
-    assert main([str(PACKAGE), *options, "--jobs", "1"]) == 0
-    assert PACKAGE.name in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -16,7 +16,6 @@ from airgs_codec.inspect.summary import (
     summarise,
 )
 from airgs_codec.media.image import read_picture
-from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import LeftOut
@@ -116,37 +115,6 @@ def test_kinds_add_up():
     assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
 
 
-def test_what_was_left_out_is_named():
-    m = tiny_manifest(state_bytes=(0,), psnr=None)
-    tiers = [m.groups[0].tiers[0], dataclasses.replace(m.groups[0].tiers[1], count=0)]
-    first = dataclasses.replace(m.groups[0], tiers=tiers, left_out=[LeftOut("updates", 3, 0.0, 5.0)])
-    second = dataclasses.replace(m.groups[1], left_out=[LeftOut("gaussians", 7, 1e-5, 120.0)])
-    text = "\n".join(describe_left_out(dataclasses.replace(m, groups=in_groups([first, second]))))
-    assert "group 1: 7 Gaussians: 50.0 dB by itself, 0.12 kB/frame saved" in text
-    assert "group 0: 3 rows are never updated: no error" in text
-    assert "key tier T1: it has no rows" in text
-    assert "2 log_scales, 3 quaternions, 1 opacity, 3 colour" in text
-    assert "2 state segments" in text and "SH rest" in text
-
-
-def test_channels_and_their_attributes():
-    assert [STATE.attribute_of(c) for c in (0, 2, 3, 6, 9, 10, 40)] == [
-        *("means", "means", "log_scales", "quaternions", "opacity", "colour", "colour"),
-    ]
-    assert [KEY.attribute_of(c) for c in (0, 3, 6, 7)] == ["log_scales", "quaternions", "opacity", "colour"]
-
-
-def test_the_table_has_every_rung_level_and_repair():
-    m = dataclasses.replace(tiny_manifest(), attribution="somebody's scene")
-    repaired = dataclasses.replace(m.groups[0], repairs=["2 Gaussians repaired"])
-    m = dataclasses.replace(m, groups=in_groups([repaired, m.groups[1]]))
-    text = format_summary(summarise(m, MANIFESTS))
-    for word in ("20 frames at 10 fps", "Q1 + L2", "T1", "x3", "20 %", "repaired: 2 Gaussians repaired", "somebody's"):
-        assert word in text
-    tables = text.split("\n\n")
-    assert all(len({len(line) for line in t.splitlines()}) == 1 for t in tables[1:3])  # columns are aligned
-
-
 @pytest.mark.parametrize(
     "m",
     [
@@ -200,18 +168,3 @@ def test_what_many_groups_leave_out_alike_is_one_line():
         "group 0: 5 Gaussians: 50.0 dB by itself, 0.10 kB/frame saved",
         "group 1: 6 Gaussians: 47.0 dB by itself, 0.10 kB/frame saved",
     ]
-
-
-@pytest.mark.parametrize(("name", "lines"), [("white", ["background: 1, 1, 1"]), ("one-gaussian", [])])
-def test_a_background_is_told_where_there_is_one(name, lines):
-    text = format_summary(summarise(open_package(VALID / name).manifest, MANIFESTS))
-    assert [line for line in text.split("\n") if line.startswith("background")] == lines
-
-
-def test_what_a_scene_does_not_need_is_not_printed():
-    """A still frame: no column of bases, no tier without rows."""
-    text = format_summary(summarise(open_package(VALID / "white").manifest, MANIFESTS))
-    assert "keeps" not in text and "pruned" not in text
-    assert not [line for line in text.split("\n") if line.split()[:2] == ["T1", "Q0"]]
-    whole = format_summary(summarise(open_package(VALID / "kept").manifest, MANIFESTS))
-    assert "keeps" in whole and "T0" in whole

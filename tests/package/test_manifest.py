@@ -15,7 +15,7 @@ from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package import parse
 from airgs_codec.package.layout import JSON_NAME, group_path
-from airgs_codec.package.mpd import LiveClock, Streams, write_mpd
+from airgs_codec.package.mpd import LiveClock, write_mpd
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_group, pack_json, parse_group, parse_root
@@ -260,10 +260,6 @@ def test_what_is_not_a_table_is_refused(text):
         parse_root(text)
 
 
-def ids(m):
-    return [[r.id for r in s.representations] for s in Streams.of(m).sets()]
-
-
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-32"])
 def test_json_is_utf_8_without_a_mark(encoding):
     """As in browsers: Python alone would read the others."""
@@ -278,21 +274,6 @@ def test_a_number_that_fits_no_float_is_refused(digits):
     with pytest.raises(FormatError) as caught:
         parse_root(json.dumps(json.loads(TEXT) | {"key_gain": 10**digits}).encode())
     assert (caught.value.reason, caught.value.where) == ("bad_value", "airgs.json.key_gain")
-
-
-def test_the_mpd_has_a_representation_for_everything_that_has_files():
-    m = open_package(CORPUS / "valid" / "moving").manifest
-    assert [s.role for s in Streams.of(m).sets()] == ["state", "key;tier=0", "key;tier=1"]
-    assert ids(m) == [["L0", "L1"], ["T0/Q0", "T0/Q1"], ["T1/Q0", "T1/Q1"]]
-    still = open_package(CORPUS / "valid" / "one-gaussian").manifest
-    assert ids(still) == [["T0/Q0"]]
-
-
-def test_bandwidth_covers_the_first_segment_within_the_minimum_buffer():
-    m = open_package(CORPUS / "valid" / "two-groups-sh1").manifest
-    text = write_mpd(m).decode()
-    first = 8 * m.entry("state/L0/1.m4s").bytes
-    assert int(text.split('id="L0"')[1].split('bandwidth="')[1].split('"')[0]) >= first
 
 
 @given(st.binary(max_size=300))

@@ -12,15 +12,13 @@ from airgs_codec.play.report import (
     FAULTS,
     OVER,
     SHORT,
-    Stall,
-    _advice,
     answer,
     beaten_words,
     find_stalls,
 )
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.study import Study, StudySettings, _session_row, study_answer
+from airgs_codec.play.study import Study, StudySettings, study_answer
 from tests.play.test_session import link, play
 from tests.support.manifests import missing, tiny_manifest
 
@@ -46,28 +44,6 @@ def test_every_wait_has_its_reason_and_its_advice(log, why):
     assert f"waited for {log.metrics.stall_s:.1f} s" in told["wrong"] and why in told["wrong"]
     helps = {BELOW: "--levels", ASKED: "--policy robust-mpc", OVER: "--policy robust-mpc"}
     assert (helps | {SHORT: "--player.startup", FAULTS: "validate"})[why] in told["change"]
-
-
-@pytest.mark.parametrize(
-    ("waits", "advice"),
-    [
-        ({SHORT: 3.0, BELOW: 5.0}, ["--levels", "--player.startup"]),
-        ({SHORT: 5.0, BELOW: 3.0}, ["--player.startup", "--levels"]),
-        ({SHORT: 95.0, BELOW: 9.0}, ["--player.startup"]),
-        ({ASKED: 4.0, OVER: 3.0, FAULTS: 1.0}, ["Ask for less", "validate"]),
-        ({ASKED: 3.0, OVER: 4.0}, ["Be more cautious"]),
-    ],
-)
-def test_each_long_kind_of_waits_is_advised_on_and_the_longest_first(waits, advice):
-    log = play(TINY, link([4e4]), loops=3)
-    told = _advice(log, [Stall(float(n), seconds, why, 1e4) for n, (why, seconds) in enumerate(waits.items())])
-    assert len(told) == len(advice) and all(words in line for words, line in zip(advice, told, strict=True))
-
-
-def test_the_rate_that_levels_need_is_that_of_waits_for_them():
-    log = play(TINY, link([4e4]), loops=3)
-    (line,) = _advice(log, [Stall(0.0, 5.0, BELOW, 2e6), Stall(9.0, 0.1, SHORT, 1e4)])
-    assert "that 2.00 Mbit/s carry" in line
 
 
 def test_a_larger_buffer_is_advised_only_where_the_link_carries_enough_at_times():
@@ -161,11 +137,6 @@ def test_a_study_of_a_package_that_was_not_measured_tells_of_waiting_alone():
     assert "may be chance" in few["good"] and "10.0 % less waiting than robust-mpc" in few["change"]
     assert not any(word in words for one in (many, few) for words in one.values() for word in ("nan", "dB"))
     assert told(8, {"fixed:1": 0.0})["wrong"] == "Nothing: nobody waits."
-
-
-def test_a_session_of_a_package_that_was_not_measured_has_no_bound():
-    row = _session_row(play(tiny_manifest(psnr=None), link([8e6]), "fixed:0"))
-    assert row["bound"] is row["regret"] is row["qoe"] is None
 
 
 def test_oracles_are_no_players():

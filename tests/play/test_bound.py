@@ -29,12 +29,6 @@ def horizon(*capacities, released=0.0, decoded=NONE, starts=None, offers=OFFERS)
     return Horizon(slots, decoded)
 
 
-def test_everything_fits():
-    best = solve_horizon(horizon(6300, 12600))
-    assert best is not None and best.quality == pytest.approx(40.0) and best.first_bytes == pytest.approx(6300)
-    assert best.rungs[:, 0] == pytest.approx([1, 1])
-
-
 def test_bytes_that_are_left_serve_later():
     """6300 B for the first, 3800 (36 dB) or 5300 (38 dB) for the second: both best only if the first leaves some."""
     exact = solve_horizon(horizon(6300, 11600), integer=True)

@@ -12,8 +12,7 @@ from airgs_codec.errors import FormatError
 from airgs_codec.package.references import check_base, check_group
 from airgs_codec.package.tables import NO_FILE
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.downloader import Arrival, BatchKind, Request, SimulatedDownloader
-from airgs_codec.play.fetcher import KeyStore
+from airgs_codec.play.downloader import SimulatedDownloader
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
@@ -163,44 +162,6 @@ def test_no_session_beats_the_bound(rates, pictures):
         log = play(m, policy, link(*rates), loops=loops, replace=True, abandon=True)
         best = session_bound(log)
         assert best is not None and best >= log.mean_quality - 1e-6
-
-
-def test_every_segment_shown_has_its_files_and_those_of_its_base(monkeypatch):
-    """Sessions over groups that differ in some tiers or none, with any policy."""
-    arrived = []
-    add = KeyStore.add
-
-    def adding(store, loop, offer, arrival):
-        arrived.extend(arrival.usable)
-        add(store, loop, offer, arrival)
-
-    monkeypatch.setattr(KeyStore, "add", adding)
-    chance = np.random.default_rng(0)
-    for policy in ("throughput", "robust-mpc", "oracle-lp", "bola", "fixed:Q1+L1") * 12:
-        m, base = tiny_manifest(groups=(10,) * 5), 1
-        for number in range(2, 6):
-            base = base if chance.random() < 0.75 else number
-            pictures = [(True, False), (True, True), (False, True), (False, False)][chance.integers(4)]
-            m = m if base == number else keeping(m, number, base, pictures)
-        arrived.clear()
-        log = play(m, policy, link(*chance.uniform(1e4, 1.5e5, 4)), replace=True, abandon=True)
-        for shown in log.shown:
-            (quality, level), group = log.offers.rungs[shown.rung], m.group_of(shown.segment)
-            for tier in range(m.levels[level].tiers):
-                base = m.base_of(group)
-                needed = m.key_files(group, tier, quality) + m.key_files(group if base is None else base, tier, quality)
-                assert set(needed) <= set(arrived)
-
-
-def test_a_second_tier_that_came_before_the_first_is_not_fetched_again():
-    c = Offers(tiny_manifest(), 0, 1000)
-    keys, offer = KeyStore(), c.offer(0)
-    batch = keys.missing(0, offer, 0)
-    request = Request(BatchKind.GROUP, 0, 0, batch, 0.0, 0.0)
-    second = tuple(c.manifest.key_files(0, 1, 0))
-    keys.add(0, offer, Arrival(request, 0.0, 1.0, 1, whole=second, refused={}, abandoned=True))
-    assert keys.missing(0, offer, 0).keys == tuple(c.manifest.key_files(0, 0, 0))
-    assert not keys.shows(0, offer, 0)
 
 
 def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():

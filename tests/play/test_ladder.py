@@ -6,7 +6,6 @@ import math
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision, Ladder, Option, saved_shares, select
@@ -235,23 +234,3 @@ def test_as_printed_and_as_defined_agree_where_algorithm_1_is_defined(qualities,
     decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
     assert (answer is not None) == decision.fits
     assert answer is None or answer == decision.index
-
-
-@given(
-    st.lists(st.tuples(st.integers(0, 10**6), st.floats(0, 60)), min_size=1, max_size=12),
-    st.floats(0, 2e6),
-)
-def test_without_a_cliff_it_is_the_papers_integer_programme(pairs, budget):
-    """Maximise the quality of one frame, exactly one level, within the budget (the paper's problem for one t)."""
-    points = [Option(i, size, quality, 0.1 * i) for i, (size, quality) in enumerate(pairs)]
-    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
-    constraints = [
-        LinearConstraint([[p.size_bytes for p in points]], ub=budget),
-        LinearConstraint([[1] * len(points)], 1, 1),
-    ]
-    best = milp(
-        [-p.quality for p in points], constraints=constraints, bounds=Bounds(0, 1), integrality=[1] * len(points)
-    )
-    assert decision.fits == best.success
-    if best.success:
-        assert points[decision.index].quality == pytest.approx(-best.fun, abs=1e-6)

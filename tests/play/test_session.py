@@ -4,7 +4,6 @@ import html
 import itertools
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,23 +15,17 @@ from airgs_codec.package.layout import FileKind
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.buffered import Buffered
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
     BatchKind,
-    Partial,
     Replaced,
     Request,
     Shown,
-    SimulatedDownloader,
 )
-from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.ladder import Decision
-from airgs_codec.play.metrics import SHORTEST_S, _first_picture, mean_quality, session_metrics
+from airgs_codec.play.metrics import SHORTEST_S, session_metrics
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.player import run
-from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.policies.state import STALL_DB, Policy
 from airgs_codec.play.report import answer, format_metrics, write_report
 from airgs_codec.play.session import SessionLog, session_bound, simulate
@@ -213,11 +206,6 @@ def test_it_goes_on_when_enough_is_at_hand_again():
     assert two.shown[-1].start_s + 1 > one.shown[-1].start_s
 
 
-def test_mean_quality_is_over_media_time():
-    shown = [SimpleNamespace(psnr=p, frames=n) for p, n in ((40.0, 10), (20.0, 30), (None, 50))]
-    assert mean_quality(shown) == 25.0
-
-
 def test_a_full_buffer_need_not_wait_for_more():
     log = play(tiny_manifest(), link([4e4]), loops=2, resume_s=9.0, startup_s=9.0, buffer_s=2.0)
     assert log.shown[0].start_s == pytest.approx(2.76)  # two segments are all it may hold
@@ -238,105 +226,10 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
     assert better.metrics.wasted > 0 == kept.metrics.wasted
 
 
-def test_a_replacement_of_the_same_level_asks_for_keys_alone():
-    offers = Offers(tiny_manifest())
-    offer = offers.offer(0)
-    fetcher = SimpleNamespace(offer=lambda _: offer, missing=lambda _, rung: offer.missing(rung, NONE))
-    best, same, other = (offers.names.index(name) for name in ("Q0+L0", "Q1+L0", "Q0+L2"))
-    keys, whole = (
-        Buffered(fetcher, None)._replacing(SimpleNamespace(position=0, rung=rung), best) for rung in (same, other)
-    )
-    assert keys.files == whole.keys and len(whole.state) > 0
-
-
-def buffered(slots, unusable=frozenset(), **more):
-    """What has (rung, start in s) buffered at 10 s, over 0.5 s of round trip, and the slots."""
-    offers = Offers(tiny_manifest(psnr=((40.0, 39.5), (38.0, 35.0), (34.0, 32.0))), 0)
-    offer, name = offers.offer(0), offers.names.index
-    found = [
-        SimpleNamespace(position=n, rung=name(r), start_s=at, seconds=2.0, psnr=35.0) for n, (r, at) in enumerate(slots)
-    ]
-    fetcher = SimpleNamespace(
-        now_s=10.0, connection=SimpleNamespace(rtt_s=0.5), settings=SimpleNamespace(decode_frame_s=0.25, replace=True),
-        loop=lambda _: 0, keys=SimpleNamespace(options=lambda *_: offer.options(NONE)), offer=lambda _: offer,
-        missing=lambda _, rung: offer.missing(rung, NONE), unusable=unusable,
-        usable=lambda batch: unusable.isdisjoint(batch.files), policy=SimpleNamespace(may_replace=True), **more,
-    )  # fmt: skip
-    playout = SimpleNamespace(pending=lambda: [(slot, offer) for slot in found])
-    return Buffered(fetcher, playout), found, offers.names
-
-
-def replacements(slots, unusable=frozenset(), rate_bps=8e3):
-    """What may be replaced over 1000 bytes/s: slot, rung, dB s a byte."""
-    made, _, names = buffered(slots, unusable)
-    return [
-        (slot.position, names[option.index], pytest.approx(gain)) for gain, slot, option in made._replacements(rate_bps)
-    ]
-
-
-@pytest.mark.parametrize(
-    ("arrives_s", "complete", "rung"),
-    [(98.75, True, "Q1+L0"), (98.76, True, "Q0+L1"), (97.0, False, "Q0+L1"), (99.0, False, "Q0+L1")],
-)
-def test_a_replacement_is_shown_once_it_is_decoded_in_time(arrives_s, complete, rung):
-    def receive(request):
-        asked.append(request)
-        made.fetcher.now_s = arrives_s
-        return SimpleNamespace(complete=complete)
-        yield
-
-    asked = []
-    made, (slot,), names = buffered([("Q0+L1", 99.0)], receive=receive, throughput_bps=lambda _: 8e6)
-    steps, events = made._replace_best(), []
-    with pytest.raises(StopIteration) as ended:
-        while True:
-            events.append(next(steps))
-    best = names.index("Q1+L0")  # 1.5 dB for 3800 bytes, where Q0+L0 takes 6300 for 2 dB
-    assert ended.value.value is True and names[slot.rung] == rung
-    (request,) = asked
-    assert (request.kind, request.position, request.rung, request.sent_s) == (BatchKind.REPLACEMENT, 0, best, 10.0)
-    decision = Decision(best, True, "39.5 dB in place of 35.0", 3800)
-    assert (events[0].decision, events[0].budget_bytes, events[0].throughput_bps) == (decision, 0.0, 8e6)
-    shown = [(0, names.index("Q0+L1"), best)] if rung == "Q1+L0" else []
-    assert [(one.position, one.before, one.after) for one in events[1:]] == shown
-
-
-@pytest.mark.parametrize("more", [{"throughput_bps": lambda _: 0.0}, {"throughput_bps": lambda _: 1e3}])
-def test_nothing_is_replaced_without_an_estimate_or_in_no_time(more):
-    with pytest.raises(StopIteration) as ended:
-        next(buffered([("Q0+L1", 12.0)], **more)[0]._replace_best())
-    assert ended.value.value is False
-
-
-def test_replacements_are_worth_their_gain_over_what_they_still_need():
-    """Of rungs that show at least half a dB more: keys have 4200 and 1700 bytes, states 2100, 1100 and 600."""
-    assert replacements([("Q1+L0", 99.0)]) == [(0, "Q0+L0", 0.5 * 2 / 4200)]  # its state is there, 0.5 dB is enough
-    assert replacements([("Q0+L1", 99.0)]) == [(0, "Q0+L0", 2 * 2 / 6300), (0, "Q1+L0", 1.5 * 2 / 3800)]
-    assert [name for _, name, _ in replacements([("Q1+L2", 99.0)])] == ["Q0+L0", "Q0+L1", "Q0+L2", "Q1+L0", "Q1+L1"]
-
-
-def test_replacements_are_decoded_when_their_segment_begins():
-    in_time = 10 + 0.5 + 4.2 + 0.25
-    assert len(replacements([("Q1+L0", in_time)])) == 1 and replacements([("Q1+L0", in_time - 0.01)]) == []
-    late, never = [("Q1+L0", 10.0), ("Q1+L0", 9.0)], [("Q1+L0", np.inf)]
-    found = replacements([*late, *never, ("Q0+L0", 99.0), ("Q1+L0", 99.0)], rate_bps=1e9)
-    assert [position for position, *_ in found] == [4]
-    assert replacements([("Q1+L0", 10.0)], rate_bps=np.inf) == []
-    assert replacements([("Q0+L1", 14.6)]) == [(0, "Q1+L0", 1.5 * 2 / 3800)]  # the dearer one would be late
-
-
-def test_what_cannot_be_had_replaces_nothing():
-    broken = frozenset({"key/T0/Q0/1.m4s"})
-    assert [name for _, name, _ in replacements([("Q0+L1", 99.0)], broken)] == ["Q1+L0"]
-    assert len(replacements([("Q0+L1", 99.0)], frozenset({"another"}))) == 2
-
-
-@pytest.mark.parametrize("rtt", [0.3, 0.6, 0.9])
-@pytest.mark.parametrize("rate", [4e4, 6e4, 1e5])
-def test_a_replacement_that_a_round_trip_makes_late_is_not_asked_for(rate, rtt):
-    options = {"policy": "paper-no-cliff", "buffer_s": 3.0, "loops": 8, "replace": True}
-    log = play(tiny_manifest(), link([2e4, rate], [0, 3], 1000, rtt=rtt), **options)
-    assert all(f.arrival_s <= log.shown[f.position].start_s for f in log.fetches if f.kind is BatchKind.REPLACEMENT)
+def test_a_replacement_that_cannot_be_had_is_asked_for_once():
+    faults, quick = missing("key/T0/Q0/1.m4s"), {"buffer_s": 4.0, "loops": 4, "replace": True}
+    log = play(tiny_manifest(), link([3e4, 8e6], [0, 2], 1000), "paper-no-cliff", faults=faults, **quick)
+    assert [f.rung for f in log.fetches if f.kind is BatchKind.REPLACEMENT and f.position == 2] == [0, 3]
 
 
 def test_a_better_key_serves_the_rest_of_its_group():
@@ -359,17 +252,6 @@ def test_a_download_that_would_come_too_late_is_given_up():
     assert waited[1] < waited[0]
     given_up = next(f for f in hasty.fetches if f.abandoned)
     assert given_up.arrival_s - given_up.request_s >= 0.5 and 0 < given_up.wasted <= given_up.bytes
-
-
-@pytest.mark.parametrize(("left", "given_up"), [(1400, False), (1600, True)])
-def test_a_download_is_given_up_where_the_smallest_one_would_come_sooner(left, given_up):
-    """500 B at 1000 B/s after a round trip of 1 s: 1.5 s, with a deadline that neither meets."""
-    player = SimpleNamespace(
-        settings=rules(abandon=True), policy=Policy("any", None), connection=SimpleNamespace(rtt_s=1.0), now_s=10.0
-    )
-    too_late = Fetcher.give_up(player, 10.5, 6000, 500)
-    assert too_late(Partial(12.0, 2.0, 2000, 2000 + left)) is given_up
-    assert not too_late(Partial(8.0, 2.0, 2000, 2000 + left))  # in time
 
 
 def test_missing_and_corrupt_files_cost_their_rung_and_no_more():
@@ -446,25 +328,6 @@ def test_a_batch_given_up_is_wasted_but_for_its_keys():
     assert [f.wasted for f in log.fetches] == [9000 - 2 * 100 - 1000 - 500, 0]
     assert log.metrics.abandoned == 1 and [f.abandoned for f in log.fetches] == [True, False]
     assert log.metrics.bytes["key"] == 2 * 1500 and log.metrics.bytes["state"] == 600
-
-
-def test_events_come_in_the_order_in_which_they_happen():
-    """A segment is shown once nothing can replace it any more: before the next batch that arrives after its start."""
-    offers, over = Offers(tiny_manifest(), 0, 1000), link([3e4, 8e6], [0, 2], 1000)
-    policy = make_policy("paper-no-cliff", offers)
-    options = rules(replace=True, buffer_s=4.0, loops=4)
-    events = list(run(offers, SimulatedDownloader(over, offers), policy, options))
-    assert events[0].arrival.request.kind is BatchKind.TABLES and isinstance(events[-1], Shown)
-    arrivals = [e.arrival.at_s for e in events if isinstance(e, Arrived)]
-    starts = [e.start_s for e in events if isinstance(e, Shown)]
-    assert arrivals == sorted(arrivals) and starts == sorted(starts)
-    first_shown = next(i for i, e in enumerate(events) if isinstance(e, Shown))
-    assert any(isinstance(e, Replaced) for e in events) and first_shown < len(events) - len(starts)
-    for i, event in enumerate(events):
-        if isinstance(event, Replaced):
-            assert isinstance(events[i - 1], Arrived)
-            shown = sum(isinstance(e, Shown) for e in events[:i])
-            assert event.position >= shown
 
 
 def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
@@ -584,11 +447,3 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     m = session_metrics(log.offers, None, fetches, lost, {})
     assert m.rungs == {"Q1+L0": 1, "lost": 1} and (m.lost_frames, m.stalls, m.change_db) == (10, 0, 0.0)
     assert m.utilisation is m.trace_end is None
-
-
-def test_the_first_picture_takes_what_was_shown_of_it():
-    """Batches of a segment that was given up, and tables, bring none."""
-    told = [("group", 0, False), ("tables", 0, True), ("group", 1, True), ("state", 1, True), ("state", 2, True)]
-    fetches = [SimpleNamespace(kind=BatchKind(kind), position=p, shown=shown) for kind, p, shown in told]
-    assert _first_picture(fetches) == 3
-    assert _first_picture(fetches[:2]) == 2

@@ -6,9 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli.manifest import main as inspect_main
 from airgs_codec.cli.play import main
-from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import find_faults, open_package
 from airgs_codec.package.region import draw_views
 from airgs_codec.play.metrics import FIGURES
@@ -86,15 +84,6 @@ def test_a_study_compares_on_the_same_links(demo_package, capsys):
     }
 
 
-def test_a_session_says_which_psnr_it_shows(demo_package, tmp_path, capsys):
-    assert main([str(demo_package), "--trace", "const:9", "--player.loops", "1", "--report", str(tmp_path)]) == 0
-    assert "mean over ticks" in capsys.readouterr().out
-    assert "mean over ticks" in (tmp_path / "index.html").read_text()
-    assert "mean over display ticks" in json.loads((tmp_path / "session.json").read_text())["meanings"]["psnr_mean"]
-    assert inspect_main(["inspect", str(demo_package)]) == 0
-    assert "errors pooled for PSNR" in capsys.readouterr().out
-
-
 def test_a_study_repeats_exactly(demo_package):
     settings = StudySettings(("paper", "bola"), ("markov:3:1",), 2, session=replace(SessionSettings(), loops=10))
     a, b = (run_study(demo_package, replace(settings, jobs=jobs)) for jobs in (1, 2))
@@ -147,8 +136,3 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
 
 def test_decoding_is_timed(moving):
     assert 0 < measure_decoding(moving) < 10
-
-
-def test_policies_need_different_names():
-    with pytest.raises(ConfigError, match="different"):
-        StudySettings(("paper", "paper"), ("const:1",))

@@ -12,7 +12,6 @@ from airgs_codec.scene.camera import dome_views, look_at, orbit_views, training_
 from airgs_codec.scene.cameras.read import read_cameras
 from airgs_codec.scene.gaussians import Gaussians
 from tests.support.multiview_files import matrix_of
-from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 from tests.support.views import ring
 
@@ -34,16 +33,6 @@ def test_a_camera_that_looks_along_up_is_finite():
 def entry(view, **fields):
     intrinsics = {"w": view.width, "h": view.height, "fl_x": view.fx, "fl_y": view.fy, "cx": view.cx, "cy": view.cy}
     return {"transform_matrix": matrix_of(view), **intrinsics, **fields}
-
-
-def test_cameras_come_back_from_a_file_once_each(tmp_path):
-    views = ring(3)
-    frames = [entry(v, camera=v.name, time_index=t, near=0.2) for t in range(2) for v in views]
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
-    back = read_cameras(tmp_path / "transforms.json")
-    assert [c.name for c in back] == [v.name for v in views] and {c.near for c in back} == {0.2}
-    for a, b in zip(back, views, strict=True):
-        np.testing.assert_allclose(a.world_to_camera, b.world_to_camera, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -70,10 +59,6 @@ def test_held_out_cameras_are_never_trained_on():
     for split, held_out in (("train", False), ("test", True)):  # where there is no choice, all are trained on
         alike = [replace(v, split=split) for v in views]
         assert {v.held_out for v in alike} == {held_out} and training_views(alike) == alike
-
-
-def test_the_cameras_of_the_embedded_scene():
-    assert len(training_views(read_cameras(FOX / "transforms.json"))) < 20
 
 
 def test_generated_views_see_the_scene():
