@@ -10,8 +10,6 @@ from tests.support.scenes import moving_frames
 
 
 class Bars(tqdm):
-    """Bars that remember what they were."""
-
     made: ClassVar = []
 
     def __init__(self, *arguments, **named):

@@ -30,7 +30,6 @@ def wall(z, *, side=3.0, opacity=6.0):
 
 
 def row(*xs, size=32):
-    """Cameras side by side that look along +z."""
     up = np.array([0.0, -1.0, 0.0])
     return [look_at(np.array([x, 0, 0.0]), np.array([x, 0, 1.0]), up, size=size, fov_y=0.6, name=f"x{x:g}") for x in xs]
 

@@ -25,7 +25,6 @@ def package(tmp_path_factory):
 
 
 def line_of(capsys):
-    """The one line on stderr."""
     text = capsys.readouterr().err.strip()
     assert "\n" not in text and "Traceback" not in text
     return text
@@ -181,3 +180,18 @@ def test_a_target_that_cannot_be_written_is_one_line(tmp_path, capsys):
     assert "file" in line_of(capsys)
     assert encode.main([str(scene), "-o", str(tmp_path / "file")]) == 2
     assert "got a file" in line_of(capsys)
+
+
+@pytest.mark.parametrize("what", ["missing", "no ply", "truncated", "sh degree changes", "bad cameras"])
+def test_encode_refuses_bad_scenes_in_one_line_and_leaves_nothing(tmp_path, what, capsys):
+    scene, frames = tmp_path / "scene", moving_frames(20, 2)
+    if what != "missing":
+        write_sequence(scene, [frames[0], random_gaussians(20, 1)] if what == "sh degree changes" else frames)
+        second = scene / "000001.ply"
+        changed = {"no ply": b"no ply", "truncated": second.read_bytes()[:-50]}
+        second.write_bytes(changed.get(what, second.read_bytes()))
+        if what == "bad cameras":
+            (scene / "transforms.json").write_text("{}")
+    assert encode.main([str(scene), "-o", str(tmp_path / "out")]) == 2
+    assert "expected" in line_of(capsys)
+    assert sorted(p.name for p in tmp_path.iterdir()) in (["scene"], [])

@@ -29,8 +29,6 @@ def page(tmp_path_factory, monkeypatch):
 
 
 class Elements(HTMLParser):
-    """The elements of a page with their attributes."""
-
     def __init__(self, text):
         super().__init__()
         self.found = []

@@ -11,7 +11,6 @@ COMMANDS = {"decode": decode, "encode": encode, "play": play, "serve": serve, "t
 
 
 def listed(text):
-    """Options that a help text lists."""
     return re.findall(r"^  (?:-\w, )?(--[a-z][\w.-]*)", text, re.MULTILINE)
 
 

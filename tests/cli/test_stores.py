@@ -23,13 +23,11 @@ ENCODE = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictur
 
 @pytest.fixture
 def place(bucket, request):
-    """A prefix with nothing below it."""
     return f"{bucket}/{request.node.name}/scene.airgs"
 
 
 @pytest.fixture
 def scene(tmp_path):
-    """Four frames of 40 Gaussians."""
     return write_sequence(tmp_path / "scene", moving_frames(40, 4))
 
 

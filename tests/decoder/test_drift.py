@@ -28,7 +28,6 @@ from tests.support.scenes import moving_frames, write_sequence
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    """Forth and back, 600 frames."""
     folder = tmp_path_factory.mktemp("drift")
     there = moving_frames(60, 40)
     turn = [*range(40), *range(38, 0, -1)]

@@ -169,7 +169,6 @@ def test_a_target_out_of_reach_is_one_line_and_leaves_nothing(first_frames, tmp_
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    """A small moving scene."""
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 3)))
     views = ViewPlan.of(sequence, 6, region=replace(region(place(0.0)), width=96, height=72))
     with temporary_work() as work:

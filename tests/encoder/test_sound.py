@@ -32,7 +32,6 @@ SETTINGS = EncodeSettings(calibrate="none", measure_pictures=0, group_frames=13,
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Three groups of 13 frames with a chirp."""
     root = tmp_path_factory.mktemp("sound")
     sequence = open_sequence(write_sequence(root / "scene", moving_frames(40, 39)), fps=FPS)
     sound = encode_sound(write_chirp(root / "a.wav", 2.0), len(sequence) / sequence.fps)

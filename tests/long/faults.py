@@ -53,7 +53,6 @@ PLACES = ("target", "--work", "TMPDIR", "XDG_CACHE_HOME")  # what lies on the di
 
 
 def begin(scene: Path, target: Path, *more: str, **environment: str) -> subprocess.Popen[str]:
-    """An encode as a process of its own."""
     code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
     words = [sys.executable, "-c", code, str(scene), "-o", str(target), *OPTIONS, *more]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
@@ -62,7 +61,6 @@ def begin(scene: Path, target: Path, *more: str, **environment: str) -> subproce
 
 
 def judge(code: int, said: str, allowed: Iterable[int], target: Path, beside: Iterable[Path] = ()) -> str:
-    """What is wrong after a fault; "" if nothing is."""
     wrong = [] if code in allowed else [f"exit code {code}"]
     wrong += [f"said {said!r}"] if code > 0 and said.count("\n") != 1 else []
     wrong += [str(finding) for finding in (validate(target) if target.exists() else [])]
@@ -95,7 +93,6 @@ def fill_disks(rounds: int, chance: random.Random, scene: Path, folder: Path) ->
 
 @contextmanager
 def mounted(disk: Path) -> Iterator[None]:
-    """A tmpfs."""
     disk.mkdir(exist_ok=True)
     subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64m", "tmpfs", disk], check=True)
     try:
@@ -105,7 +102,6 @@ def mounted(disk: Path) -> Iterator[None]:
 
 
 def resize(disk: Path, size: str) -> None:
-    """Give a tmpfs another size, at least what it holds."""
     subprocess.run(["mount", "-o", f"remount,size={size}", disk], check=True)
 
 
@@ -158,7 +154,6 @@ class Clock:
 
 
 def jump(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
-    """A publisher and a live player whose clocks jump."""
     for number in range(rounds):
         target, clock, wrong = folder / f"jumped{number}", Clock(chance, back=True), ""
         dates = SimpleNamespace(now=clock.now, fromtimestamp=datetime.fromtimestamp)
@@ -262,7 +257,6 @@ def judge_growing(target: Path) -> str:
 
 
 def main() -> None:
-    """Make faults, look, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)

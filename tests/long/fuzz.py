@@ -36,7 +36,6 @@ _ADDRESSES = 8 << 30  # of a worker in all, of which threads and libraries take 
 
 @cache
 def expected(target: Target, seed: int) -> str:
-    """What is read of good files."""
     return target.use(seeds(target)[seed])
 
 
@@ -84,7 +83,6 @@ def _memory(name: str) -> int:
 
 
 def work(start: int, stop: int, only: str = "") -> None:
-    """Print a line of JSON a case."""
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     warnings.simplefilter("ignore")
     for number in range(start, stop):
@@ -93,8 +91,6 @@ def work(start: int, stop: int, only: str = "") -> None:
 
 @dataclass(slots=True)
 class Tally:
-    """What was found so far."""
-
     counts: dict[str, Counter[str]] = field(default_factory=dict)  # outcomes by target
     findings: dict[str, list[int]] = field(default_factory=dict)  # numbers of cases
 

@@ -29,13 +29,11 @@ TRAIN = ["airgs_codec.cli.train", str(FOX_VIEWS), "--iterations", "120,60,30", "
 
 
 def command(words: list[str]) -> subprocess.Popen[bytes]:
-    """One of our commands as a process of its own."""
     code = f"import sys; from {words[0]} import main; sys.exit(main(sys.argv[1:]))"
     return subprocess.Popen([sys.executable, "-c", code, *words[1:]], stdout=subprocess.DEVNULL)
 
 
 def seconds_of(words: list[str]) -> float:
-    """An unbroken run."""
     began = time.perf_counter()
     if command(words).wait():
         raise SystemExit(f"{' '.join(words)}: failed without a kill")
@@ -43,7 +41,6 @@ def seconds_of(words: list[str]) -> float:
 
 
 def killed(words: list[str], after_s: float) -> bool:
-    """Whether the run was still going when it was killed."""
     process = command(words)
     try:
         process.wait(after_s)
@@ -108,7 +105,6 @@ def kill_trainings(count: int, chance: random.Random, folder: Path) -> int:
 
 
 def main() -> None:
-    """Kill, look, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--encodes", type=int, default=25)
     parser.add_argument("--trainings", type=int, default=25)

@@ -61,7 +61,6 @@ from tests.support.views import ring
 
 
 def change_file(chance: random.Random, seed: Files) -> tuple[Files, bool]:
-    """One or two changes of one file."""
     name = chance.choice(list(seed))
     data = mutate(chance, seed[name], chance.choice(list(seed.values())))
     return seed | {name: mutate(chance, data, seed[name]) if chance.random() < 0.3 else data}, True
@@ -80,13 +79,11 @@ class Target:
 
 @cache
 def seeds(target: Target) -> list[Files]:
-    """The good files of a target, made once."""
     return target.make()
 
 
 @cache
 def packages() -> list[Files]:
-    """Every valid package."""
     return [read_files(folder) for folder in sorted(VALID.iterdir())]
 
 
@@ -167,7 +164,6 @@ def change_package(chance: random.Random, seed: Files) -> tuple[Files, bool]:
 
 
 def _changed(chance: random.Random, columns: list[Column]) -> list[Column]:
-    """One number of some columns changed."""
     out = [(values.copy(), order) for values, order in columns]
     values = chance.choice([values for values, _ in out if len(values)])
     at = chance.randrange(len(values))
@@ -176,7 +172,6 @@ def _changed(chance: random.Random, columns: list[Column]) -> list[Column]:
 
 
 def _with_columns(data: bytes, columns: list[Column]) -> bytes:
-    """A sidecar or a media segment with other columns."""
     if data[8:24] != OWN:
         return encode_columns(columns)
     return with_own_box(data[len(_own_box(data)) :], read_segment(data).checksums, encode_columns(columns))
@@ -206,7 +201,6 @@ def read_scene(files: Files) -> str:
 
 
 def read_rig(files: Files) -> str:
-    """Read cameras, and what a training would make of them."""
     with tempfile.TemporaryDirectory() as folder:
         cameras = read_cameras(write_files(Path(folder), files))
         assert all(np.isfinite(camera.world_to_camera).all() for camera in cameras), "not finite"
@@ -215,7 +209,6 @@ def read_rig(files: Files) -> str:
 
 
 def read_store(files: Files) -> str:
-    """Read all results of an encode."""
     store = Store(Memory("store", dict(files)))
     for name in files:
         load(store, name.rpartition("/")[2])
@@ -272,7 +265,6 @@ def _written(make: Callable[..., object], name: str, *more: object) -> Files:
 
 
 def _stored() -> Files:
-    """The work store of a small encode."""
     place = Memory("store")
     settings = EncodeSettings(calibrate="none", measure_pictures=0, decide_pictures=1, preset="ultrafast", threads=1)
     with tempfile.TemporaryDirectory() as folder:

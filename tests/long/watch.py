@@ -65,7 +65,6 @@ def main() -> int:
 
 
 def watch(browser: Browser, package: Path, minutes: float) -> list[str]:
-    """What went wrong in a browser."""
     reports: list[dict[str, Any]] = []
 
     def told(body: bytes) -> bytes:

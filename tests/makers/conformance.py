@@ -36,7 +36,6 @@ SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=A
 
 
 def frames(count: int, degree: int, length: int) -> list[Gaussians]:
-    """A small ball of Gaussians, half of it swinging."""
     rng = np.random.default_rng(7)
     rest = rng.normal(size=(count, {0: 0, 1: 3}[degree], 3)) * 0.2
     still = rng.normal(size=(count, 3)) * 0.4
@@ -75,7 +74,6 @@ PACKAGES = {
 
 
 def main() -> None:
-    """Write the packages anew."""
     shutil.rmtree(VALID, ignore_errors=True)
     for name, (sequence, settings) in PACKAGES.items():
         encode_bare(sequence, VALID / name, settings)
@@ -84,7 +82,6 @@ def main() -> None:
 
 
 def write_sound() -> None:
-    """valid/sound: valid/two-groups-sh1 with a tone."""
     package, sound = open_package(VALID / "two-groups-sh1"), Folder(VALID / "sound")
     m = package.manifest
     tone = np.round(8000 * np.sin(2 * np.pi * 440 * np.arange(48_000) / 48_000)).astype("<i2")

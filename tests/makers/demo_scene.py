@@ -24,7 +24,6 @@ COUNT = 5_000  # Gaussians of the first group; the second keeps the same rows an
 
 
 def main() -> None:
-    """Write the scene."""
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("sequence", "multiview", "trace", "out"):
         parser.add_argument(name, type=Path)

@@ -21,7 +21,6 @@ JPEG_QUALITY = 95
 
 
 def main() -> None:
-    """Write the scene."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("multiview", type=Path)
     parser.add_argument("out", type=Path)

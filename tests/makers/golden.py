@@ -26,7 +26,6 @@ ROWS = 700  # Gaussians kept of the embedded scene
 
 
 def main() -> None:
-    """Write the corpus anew."""
     shutil.rmtree(GOLDEN, ignore_errors=True)
     GOLDEN.mkdir()
     source = open_sequence(FOX)

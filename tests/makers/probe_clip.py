@@ -40,7 +40,6 @@ def picture() -> NDArray[np.uint8]:
 
 
 def encode_probe() -> bytes:
-    """The picture coded: NAL units, each behind its length."""
     shown = picture()
     settings = CodecSettings(QP, 1.0, between=0)
     coded = encode_gop(ClosedGop([shown], 0, 1), shown.shape, Fraction(24), settings)
@@ -49,14 +48,12 @@ def encode_probe() -> bytes:
 
 
 def text(sample: bytes) -> str:
-    """The module."""
     letters = base64.b64encode(sample).decode()
     lines = [f'  "{letters[start : start + 112]}"' for start in range(0, len(letters), 112)]
     return TEXT.format(blocks=BLOCK, lines=" +\n".join(lines))
 
 
 def main() -> None:
-    """Write the module anew."""
     sample = encode_probe()
     (decoded,) = Pictures([sample], PATH.name)
     assert np.array_equal(decoded, picture()), "the coded picture is not exact"

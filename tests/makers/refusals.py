@@ -69,7 +69,6 @@ def kept_sidecar(files: Files) -> Files:
 
 
 def flip(data: bytes) -> bytes:
-    """Change the last byte."""
     return data[:-1] + bytes([data[-1] ^ 1])
 
 
@@ -79,7 +78,6 @@ def in_table(*mutations: Mutation) -> tuple[Mutation, ...]:
 
 
 def inflated(data: bytes) -> bytes:
-    """What is in a table, without gzip."""
     return gzip.decompress(data)
 
 
@@ -89,7 +87,6 @@ def fragment_of(data: bytes) -> bytes:
 
 
 def with_columns(data: bytes, columns: bytes) -> bytes:
-    """A media segment with another column file."""
     return with_own_box(fragment_of(data), read_segment(data).checksums, columns)
 
 
@@ -227,7 +224,6 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
 
 
 def source_of(name: str) -> str:
-    """The valid package that a broken one is made of."""
     if "sound" in name:
         return "sound"
     if "-line" in name:

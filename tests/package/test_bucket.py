@@ -57,7 +57,6 @@ def before(request):
 
 @pytest.fixture
 def store(before):
-    """A store with it."""
     store = MemoryStore()
     if before:
         publish(store, before)

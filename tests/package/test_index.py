@@ -29,8 +29,6 @@ MOST_ROOT_BYTES = 63 * 50 * 3  # of three levels
 
 @dataclass(frozen=True)
 class Part:
-    """A group as the index sees it."""
-
     start: int
     stop: int
     segments: range

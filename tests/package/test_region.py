@@ -36,7 +36,6 @@ UP = np.array([0.0, -1.0, 0.0])
 
 
 def offsets(drawn, at):
-    """(n, 3) from a place to the views."""
     return np.stack([view.position for view in drawn]) - np.array(at.position)
 
 
@@ -160,7 +159,6 @@ TURN = [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0]
 
 
 def transform(axes, shift=(0.0, 0.0, 0.0)):
-    """12 numbers, row by row."""
     return np.hstack([np.reshape(axes, (3, 3)), np.reshape(shift, (3, 1))]).ravel().tolist()
 
 

@@ -20,13 +20,11 @@ NOW = datetime(2026, 1, 1, tzinfo=UTC)
 
 @pytest.fixture(scope="module")
 def whole():
-    """65 groups."""
     return open_package(PAGED).manifest
 
 
 @pytest.fixture
 def growing(whole, tmp_path):
-    """A package with the first of them."""
     for name, data in read_files(PAGED).items():
         if name.startswith(("key/", "state/", "init")):
             Folder(tmp_path).write(name, data)

@@ -19,7 +19,6 @@ from tests.support.servers import put_folder
 
 @pytest.fixture
 def place(bucket, request):
-    """An address with nothing below it."""
     return f"{bucket}/{request.node.name}/scene"
 
 

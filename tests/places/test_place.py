@@ -14,7 +14,6 @@ from tests.support.servers import plainly_serving
 
 @pytest.fixture(params=["folder", "memory", "bucket"])
 def place(request, tmp_path):
-    """An empty place of each kind."""
     if request.param == "folder":
         return Folder(tmp_path / "new")
     if request.param == "memory":

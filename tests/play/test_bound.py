@@ -20,7 +20,6 @@ OFFERS = Offers(tiny_manifest(), header_bytes=0)
 
 
 def horizon(*capacities, released=0.0, decoded=NONE, starts=None, offers=OFFERS):
-    """One slot for each capacity, segments in turn."""
     starts = [True] * len(capacities) if starts is None else starts
     slots = tuple(
         Slot(replace(offers.offer(i % 2), starts_group=o), released, float(c))

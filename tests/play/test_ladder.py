@@ -120,7 +120,6 @@ def test_bandwidths_and_frame_rates_that_are_none_12(bandwidth):
 
 
 def literal(*qualities, **more):
-    """What Algorithm 1 as printed is given."""
     return qualities, {"budget": 1e9, "sizes": None, "beta": 2.0} | more
 
 

@@ -64,7 +64,6 @@ FPS = Fraction(30_000, 1001)
 
 @pytest.fixture(scope="module")
 def chirping(tmp_path_factory):
-    """39 frames in three groups."""
     return write_chirping(tmp_path_factory.mktemp("chirping"), 39, FPS, 13)
 
 

@@ -37,7 +37,6 @@ def camera(distance=4.0, width=70, height=50, turn=0.4) -> Camera:
 
 
 def inputs(count=200, degree=1, seed=0, **columns):
-    """Activated attributes on float32 values, as float64 arrays."""
     a = activate(random_gaussians(count, degree, seed))
     values = {name: getattr(a, name).astype(np.float64) for name in NAMES}
     values["scales"] = values["scales"] * 0.3

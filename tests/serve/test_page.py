@@ -47,7 +47,6 @@ def port(page, holder):
 
 
 def ask(port, path, method="GET", **headers):
-    """Status, headers and body of one answer."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request(method, path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     response = connection.getresponse()

@@ -42,7 +42,6 @@ def port():
 
 
 def ask(port, path, method="GET", headers=None, body=None):
-    """Status, headers and body of one answer."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     connection.request(method, path, body, headers or {})
     response = connection.getresponse()

@@ -29,7 +29,6 @@ TYPES = {".mjs": "text/javascript", ".mpd": "application/dash+xml", ".m4s": "vid
 
 
 def _chromium() -> str | None:
-    """The browser's program."""
     return next((path for name in CHROMIUMS if (path := shutil.which(name))), None)
 
 
@@ -56,8 +55,6 @@ class Site:
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer that a server makes up."""
-
     body: bytes = b""
     status: int = 200
     headers: Mapping[str, str] = field(default_factory=dict)
@@ -154,8 +151,6 @@ def build_pages() -> None:
 
 @dataclass(frozen=True)
 class Visit:
-    """What came of a page."""
-
     report: Any  # what its promise `window.report` gave
     messages: list[dict[str, str]]  # type and text of each line of its console
     failed: list[str]  # errors that nothing caught
@@ -175,7 +170,6 @@ class _Browser:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
 
     def visit(self, url: str, script: str) -> Visit:
-        """What came of a page."""
         process = self._process
         assert process.stdin and process.stdout
         process.stdin.write(json.dumps({"url": url, "script": script or None}).encode() + b"\n")
@@ -185,7 +179,6 @@ class _Browser:
         return Visit(**json.loads(line))
 
     def close(self) -> None:
-        """End it."""
         assert self._process.stdin and self._process.stdout
         self._process.stdin.close()
         self._process.wait()
@@ -206,7 +199,6 @@ def visit(url: str, script: str = "") -> Visit:
 
 
 def close_browser() -> None:
-    """End the browser, if a page was opened."""
     global _browser
     if _browser:
         _browser.close()

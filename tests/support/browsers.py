@@ -43,7 +43,6 @@ class Browser:
 
     @property
     def program(self) -> str | None:
-        """Its path."""
         found = (shutil.which(name) or next(iter(glob.glob(name)), None) for name in self.programs)
         return next((path for path in found if path), None)
 
@@ -77,7 +76,6 @@ class Browser:
                 process.communicate()
 
     def version(self) -> str:
-        """Name and version in its own words."""
         with self.start("--version") as process:
             assert process.stdout
             return process.stdout.readline().strip()
@@ -85,7 +83,6 @@ class Browser:
 
 @contextmanager
 def _screen(wanted: bool) -> Iterator[dict[str, str]]:
-    """A screen that nobody sees, as variables of the environment."""
     if not wanted:
         yield {}
         return

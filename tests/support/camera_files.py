@@ -19,7 +19,6 @@ Writer = Callable[[Path, Rig], Path]
 
 
 def intrinsics_of(c: Camera) -> dict[str, float]:
-    """As transforms.json has them."""
     return {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
 
 
@@ -39,7 +38,6 @@ def saved(path: Path, data: Any) -> Path:
 
 
 def write_transforms(folder: Path, rig: Rig) -> Path:
-    """Two frames of named cameras."""
     entries = [
         {"camera": c.name, "split": c.split, "time_index": t, "transform_matrix": matrix_of(c), **intrinsics_of(c)}
         for t in range(2)
@@ -56,7 +54,6 @@ def write_nerfstudio(folder: Path, rig: Rig) -> Path:
 
 
 def as_inria(rig: Rig) -> list[dict[str, Any]]:
-    """The list of a cameras.json."""
     return [
         {
             "id": i,
@@ -73,12 +70,10 @@ def as_inria(rig: Rig) -> list[dict[str, Any]]:
 
 
 def write_inria(folder: Path, rig: Rig) -> Path:
-    """A cameras.json."""
     return saved(folder / "cameras.json", as_inria(rig))
 
 
 def write_splatv(folder: Path, rig: Rig) -> Path:
-    """A .splatv with one row of texels."""
     chunk = {"type": "splat", "size": 65536, "texwidth": 4096, "texheight": 1, "cameras": as_inria(rig)}
     header = json.dumps([chunk]).encode()
     return saved(folder / "scene.splatv", struct.pack("<II", 0x674B, len(header)) + header + bytes(65536))
@@ -109,7 +104,6 @@ def write_colmap_text(folder: Path, rig: Rig) -> Path:
 
 
 def write_colmap_binary(folder: Path, rig: Rig) -> Path:
-    """sparse/0 in binary."""
     model = folder / "sparse" / "0"
     cameras = images = struct.pack("<Q", len(rig))
     for i, c in enumerate(rig, start=1):
@@ -139,7 +133,6 @@ def write_panoptic_meta(folder: Path, rig: Rig) -> Path:
 
 
 def write_llff(folder: Path, rig: Rig) -> Path:
-    """A poses_bounds.npy."""
     rows = []
     for c in rig:
         right, down, forward, position = to_world(c)[:3].T

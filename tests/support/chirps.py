@@ -21,19 +21,16 @@ LOWEST, RISE = 400.0, 400.0  # Hz, Hz a second
 
 
 def chirp(seconds: float, rate: int = 48_000) -> NDArray[np.float64]:
-    """The samples from its beginning."""
     t = np.arange(round(seconds * rate)) / rate
     return 0.5 * np.sin(2 * np.pi * (LOWEST * t + RISE / 2 * t**2))
 
 
 def write_chirp(path: Path, seconds: float, channels: int = 1, rate: int = 44_100) -> Path:
-    """A WAV of it."""
     samples = np.round(32767 * chirp(seconds, rate)).astype("<i2")
     return write_wav(path, np.repeat(samples[:, None], channels, 1), rate)
 
 
 def write_wav(path: Path, samples: NDArray[np.int16], rate: int = 48_000) -> Path:
-    """A WAV of (n, C) samples."""
     with wave.open(str(path), "wb") as file:
         file.setnchannels(samples.shape[1])
         file.setsampwidth(2)

@@ -34,12 +34,9 @@ Json = dict[str, Any]
 
 @dataclass
 class Blob:
-    """Arrays one after the other."""
-
     data: bytearray = field(default_factory=bytearray)
 
     def add(self, array: NDArray[Any]) -> list[str | int]:
-        """Append an array; gives its reference."""
         self.data += bytes(-len(self.data) % ALIGNMENT)
         at = len(self.data)
         self.data += np.ascontiguousarray(array).tobytes()
@@ -82,8 +79,6 @@ def write_decoded(
 
 @dataclass(frozen=True)
 class _Writer:
-    """Writes what viewers of one rung decode."""
-
     package: Package
     blob: Blob
     rung: Rung
@@ -91,12 +86,10 @@ class _Writer:
 
     @property
     def tiers(self) -> int:
-        """How many key tiers the viewer has."""
         asked = self.package.manifest.levels[self.rung.level].tiers
         return asked if self.rung.tiers is None else self.rung.tiers
 
     def table(self, cameras: Sequence[Camera]) -> Json:
-        """Groups -> segments -> frames."""
         m = self.package.manifest
         level, quality = self.rung.level, self.rung.quality
         frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
@@ -173,7 +166,6 @@ class _Writer:
         return out
 
     def _slopes(self, picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
-        """The codes of all samples, as pages are cut anew."""
         codes = self._cut(picture, atlas).astype(np.int32) - GREY
         codes.ravel()[self._places(atlas)] += escapes.UNIT * bases
         return codes
@@ -185,7 +177,6 @@ class _Writer:
         return luma
 
     def _places(self, atlas: Atlas) -> NDArray[np.intp]:
-        """(P, N) of samples in pictures."""
         starts = plane_starts(atlas, atlas.width)
         return np.add.outer(starts, row_places(atlas.rows, atlas.plane_width, atlas.width))
 
@@ -206,6 +197,5 @@ def _page_height(atlas: Atlas, pages: int) -> int:
 
 
 def _camera(camera: Camera) -> Json:
-    """As web/src/format/types.ts has it."""
     numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "near")}
     return numbers | {"worldToCamera": camera.world_to_camera.ravel().tolist()}

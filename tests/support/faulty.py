@@ -19,8 +19,6 @@ ROOT = "airgs.json"
 
 @dataclass
 class Weather:
-    """Which answers are faulty."""
-
     share: float  # of the answers
     kinds: dict[str, float] = field(default_factory=lambda: dict.fromkeys(FAULTS, 1.0))  # fault -> its weight
     seed: int = 1
@@ -32,7 +30,6 @@ class Weather:
         self._random = random.Random(self.seed)
 
     def choose(self) -> str:
-        """The fault of the next answer, "" for none."""
         with self.lock:
             if self._random.random() >= self.share:
                 return ""
@@ -41,7 +38,6 @@ class Weather:
             return fault
 
     def place(self, size: int) -> int:
-        """Somewhere in a body."""
         with self.lock:
             return self._random.randrange(size)
 
@@ -58,7 +54,6 @@ class _Handler(BaseHTTPRequestHandler):
         """Nothing."""
 
     def do_GET(self) -> None:
-        """Answer, rightly or not."""
         if self._ended.is_set():
             self._break()
             return
@@ -116,7 +111,6 @@ class _Server(ThreadingHTTPServer):
 
 @contextmanager
 def faultily_serving(folder: Path, weather: Weather, port: int = 0) -> Iterator[int]:
-    """A server with these faults; gives its port."""
     ended = threading.Event()
     server = _Server(("127.0.0.1", port), partial(_Handler, folder, weather, ended))
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))

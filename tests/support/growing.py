@@ -30,7 +30,6 @@ class Growing:
         self.publish()
 
     def publish(self) -> None:
-        """The next step: so many groups; 0 closes the package."""
         count = self.waiting.pop(0) if self.waiting else None
         if count is None:
             return
@@ -44,6 +43,5 @@ class Growing:
         write_root(Folder(self.folder), m, LiveClock(now, now))
 
     def received(self, path: str, data: bytes) -> None:
-        """Whenever a client has read airgs.json, the package grows."""
         if path == JSON_NAME:
             self.publish()

@@ -12,7 +12,6 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 
 def prepared_as_one_group(sequence: GaussianSequence, views: ViewPlan, work: Work) -> PreparedSequence:
-    """All frames of a sequence as one group."""
     return PreparedSequence(sequence, look_at_frames(sequence, work)[0], [(0, len(sequence))], views)
 
 
@@ -24,12 +23,10 @@ def square(number: int, folder: str) -> int:
 
 
 def total(*numbers: int) -> int:
-    """The sum."""
     return sum(numbers)
 
 
 def refuse(number: int) -> None:
-    """Bad input, as a package is refused."""
     raise FormatError("bad_value", f"job {number}", "expected another number")
 
 
@@ -43,7 +40,6 @@ def die_once(number: int, folder: str) -> int:
 
 
 def die(_: int) -> None:
-    """Ends its process."""
     os._exit(9)
 
 

@@ -27,7 +27,6 @@ def in_groups(groups: Sequence[mf.Group], table_bytes: int = 100) -> Groups:
 
 
 def no_page(path: str, _: object) -> mf.Spans:
-    """The page of an index that has none."""
     raise AssertionError(f"{path}: nothing leads to it")
 
 

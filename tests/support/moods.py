@@ -43,8 +43,6 @@ class Moods:
     asked: Counter[str] = field(default_factory=Counter)  # paths below the package
 
     def around(self, app: ASGIApp) -> ASGIApp:
-        """The application with these moods."""
-
         async def moody(scope: Scope, receive: Receive, send: Send) -> None:
             if scope["type"] != "http":
                 await app(scope, receive, send)
@@ -80,20 +78,17 @@ class Switch:
         self.begin()
 
     def begin(self) -> bytes:
-        """Take connections, from now on."""
         around = serving(self._folder, port=self.port, around=self._moods.around)
         self.port = self._up.enter_context(around)
         return b"begun"
 
     def end(self) -> bytes:
-        """End all connections, and refuse others."""
         self._up.close()
         return b"ended"
 
 
 @contextmanager
 def moodily_serving(folder: Path, moods: Moods) -> Iterator[Switch]:
-    """The project's server in front of a package."""
     switch = Switch(folder, moods)
     with contextlib.closing(switch._up):
         yield switch

@@ -22,7 +22,6 @@ def matrix_of(camera: Camera) -> list[list[float]]:
 
 
 def write_cameras(path: Path, cameras: list[Camera]) -> Path:
-    """A transforms.json without pictures; the lens is the first camera's."""
     entries = [{"camera": c.name, "split": c.split, "transform_matrix": matrix_of(c)} for c in cameras]
     _write_transforms(path, cameras[0], entries)
     return path
@@ -34,7 +33,6 @@ def _write_transforms(path: Path, c: Camera, entries: list[dict[str, Any]]) -> N
 
 
 def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], points: np.ndarray | None) -> Path:
-    """A dynamic transforms.json with PNG pictures."""
     entries = []
     for t, g in enumerate(frames):
         for c in cameras:
@@ -50,17 +48,14 @@ def write_views(folder: Path, frames: list[Gaussians], cameras: list[Camera], po
 
 
 def plain(value: int, size: tuple[int, int] = (32, 24)) -> np.ndarray:
-    """A grey picture of a width and a height."""
     return np.full((size[1], size[0], 3), value, np.uint8)
 
 
 def write_rgba(path: Path, picture: np.ndarray) -> None:
-    """A PNG of (H, W, 4) RGB and alpha."""
     cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA))
 
 
 def write_video(path: Path, pictures: list[np.ndarray], rate: int = 25) -> None:
-    """A video of nearly lossless pictures, with B frames."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=rate, options={"qp": "1", "bf": "2"})
         stream.height, stream.width = pictures[0].shape[:2]
@@ -71,7 +66,6 @@ def write_video(path: Path, pictures: list[np.ndarray], rate: int = 25) -> None:
 
 
 def same_camera(a: Camera, b: Camera) -> bool:
-    """Whether two cameras see the same."""
     close = np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-5)
     numbers = [(getattr(c, n)) for c in (a, b) for n in ("fx", "fy", "cx", "cy")]
     return close and np.allclose(numbers[:4], numbers[4:], atol=1e-4)

@@ -38,7 +38,6 @@ class Link(bytes):
 
 
 def read_files(folder: Path) -> Files:
-    """All files of a package."""
     found = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file()}
     return {
         name: Link(os.readlink(path).encode()) if path.is_symlink() else path.read_bytes()
@@ -47,7 +46,6 @@ def read_files(folder: Path) -> Files:
 
 
 def apply(files: Files, *mutations: Mutation) -> Files:
-    """The files after all mutations, one after another."""
     for mutate in mutations:
         files = mutate(files)
     return files
@@ -92,12 +90,10 @@ def set_value(place: Place, value: Any, name: str = JSON_NAME) -> Mutation:
 
 
 def drop_value(place: Place, name: str = JSON_NAME) -> Mutation:
-    """Remove a place of a table."""
     return edit_tables(lambda table: _parent(table, place).__delitem__(place[-1]), name)
 
 
 def parse_table(data: bytes) -> Any:
-    """The JSON of a table, with or without gzip."""
     return json.loads(gzip.decompress(data) if data[:2] == b"\x1f\x8b" else data)
 
 
@@ -141,17 +137,14 @@ def rewrite(name: str, make: Callable[[bytes], bytes]) -> Mutation:
 
 
 def add_file(name: str, data: bytes) -> Mutation:
-    """A file more, which no table lists."""
     return lambda files: files | {name: data}
 
 
 def remove_file(name: str) -> Mutation:
-    """A file less; its entry in airgs.json stays."""
     return lambda files: {other: data for other, data in files.items() if other != name}
 
 
 def link_file(name: str, target: str) -> Mutation:
-    """A symbolic link in place of a file."""
     return lambda files: files | {name: Link(target.encode())}
 
 

@@ -23,7 +23,6 @@ class NumberOffers:
         self.segments = [_segment(numbers, number, self.tiers) for number in range(len(numbers["segments"]))]
 
     def at(self, position: int) -> SegmentOffer:
-        """The segment that is played at a position."""
         return self.segments[position % len(self.segments)]
 
     def upcoming(self, position: int, end: int, decoded: Keys) -> Iterator[tuple[SegmentOffer, Keys]]:

@@ -22,7 +22,6 @@ def discs(means: NDArray, normals: NDArray, size: float, thickness: float = 0.05
 
 
 def ball(count: int = 3000, radius: float = 0.5) -> Gaussians:
-    """The surface of an object, in small discs."""
     directions = np.random.default_rng(1).normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     return discs(radius * directions, directions, 2 * radius / np.sqrt(count))

@@ -14,7 +14,6 @@ def plain_mse(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def plain_ssim(a: np.ndarray, b: np.ndarray) -> float:
-    """Wang et al. 2004, eq. 13, window by window."""
     x = np.arange(-5, 6)
     weights = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 1.5**2))
     weights /= weights.sum()

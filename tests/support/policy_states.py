@@ -15,7 +15,6 @@ State = Mapping[str, Any]
 
 
 def player_state(offers: NumberOffers, state: State) -> PlayerState:
-    """What a policy is asked with."""
     position, offer = state["position"], offers.at(state["position"])
     decoded = keys(*state["decoded"], group=offer.group)
     return PlayerState(

@@ -28,7 +28,6 @@ class Case:
     files: Mapping[str, Any]  # path -> what becomes of the file
 
     def package(self) -> Files:
-        """The files of the package."""
         files = dict(base_files(self.base))
         for path, change in self.files.items():
             if change is None:
@@ -40,7 +39,6 @@ class Case:
 
 @cache
 def base_files(name: str) -> Files:
-    """The files of a valid package; not to be changed."""
     return read_files(VALID / name)
 
 
@@ -67,7 +65,6 @@ def changed(
 
 @cache
 def cases() -> dict[str, Case]:
-    """Every case by its name."""
     found = {}
     for path in sorted(INVALID.glob("*.json")):
         for case in json.loads(path.read_text())["cases"]:

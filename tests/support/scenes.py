@@ -19,7 +19,6 @@ JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
 
 
 def random_gaussians(count: int, degree: int = 0, seed: int = 0) -> Gaussians:
-    """A ball of Gaussians of plausible size, arrays read-only."""
     rng = np.random.default_rng(seed)
     size = np.log(0.6 / max(count, 2) ** (1 / 3))
     arrays = [
@@ -61,7 +60,6 @@ def frozen(g: Gaussians) -> Gaussians:
 
 
 def moving_frames(count: int, frames: int, degree: int = 0, seed: int = 0) -> list[Gaussians]:
-    """Half of the rows swing, the others stand still."""
     first = random_gaussians(count, degree, seed)
     moves = (np.arange(count) % 2)[:, None]
     out = []

@@ -53,7 +53,6 @@ class _Quiet(SimpleHTTPRequestHandler):
 
 @contextmanager
 def plainly_serving(folder: Path) -> Iterator[int]:
-    """The server of Python's standard library; gives its port."""
     server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder))
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))

@@ -21,7 +21,6 @@ ROWS = 100  # of a tier that are coded, where some are: no player counts them
 
 
 def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
-    """What a player sees of a package."""
     return {
         "name": name,
         "frame_rate": list(m.frame_rate),
@@ -118,7 +117,6 @@ def _groups(tables: Sequence[mf.Group], table_bytes: Sequence[int], page_bytes: 
 
 
 def offers_of(numbers: Numbers) -> Offers:
-    """The offers of the whole package."""
     return Offers(manifest_of(numbers), numbers["header_bytes"], numbers["root_bytes"])
 
 

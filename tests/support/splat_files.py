@@ -43,7 +43,6 @@ def splat_bytes(g: Gaussians, suffix: str, **gltf: object) -> bytes:
 
 
 def write_sog_folder(folder: Path, g: Gaussians) -> Path:
-    """One frame of SOG as a folder."""
     archive = folder.with_suffix(".sog")
     archive.write_bytes(splat_bytes(g, ".sog"))
     with zipfile.ZipFile(archive) as opened:

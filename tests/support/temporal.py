@@ -39,7 +39,6 @@ class TemporalRows:
     motion: NDArray[np.float64]  # (3, N, 3) world units: factors of (t - t0), its square and its cube
 
     def at(self, time: float) -> Gaussians:
-        """The frame at a time, arrays read-only."""
         since = time - self.centres
         powers = np.stack([since, since**2, since**3])
         means = self.at_peak.means + np.einsum("pn,pnx->nx", powers, self.motion)
@@ -61,7 +60,6 @@ def temporal_frames(count: int = 2000, frames: int = 24, seed: int = 0) -> list[
 
 
 def _room(rng: np.random.Generator, count: int) -> TemporalRows:
-    """A floor and a wall behind, flat, textured, standing still."""
     across, along = rng.uniform(-4, 4, (2, count))
     floor = np.arange(count) % 2 == 0
     means = np.where(floor[:, None], np.stack([across, 0 * along - 1.2, along], 1), 0)
@@ -119,7 +117,6 @@ def _gaussians(
 
 
 def f32(values: NDArray[np.float64]) -> NDArray[np.float32]:
-    """As .ply files hold them."""
     return np.asarray(values, np.float32)
 
 
@@ -144,7 +141,6 @@ def temporal_cameras(size: int = 96) -> list[Camera]:
 
 
 def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
-    """Cameras as a nerfstudio transforms.json has them."""
     entries = []
     for c in cameras:
         numbers = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}

@@ -16,14 +16,12 @@ Case = dict[str, Any]
 
 
 def cases(name: str, part: str = "cases") -> list[Case]:
-    """The cases of one part of a file."""
     table = json.loads((VECTORS / f"{name}.json").read_text())
     found: list[Case] = table[part]
     return found
 
 
 def label(case: Case) -> str:
-    """The name of a case, for pytest."""
     return str(case.get("name", "case"))
 
 
@@ -33,7 +31,6 @@ def data(text: str) -> bytes:
 
 
 def numbers(runs: list[Any]) -> list[int]:
-    """Whole numbers, given as numbers or strings and in runs."""
     return [int(n) for part in runs for n in (part[:1] * part[1] if isinstance(part, list) else [part])]
 
 
@@ -47,5 +44,4 @@ def assert_near(got: Mapping[str, NDArray[Any]], expected: Case) -> None:
 
 
 def float32(values: ArrayLike) -> NDArray[np.float32]:
-    """As the decoder holds numbers."""
     return np.asarray(values, np.float32)

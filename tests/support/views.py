@@ -31,7 +31,6 @@ def ring(count: int = 8, size: int = 48, held_out: int = 0) -> list[Camera]:
 
 
 def coloured_cloud(count: int = 150, seed: int = 0) -> Gaussians:
-    """Opaque blobs on a sphere."""
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
     means *= 0.8 / np.linalg.norm(means, axis=1, keepdims=True)
@@ -46,31 +45,26 @@ def coloured_cloud(count: int = 150, seed: int = 0) -> Gaussians:
 
 
 def random_parameters(rows: int, seed: int = 0) -> Parameters:
-    """Gaussians of SH degree 1 as tensors."""
     return from_gaussians(random_gaussians(rows, 1, seed))
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    """All rows, one after another."""
     return join_rows(parts)
 
 
 def moved(g: Gaussians, rows: slice, by: tuple[float, float, float]) -> Gaussians:
-    """Some rows elsewhere."""
     means = g.means.copy()
     means[rows] += np.array(by, np.float32)
     return Gaussians(means, *(getattr(g, n) for n in g.__slots__[1:]))
 
 
 def appeared(count: int = 40) -> Gaussians:
-    """A bright ball in empty space."""
     ball = coloured_cloud(count, seed=9)
     means = (0.3 * ball.means + BALL).astype(np.float32)
     return Gaussians(means, *ball_shape(ball))
 
 
 def ball_shape(ball: Gaussians) -> list[np.ndarray]:
-    """The other columns: smaller, white."""
     return [
         ball.quaternions,
         ball.log_scales - 0.5,

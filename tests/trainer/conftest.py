@@ -34,7 +34,6 @@ def blobs(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def run(blobs, tmp_path_factory):
-    """The model of an unbroken run."""
     return train(open_scene(blobs), tmp_path_factory.mktemp("models") / "blobs", SETTINGS)
 
 

@@ -30,8 +30,6 @@ LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 
 @dataclass
 class Seen:
-    """What every iteration of a fit had."""
-
     losses: list[float] = field(default_factory=list)
     gaussians: list[dict[str, torch.Tensor]] = field(default_factory=list)
     cameras: list[str] = field(default_factory=list)
@@ -40,7 +38,6 @@ class Seen:
 
 @pytest.fixture
 def seen(monkeypatch):
-    """Everything that a fit shows while it runs."""
     seen, draw, add, step = Seen(), optimise.render_views, optimise.Losses.add, parameters.Adam.step
 
     def look(p, cameras, *rest):

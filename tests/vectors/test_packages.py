@@ -30,7 +30,6 @@ def label(case):
 
 
 def show(case):
-    """The frame of a case."""
     rung = {"level": case["level"], "key_quality": case["quality"], "tiers": case["tiers"]}
     return next(decode_frames(package(case), case["frame"], case["frame"] + 1, **rung)).gaussians
 

@@ -19,7 +19,6 @@ CHANNELS = (3, 12, 27, 48)  # of colour, by SH degree
 
 
 def shown(g):
-    """A frame as the vectors have it."""
     return {
         "means": g.means,
         "quaternions": g.quaternions,
@@ -43,7 +42,6 @@ def test_keys(case):
 
 
 def canonical(case):
-    """The canonical space of a case of states."""
     space = case["canonical"]
     classes = np.array(space["classes"], np.int16)
     return Canonical(

@@ -150,7 +150,6 @@ def test_frames_that_are_sought_are_what_the_cpu_renderer_draws(seen):
 
 
 def asked_of_fox(seen, visit):
-    """How often each file was asked for."""
     return Counter(path for path in seen.asked[visit] if path.startswith("/fox/"))
 
 

@@ -100,7 +100,6 @@ def role_of(name):
 
 
 def sets_of(streams):
-    """Representations by what they are of."""
     kinds = defaultdict(list)
     for name in streams:
         kinds[role_of(name)].append(name)

@@ -40,7 +40,6 @@ def built():
 
 @pytest.fixture(scope="module")
 def harmonics(tmp_path_factory):
-    """Two groups with SH of degree 3."""
     folder = tmp_path_factory.mktemp("harmonics")
     scene = write_sequence(folder / "scene", moving_frames(300, 4, degree=3), fps=4, keyframes=[0, 2])
     encode(open_sequence(scene), folder / "scene.airgs", QUICK)

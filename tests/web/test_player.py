@@ -25,7 +25,6 @@ def _pages():
 
 @pytest.fixture(scope="module")
 def fox():
-    """Two groups; each is one segment."""
     return open_package(GOLDEN / "fox")
 
 

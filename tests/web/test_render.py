@@ -32,7 +32,6 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 
 @pytest.fixture(scope="module", autouse=True)
 def _pages():
-    """The page's script, built once."""
     build_pages()
 
 
@@ -84,7 +83,6 @@ def encoded(folder, frames, settings, **sequence):
 
 
 def ends(package):
-    """The finest rung and the coarsest."""
     return [Rung(0, 0), Rung(len(package.manifest.qualities) - 1, len(package.manifest.levels) - 1)]
 
 

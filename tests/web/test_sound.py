@@ -54,7 +54,6 @@ pytestmark = pytest.mark.skipif(bool(TOOLS), reason=f"not here: {', '.join(TOOLS
 
 @pytest.fixture(scope="module")
 def chirping(tmp_path_factory):
-    """Six groups of a second."""
     build_pages()
     return write_chirping(tmp_path_factory.mktemp("chirping"), SECONDS * FPS, Fraction(FPS), FPS)
 

@@ -42,7 +42,6 @@ def away(camera):
 
 
 def outside(camera):
-    """How far outside of the reach."""
     return float(np.linalg.norm(np.array(camera["position"]) - FIRST)) - REACH
 
 

@@ -15,7 +15,6 @@ EDGES = [n for bits in range(63) for n in (2**bits - 1, 2**bits)] + [MOST]
 
 
 def columns() -> dict[str, Columns]:
-    """The good files, by name."""
     rng = np.random.default_rng(15)
     skewed = (rng.exponential(1.0, 400) ** 3).astype(np.int64).tolist()
     random = rng.integers(0, MOST, 40).tolist()

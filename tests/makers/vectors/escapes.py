@@ -16,7 +16,6 @@ MOST = 2**31 - 1
 
 
 def cases() -> list[tuple[str, Shape, Jumps]]:
-    """The segments, by name."""
     rng = np.random.default_rng(6)
     places = rng.choice(5 * 3 * 40, 150, replace=False)
     sizes = rng.geometric(0.5, 150) * rng.choice([-1, 1], 150)

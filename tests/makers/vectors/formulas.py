@@ -30,7 +30,6 @@ class Number:
 
 
 def total(terms: Iterable[float]) -> Number:
-    """A number that is the sum of these."""
     listed = list(terms)
     return Number(math.fsum(listed), math.fsum(map(abs, listed)))
 
@@ -55,7 +54,6 @@ class Rotation:
 
 
 def rotation(vector: Sequence[float]) -> Rotation:
-    """The rotation of a rotation vector."""
     angle = math.sqrt(math.fsum(v * v for v in vector))
     x, y, z = (v * (math.sin(angle / 2) / angle if angle else 0.5) for v in vector)
     return Rotation((math.cos(angle / 2), x, y, z), angle)
@@ -63,19 +61,15 @@ def rotation(vector: Sequence[float]) -> Rotation:
 
 @dataclass(frozen=True, slots=True)
 class Coding:
-    """What gives codes their meaning."""
-
     steps: Steps
     factor: float
     gain: float
     transform: Sequence[Sequence[float]]  # K, C x C
 
     def values(self, codes: Sequence[float], step: str) -> list[float]:
-        """Values of channels that have the same step."""
         return [code * self.steps[step] * self.factor / self.gain for code in codes]
 
     def colours(self, codes: Sequence[float]) -> list[Number]:
-        """Colours of colour channels."""
         y = [code * self.factor / self.gain for code in codes]
         scale = [self.steps["sh_dc" if i < 3 else "sh_rest"] for i in range(len(y))]
         return [total(y[k] * self.transform[k][i] * scale[i] for k in range(len(y))) for i in range(len(y))]
@@ -83,8 +77,6 @@ class Coding:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of a canonical space or of a frame."""
-
     means: list[Number]
     quaternions: Rotation
     log_scales: list[Number]
@@ -93,7 +85,6 @@ class Row:
 
 
 def key_row(codes: Sequence[float], coding: Coding, mean: Sequence[float] = (0.0, 0.0, 0.0)) -> Row:
-    """The canonical row that 7 + C codes make."""
     return Row(
         means=[total([v]) for v in mean],
         quaternions=rotation(coding.values(codes[3:6], "quaternions")),
@@ -136,7 +127,6 @@ def _values(rows: Sequence[Row], limit: bool) -> dict[str, object]:
 
 
 def _tolerances(rows: Sequence[Row]) -> dict[str, object]:
-    """One for all numbers of an attribute of a row."""
     return {
         "means": [_up(8 * max(n.size for n in row.means)) for row in rows],
         "quaternions": [_up(8 * (6 + row.quaternions.angle)) for row in rows],

@@ -28,12 +28,10 @@ def rotated(side: int, rng: np.random.Generator) -> list[list[float]]:
 
 
 def drawn(rows: int, channels: int, rng: np.random.Generator, spread: float = 30.0) -> Codes:
-    """Codes of plausible size."""
     return [[round(c) for c in line] for line in rng.normal(0, spread, (rows, channels)).tolist()]
 
 
 def table() -> Table:
-    """Keys of every SH degree, and keys at the edges."""
     rng = np.random.default_rng(5)
     plain = [
         _case(f"SH degree {degree}", degree, drawn(4, 7 + c, rng), rng=rng, factor=(1.0, 1.5, 2.0, 3.7)[degree])
@@ -79,5 +77,4 @@ def _case(
 
 
 def by_channel(codes: Sequence[Sequence[int]]) -> Codes:
-    """Codes of rows -> codes of channels."""
     return [list(line) for line in zip(*codes, strict=True)]

@@ -41,7 +41,6 @@ STATIC = 255
 
 
 def tables() -> tuple[Table, bytes]:
-    """The JSON, and the frames as float32."""
     frames: list[dict[str, Any]] = []
     data = b""
     for folder, views in SHOWN.items():

@@ -15,8 +15,6 @@ ROWS = (0, 1, 2, 3, 4, 15, 16, 85, 170, 255, 256, 257, 511, 512, 700, 1023, 1024
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """An atlas without its numbers."""
-
     rows: int
     plane_width: int
     columns: int
@@ -27,7 +25,6 @@ class Layout:
 
 
 def cell(row: int, plane_width: int) -> tuple[int, int]:
-    """Column and line of a row's sample in its plane."""
     block, number = divmod(row, 256)
     column = sum(((number >> 2 * bit) & 1) << bit for bit in range(4))
     line = sum(((number >> 2 * bit + 1) & 1) << bit for bit in range(4))
@@ -57,7 +54,6 @@ LAYOUTS = {
 
 
 def table() -> Table:
-    """Places of samples; pictures with the codes that they hold."""
     rng = np.random.default_rng(4)
     widths = (16, 32, 48)
     places = [{"row": row, "plane_width": width, "place": cell(row, width)} for width in widths for row in ROWS]

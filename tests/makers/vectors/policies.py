@@ -26,8 +26,6 @@ TINY = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """How much there is to choose from."""
-
     name: str
     groups: int
     segments: int  # of each group

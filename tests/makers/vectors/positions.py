@@ -36,7 +36,6 @@ class Tier:
 
 
 def interleave(index: Sequence[int]) -> int:
-    """Bit b of axis a becomes bit 3b + a."""
     return sum(((index[axis] >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3))
 
 
@@ -46,7 +45,6 @@ def corner(index: Sequence[int], width: int) -> list[int]:
 
 
 def tiers() -> list[Tier]:
-    """The cases."""
     rng = np.random.default_rng(3)
 
     def drawn(name: str, count: int, grid: Grid, coarser: Sequence[int]) -> Tier:
@@ -150,7 +148,6 @@ def _refused() -> list[dict[str, Any]]:
 
 
 def _kept() -> list[dict[str, Any]]:
-    """Sidecars of tiers whose keys are differences."""
     cases = [("one row", [STATIC]), ("three rows", [STATIC, 0, 254]), ("many rows", [i % 5 for i in range(40)])]
     return [
         {"name": name, "rows": len(d), "data": binary(pack_key_sidecar(_sidecar([], [], d), ANY)), "depths": d}
@@ -159,8 +156,6 @@ def _kept() -> list[dict[str, Any]]:
 
 
 def _kept_refused() -> list[dict[str, Any]]:
-    """Two rows."""
-
     def case(name: str, *columns: list[int]) -> dict[str, Any]:
         return {"name": name, "rows": 2, "data": binary(encode_columns([(np.array(v, np.int64), 1) for v in columns]))}
 

@@ -13,12 +13,10 @@ Place = dict[str, Any]
 
 
 def place(position: Vector, focus: Vector, reach: float) -> Place:
-    """A place of a region."""
     return {"position": position, "focus": focus, "up": (0.0, -1.0, 0.0), "reach": reach}
 
 
 def axis(sideways: float, upwards: float = 0.0) -> Vector:
-    """A unit vector that many degrees off +z."""
     a, b = math.radians(sideways), math.radians(upwards)
     return math.sin(a) * math.cos(b), -math.sin(b), math.cos(a) * math.cos(b)
 
@@ -59,7 +57,6 @@ VIEWS: list[tuple[str, list[Place], float, list[tuple[Vector, Vector]]]] = [
 
 
 def departure(places: Sequence[Place], turn: float, position: Vector, forward: Vector) -> tuple[float, float]:
-    """Units and degrees by which a viewer is outside."""
     found = []
     for p in places:
         distance = max(0.0, math.dist(position, p["position"]) - p["reach"])

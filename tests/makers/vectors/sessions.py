@@ -133,7 +133,6 @@ def _numbers(name: str, frame_rate: list[int], levels: list[dict[str, Any]], gro
 
 
 def packages() -> list[Numbers]:
-    """What is played."""
     fox = open_package(GOLDEN / "fox")
     drawn, kept = drawn_package(np.random.default_rng(31)), kept_package(np.random.default_rng(33))
     sounding = sounding_package(np.random.default_rng(34))
@@ -195,7 +194,6 @@ class GrowingDownloader:
         self.rtt_s, self.pipelines = below.rtt_s, below.pipelines
 
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
-        """See Downloader."""
         grows = self._opened and request.batch.tables == (JSON_NAME,)
         if grows and (step := next(self._steps, None)) is not None:
             self._below.offers.grow(*step)
@@ -204,7 +202,6 @@ class GrowingDownloader:
 
 
 def events(play: Play, numbers: Numbers, trace: Trace) -> list[list[Any]]:
-    """What happens."""
     offers = offers_of(numbers)
     faults = {path: FormatError(reason, path, "made up") for path, reason in play.faults.items()}
     if play.growth:
@@ -216,7 +213,6 @@ def events(play: Play, numbers: Numbers, trace: Trace) -> list[list[Any]]:
 
 
 def row(event: Event) -> list[Any]:
-    """An event as the vectors have it."""
     match event:
         case Arrived(a):
             r = a.request
@@ -234,7 +230,6 @@ def row(event: Event) -> list[Any]:
 
 
 def table() -> Table:
-    """Packages, traces, and sessions over them."""
     played = packages()
     rng = np.random.default_rng(32)
     links = [trace for numbers in played for trace in traces(numbers, rng)]

@@ -18,18 +18,14 @@ STATIC = 255
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """A canonical space: its rows, their motion classes and depths."""
-
     rows: Sequence[Row]
     classes: Sequence[int]
     depths: Sequence[int]
 
     def carried(self, level: int) -> list[int]:
-        """The rows of a level."""
         return [i for i, depth in enumerate(self.depths) if level <= depth < STATIC]
 
     def first(self, count: int) -> Space:
-        """Its first rows: what fewer key tiers make."""
         return Space(self.rows[:count], self.classes[:count], self.depths[:count])
 
 
@@ -56,8 +52,6 @@ def space(count: int, degree: int, rng: np.random.Generator) -> Space:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A segment of a level."""
-
     name: str
     degree: int
     space: Space
@@ -76,7 +70,6 @@ class Case:
 
 
 def cases(rng: np.random.Generator) -> list[Case]:
-    """The segments."""
     out = []
     for degree, colours in enumerate(COLOURS):
         base = space(3 if degree == 3 else 5, degree, rng)
@@ -147,7 +140,6 @@ def still_rows(rng: np.random.Generator) -> Space:
 
 
 def table() -> Table:
-    """Segments with the frames that they show."""
     rng = np.random.default_rng(11)
     return {"cases": [_case(case, rng) for case in cases(rng)]}
 

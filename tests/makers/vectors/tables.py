@@ -21,28 +21,22 @@ def pages_to(group: int, count: int) -> list[str]:
 
 @dataclass(frozen=True)
 class Tables:
-    """A package in a folder."""
-
     folder: Path
 
     @cached_property
     def root(self) -> dict[str, Any]:
-        """airgs.json."""
         return self._json("airgs.json")
 
     @cached_property
     def groups(self) -> list[dict[str, Any]]:
-        """The tables of all groups, in order."""
         paths = [self.folder / path for path in self.group_paths()]
         return [json.loads(gzip.decompress(path.read_bytes())) for path in paths]
 
     def group_paths(self) -> Iterator[str]:
-        """The paths of their tables."""
         yield from (f"group/{number}.json.gz" for number in range(1, self.count + 1))
 
     @property
     def count(self) -> int:
-        """Groups."""
         return sum(len(columns["bytes"]) * PAGE**level for level, columns in enumerate(self.root["index"]))
 
     def pages_to(self, group: int) -> list[str]:
@@ -50,11 +44,9 @@ class Tables:
         return pages_to(group, self.count)
 
     def segments_before(self, group: int) -> int:
-        """Segments of all groups before this one."""
         return sum(len(table["segments"]) for table in self.groups[:group])
 
     def group_at(self, frame: int) -> int:
-        """The group that shows a frame."""
         return next(g for g, table in enumerate(self.groups) if frame < table["stop"])
 
     def segment_at(self, frame: int) -> int:

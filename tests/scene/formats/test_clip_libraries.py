@@ -109,7 +109,6 @@ def test_a_converted_sequence_has_its_frames_whole(tmp_path):
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):
-    """A small file of each kind."""
     folder = tmp_path_factory.mktemp("clips")
     frames = moving_frames(40, 3)
     write_splat4d(folder / "a.splat4d", frames, fps=24)

@@ -127,7 +127,6 @@ def test_a_node_moves_turns_and_scales_its_splats(tmp_path):
 
 
 def repacked(data, change):
-    """A .sog whose meta.json was changed."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         files = {name: archive.read(name) for name in archive.namelist()}
     out = io.BytesIO()

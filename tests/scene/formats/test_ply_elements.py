@@ -30,7 +30,6 @@ def columns(draw, rows, names):
 
 @st.composite
 def neighbours(draw):
-    """Another element, with a list or without."""
     rows = draw(st.integers(0, 4))
     out = draw(columns(rows, draw(st.permutations(["red", "x"]))))
     if draw(st.booleans()):

@@ -38,7 +38,6 @@ def scene(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(scene, tmp_path_factory):
-    """Trained with the default settings of a GPU."""
     folder = tmp_path_factory.mktemp("models") / "m"
     rows, gpu = measured(fit, "cpu", Fit(scene, "cuda", 0.01), folder)
     assert gpu is None and rows == fitted("cpu", Fit(scene, "cuda", 0.01), folder)
@@ -71,8 +70,6 @@ def test_all_parts_are_done_and_the_page_is_kept_after_each(scene, model, tmp_pa
 
 
 class Stand:
-    """A renderer of a GPU, on the CPU."""
-
     def load(self, g):
         return OnCuda.of(CPU.load(g).inputs, "cpu")
 
@@ -86,8 +83,6 @@ def test_the_adapter_draws_what_the_cpu_does(model, monkeypatch):
 
 
 class Broken:
-    """A renderer whose last gradient is no number."""
-
     def __init__(self, loaded):
         self.draw, self.inner = loaded.draw, loaded
 

@@ -25,8 +25,6 @@ MADE = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "
 
 @dataclass(frozen=True, slots=True)
 class Things:
-    """Options of every kind."""
-
     scene: Path = required("a scene")
     counts: tuple[int, ...] = setting((1, 2), "how many")
     share: float | None = setting(None, "in %")

@@ -44,7 +44,6 @@ def test_one_camera_in_eight_is_held_out(tmp_path):
 
 
 def names(scene: MultiviewScene, tmp_path) -> list[str]:
-    """The name of each frame by itself."""
     contents = read_contents(scene, Work(open_store(tmp_path / "work")))
     return [digest(content_of(with_frames(scene, [frame]), contents)) for frame in range(len(scene))]
 

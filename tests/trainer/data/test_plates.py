@@ -23,7 +23,6 @@ NOISE = 1.5  # of 255
 
 
 def background() -> np.ndarray:
-    """A wall with a grain."""
     y, x = np.mgrid[:SIZE, :SIZE]
     wall = 120 + 40 * np.sin(x / 3) + 30 * np.cos(y / 5)
     return np.repeat(wall[..., None], 3, axis=2)

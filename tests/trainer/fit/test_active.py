@@ -10,7 +10,6 @@ from tests.support.views import coloured_cloud, moved, random_parameters, ring, 
 
 
 def case():
-    """A cloud of which 20 neighbours move."""
     g = coloured_cloud(300)
     order = np.argsort(np.linalg.norm(g.means - g.means[0], axis=1))
     g = type(g)(*(getattr(g, n)[order] for n in g.__slots__))

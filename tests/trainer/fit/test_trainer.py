@@ -123,7 +123,6 @@ def test_inflation_removes_added_gaussians():
 
 
 def moving(before, after, cameras):
-    """Pixels that two clouds show differently."""
     return [np.abs(render(before, c).rgb - render(after, c).rgb).max(axis=2) > 0.01 for c in cameras]
 
 
