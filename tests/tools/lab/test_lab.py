@@ -14,7 +14,7 @@ import pytest
 from airgs_codec.errors import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.lab import main, published, required, setting
-from tools.lab.command import PROGRAM, Lab
+from tools.lab.command import PROGRAM
 from tools.lab.experiments import EXPERIMENTS, FIGURES, MEASUREMENTS
 from tools.lab.page import Made, Page, Picture, Section, Table, body_of, markdown, update, write_page
 from tools.lab.results import Results, content
@@ -159,8 +159,3 @@ def test_commands_of_the_table_of_figures_are_commands():
     for command in {one.command for one in FIGURES} | {f"{PROGRAM} {one.words}" for one in MEASUREMENTS}:
         if not command.startswith("("):
             assert command_error(shlex.split(command), whole=True) is None, command
-
-
-def test_a_lab_works_in_a_folder_that_it_makes(tmp_path):
-    lab = Lab.at(tmp_path / "new", quiet=True)
-    assert lab.folder.is_dir() and lab.results.once("a", 1, lambda: 2) == 2

@@ -1,7 +1,5 @@
 """Streams of the paper are counted fairly: keys are spread, what stands on the screen counts, cliffs are ours."""
 
-import math
-
 import numpy as np
 import pytest
 
@@ -12,7 +10,6 @@ from airgs_codec.play.trace import Link, Trace
 from tests.support.paths import FOX_VIEWS, VALID
 from tools.lab import main
 from tools.lab.baselines.airgs import fetched_bytes, key_bytes
-from tools.lab.baselines.method import Frame
 from tools.lab.paper.streams import (
     CHOOSERS,
     SKIPPED,
@@ -21,10 +18,9 @@ from tools.lab.paper.streams import (
     push_frames,
     saved_by_level,
     spread_keys,
-    stream,
     streams_of,
 )
-from tools.lab.paper.training import METHODS, Trained, changes, parse_subject, row_of, trainer_settings
+from tools.lab.paper.training import METHODS, changes, parse_subject, trainer_settings
 
 
 def constant(rate_bps):
@@ -67,13 +63,6 @@ def test_what_stands_on_the_screen_is_what_counts():
     assert table["psnr_screen"] == pytest.approx((30 + 20) / 2) and table["mean_ms"] == pytest.approx(250)
 
 
-def test_a_stream_of_which_nothing_fits_has_no_times():
-    one = Stream("m", "paper-no-cliff", (Level(np.array([1e6, 1e6]), np.zeros(2), np.full((2, 2), 30.0)),))
-    row = stream(one, [constant(8e3)], 1, 10.0)
-    assert row["skipped"] == row["infeasible"] == row["blank"] == 1 and row["kb_frame"] == 0
-    assert math.isnan(row["worst_ms"]) and math.isnan(row["psnr"]) and np.isinf(row["percentiles_ms"]).all()
-
-
 def test_levels_save_shares_of_bytes_as_players_count_them():
     m = open_package(VALID / "moving").manifest
     saved = saved_by_level(m)
@@ -96,15 +85,6 @@ def test_methods_skip_where_no_other_frame_needs_the_frame():
     choosers = {method: [one.chooser for one in streams_of(method, level)] for method in METHODS}
     assert choosers["naive3dgs"] == ["unpruned", "paper-no-cliff"] and choosers["v3"] == ["unpruned"]
     assert choosers["airgs"] == choosers["airgs-paper"] == ["unpruned", "paper", "paper-no-cliff", "paper-literal"]
-
-
-def test_a_row_says_the_worst_frame_and_the_keyframes_after_the_first():
-    sent = ((900, 30.0, 50.0, "key"), (100, 28.0, 1.0, "frame"), (500, 32.0, 10.0, "key"))
-    frames = tuple(Frame(kind, 10, size, seconds, psnr, 0.9) for size, psnr, seconds, kind in sent)
-    row = row_of(Trained("s", "m", frames, 12.0), 25.0)
-    assert tuple(row[name] for name in ("psnr", "worst", "most_deviation", "key_s")) == (30.0, 28.0, 2.0, 10.0)
-    assert row["kb_frame"] == 0.5 and row["mbit_s"] == pytest.approx(0.1)
-    assert row_of(Trained("s", "m", frames[:2], 12.0), 25.0)["key_s"] is None
 
 
 def test_every_ablation_changes_something():
