@@ -16,9 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_error
+from airgs_codec.analysis.sensitivity import CODING_VARIANCE
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
-from airgs_codec.coding.motion import channel_weights
+from airgs_codec.coding.motion import channel_weights, withheld_error
 from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, with_step
 from airgs_codec.encoder.plan import (
     GroupLayout,
@@ -43,6 +44,7 @@ from airgs_codec.scene.sequence import GaussianSequence
 SAMPLE_BLOCKS = 150  # of rows, over all frames of the sample together
 FEWEST_BLOCKS = 5  # in a frame
 MOST_FRAMES = 32
+LEAK = 0.3  # share of CODING_VARIANCE that a channel gets from its neighbours when nothing in it is worth coding
 
 SLOPE = 0.5  # of the bytes: what steps e times as large save, of fox and spinach
 TRIAL = 1.5  # factor between the two steps at which bytes and error are measured
@@ -99,6 +101,10 @@ class Subject:
             sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
         )
         _, moving = rank_updates(states[1:] - states[0], weights)
+        if not settings.keep_all:  # steps are solved for rows of which coding repairs more error than it adds
+            variance = np.square(states[1:]).mean(axis=0, keepdims=True)
+            added = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
+            moving &= withheld_error(states[1:], weights) > withheld_error(np.sqrt(added), weights)
         return replace(sample, moving=moving).with_line(states, settings.steps, len(index))
 
 
