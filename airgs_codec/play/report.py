@@ -63,7 +63,6 @@ def _pictures(log: SessionLog) -> list[Picture]:
 
 
 def _over_time(axis: Any, log: SessionLog, name: str) -> None:
-    """Seconds along a chart, with the waits in red."""
     for s in log.shown:
         if s.stall_s > SHORTEST_S:
             axis.axvspan(s.start_s - s.stall_s, s.start_s, color=RED, alpha=0.2, linewidth=0)
@@ -107,7 +106,6 @@ def _psnr(log: SessionLog, axis: Any) -> None:
 
 
 def format_metrics(log: SessionLog) -> str:
-    """The figures as lines of text."""
     return "\n".join(f"{name:<22}{value}" for name, value in _readable(log))
 
 

@@ -279,7 +279,6 @@ def study_answer(study: Study) -> dict[str, str]:
 
 
 def _is_measured(study: Study) -> bool:
-    """Whether the quality of the package is known."""
     return any(row["qoe"] is not None for row in study.rows)
 
 

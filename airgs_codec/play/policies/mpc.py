@@ -113,7 +113,6 @@ def choose_robust_mpc(state: PlayerState, value_before: ValueBefore = Model.valu
 
 
 def _horizon(state: PlayerState) -> list[Coming]:
-    """Return what is looked at, this segment first."""
     segments: list[Coming] = []
     total_s = 0.0
     for offer, known in islice(state.upcoming(), HORIZON_SEGMENTS):

@@ -56,7 +56,6 @@ _Entry = ChainMap[str, Any]  # of a picture in transforms.json, over what all sh
 
 
 def is_transforms(data: Any) -> bool:
-    """Return whether JSON data is a transforms.json."""
     return isinstance(data, dict) and "frames" in data
 
 
@@ -149,7 +148,6 @@ def _inria_cameras(path: Path, data: Any) -> list[Posed]:
 
 
 def is_panoptic(data: Any) -> bool:
-    """Return whether JSON data is such a file."""
     return isinstance(data, dict) and {"k", "w2c", "cam_id"} <= {*data}
 
 

@@ -84,7 +84,6 @@ def _named(place: Path, name: str) -> Path | None:
 
 
 def _only_file(folder: Path) -> Path:
-    """The one file in a folder that has cameras."""
     files = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES and file.is_file())
     known = [file for file in files if _reader(file)]
     if len(known) != 1:

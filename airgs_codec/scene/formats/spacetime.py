@@ -184,7 +184,6 @@ def _rows(path: Path, data: bytes) -> np.ndarray:
 
 
 def _texture(path: Path, text: bytes) -> tuple[int, int]:
-    """Texels across and down, from the JSON."""
     with expecting(path, "a .splatv header with one chunk of type splat"):
         [chunk] = [chunk for chunk in json.loads(text) if chunk["type"] == "splat"]
         return _positive(chunk["texwidth"]), _positive(chunk["texheight"])
