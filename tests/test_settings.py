@@ -12,6 +12,8 @@ from airgs_codec.trainer.settings import TrainSettings
 @documented
 @dataclass(frozen=True, slots=True)
 class Example:
+    """Two things."""
+
     size: int = setting(3, "how many, in pixels")
     names: list[str] = computed_setting(list, "what they are called")
 

@@ -160,8 +160,9 @@ class Pose:
 
     @staticmethod
     def tried(samples: Sequence[Sample], position: Vector, direction: Vector) -> Pose:
-        """Look from `position` along `direction`, of any length: the mean over samples."""
-        direction = direction / max(float(np.linalg.norm(direction)), LEAST)
+        """Look from `position` along `direction`, of any length: the mean over samples. Where it has none, along z."""
+        length = float(np.linalg.norm(direction))
+        direction = direction / length if length > 0 else np.array([0.0, 0.0, 1.0])
         camera = look_at(position, position + direction, UP, size=TRIED_SIZE, fov_y=FIELD_OF_VIEW, name="tried")
         score, distance = np.mean([sample.look(camera) for sample in samples], axis=0)
         return Pose(position, direction, float(score), float(distance))

@@ -141,6 +141,7 @@ def _encode(
         trials: list[tuple[float, float]] = []
         if goal:
             chosen, trials = search_quality(calibrated, original, goal, work)
+            calibrated = replace(calibrated, expected=None)  # what costs too much was taken back before the search
         search_s = watch.lap()
         encoded, _, repairs = encode_repaired(calibrated, chosen, work, original)
         encode_s, measured = watch.lap(), Measured(encoded.manifest, math.inf)

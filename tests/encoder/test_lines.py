@@ -51,7 +51,9 @@ def drifting(count: int = 900) -> list[Gaussians]:
 
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
-    return open_sequence(write_sequence(tmp_path_factory.mktemp("drift") / "scene", drifting(), fps=30))
+    return open_sequence(
+        write_sequence(tmp_path_factory.mktemp("drift") / "scene", drifting(), fps=30, keyframes=[0, FRAMES - 1])
+    )
 
 
 @pytest.fixture(scope="module")

@@ -113,8 +113,8 @@ def test_how_many_rows_are_looked_at_together_changes_nothing(group, tmp_path, s
         monkeypatch.undo()
     few, many = coded
     assert few.depths.tolist() == many.depths.tolist() and few.left_out == many.left_out
-    assert any(level.escapes and any(level.escapes) for (level,) in many.levels)
-    for (a,), (b,) in zip(few.levels, many.levels, strict=True):
+    assert any(level.escapes and any(level.escapes) for level in many.levels)
+    for a, b in zip(few.levels, many.levels, strict=True):
         assert a.atlas == b.atlas and a.escapes == b.escapes
         assert a.samples is not None and b.samples is not None
         assert [x.tolist() for x in a.samples] == [x.tolist() for x in b.samples]

@@ -207,7 +207,7 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(tmp_path):
 
 def test_a_still_scene_has_no_state_at_all(tmp_path):
     package = encoded(tmp_path, moving_frames(50, 1) * 5)
-    assert [level.bytes for level in package.manifest.segments[0].levels] == [0, 0, 0, 0]
+    assert [level.file.bytes for level in package.manifest.segments[0].levels] == [0, 0, 0, 0]
     assert not any(path.startswith("state/") for path in package.manifest.files())
     frames = [f.gaussians for f in decode_frames(package, 0, 5)]
     same(frames[0], frames[4])

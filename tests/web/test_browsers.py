@@ -66,7 +66,7 @@ VISITS = {
     "once": checking("once"),
     "seek": checking("seek", frames=json.dumps(FRAMES), rung=RUNGS[-1], fps=float(FOX.manifest.fps)),
     "loop": checking("loop", seconds=3),
-    "forgets": checking("play", kept=1, frames=10 * FOX.manifest.frames),
+    "forgets": checking("play", kept=1, frames=10 * FOX.manifest.frames, seconds=60),
     "menu": checking("menu", names=json.dumps([RUNGS[-1], RUNGS[0], RUNGS[1]])),
 }
 

@@ -67,7 +67,7 @@ def test_levels_save_shares_of_bytes_as_players_count_them():
     m = open_package(VALID / "moving").manifest
     saved = saved_by_level(m)
     for segment in m.segments:
-        shares = saved_shares([level.bytes for level in segment.levels])
+        shares = saved_shares([level.file.bytes for level in segment.levels])
         np.testing.assert_array_equal(saved[:, segment.start], shares)
     assert saved[1:].max() > 0 and not np.allclose(saved[-1], m.levels[-1].pruned)
     levels = tuple(

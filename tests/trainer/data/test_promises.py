@@ -147,7 +147,7 @@ def test_a_file_that_promises_more_than_it_has_is_refused_in_one_line(tmp_path, 
 def test_usage_that_is_promised_is_refused(tmp_path):
     path = tmp_path / "usage.npz"
     with zipfile.ZipFile(path, "w") as archive:
-        for name in ("total", "peak", "hits", "moved"):
+        for name in ("total", "peak", "hits"):
             archive.writestr(f"0:1/{name}.npy", npy(f"({10**12},)"))
     with pytest.raises(SceneError, match="expected usage as the trainer writes it"):
         load_usage(path, 0, 1, 10)
@@ -155,7 +155,7 @@ def test_usage_that_is_promised_is_refused(tmp_path):
 
 def test_usage_of_more_rows_than_the_frames_have_is_not_unpacked(tmp_path, monkeypatch):
     path = tmp_path / "usage.npz"
-    save_usage(path, {(0, 1): Usage(*np.zeros((4, 10_000)))})
+    save_usage(path, {(0, 1): Usage(*np.zeros((3, 10_000)))})
     assert len(load_usage(path, 0, 1, 10_000).total) == 10_000
     monkeypatch.setattr(np.lib.format, "read_array", None)
     with pytest.raises(SceneError, match="expected usage as the trainer writes it: 10 rows of 8 bytes, got 80128"):

@@ -8,7 +8,7 @@ import { Recent } from "../format/recent.ts";
 import type { Root, Segment } from "../format/types.ts";
 import { HEADER_BYTES, OVER_BUDGET, ROOT_PATH } from "../generated/constants.ts";
 import { type Option, savedShares } from "./ladder.ts";
-import { ConfigError } from "./playout.ts";
+import { ConfigError } from "./settings.ts";
 
 /** More than a buffer holds and a policy looks at. */
 const MOST_OFFERS = 1024;

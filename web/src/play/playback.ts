@@ -9,12 +9,12 @@ import { Feed } from "./feed.ts";
 import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, Pipeline } from "./pipeline.ts";
-import { EARLY, Playout, sessionSettings } from "./playout.ts";
+import { EARLY, Playout } from "./playout.ts";
 import { wishedPolicy } from "./policies/mpc.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
-import type { Sound } from "./sound.ts";
+import { sessionSettings } from "./settings.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
 import { Waits } from "./waits.ts";
@@ -52,6 +52,19 @@ export interface Wishes extends PlayerOptions {
   readonly bufferS: number;
 }
 
+/** The sound of a package, which is loaded where there is some: sound.ts. */
+export interface Voice {
+  /** Whether the browser lets it be heard. */
+  readonly allowed: boolean;
+  /** Whether it is heard, so that pictures follow it. */
+  readonly leads: boolean;
+  /** Take in whether it is wanted, and how loud; somebody may have touched the page. */
+  follow(): void;
+  /** Play what is due, and keep the pictures beside it; `calm`: these were in time lately. */
+  step(nowS: number, calm: boolean): void;
+  close(): void;
+}
+
 export interface Problem {
   message: string;
   /** Nothing goes on by itself. */
@@ -77,7 +90,7 @@ export class Playback {
   /** Shows the scene in place of the page while there is one. */
   headset: XRSession | null = null;
   /** Leads the pictures while it is heard; null: there is none, or it is not loaded yet. */
-  sound: Sound | null = null;
+  sound: Voice | null = null;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
   /** What follows what is on the screen; null: whatever was sought. */

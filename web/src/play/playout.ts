@@ -1,35 +1,16 @@
-// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from; and
-// the rules of a player.
+// What is on the screen and what waits to be: starts and stalls of segments, and nothing about where they come from.
 //
 // The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
 // others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
 // those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
-import { SESSION } from "../generated/constants.ts";
 import type { Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
+import type { SessionSettings } from "./settings.ts";
 
 /** Seconds for which segments that were shown stay in the timeline. */
 const PAST_S = 60;
 /** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
 export const EARLY = 1e-6;
-
-/** Settings that cannot work, or a policy that does not exist. */
-export class ConfigError extends Error {
-  override name = "ConfigError";
-}
-
-type Rules = typeof SESSION;
-
-/** The rules of airgs_codec.play.settings, which says what each is. */
-export type SessionSettings = { [Name in keyof Rules]: Rules[Name] extends number ? number : boolean };
-
-/** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
-export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
-  const settings = { ...SESSION, ...given };
-  const { bufferS } = settings;
-  if (!(bufferS > 0 && bufferS < Infinity)) throw new ConfigError(`buffer: expected more than 0 s, got ${bufferS}`);
-  return settings;
-}
 
 /** A segment of the timeline. */
 export interface Slot {

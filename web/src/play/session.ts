@@ -32,8 +32,9 @@ import {
 } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
 import { type Batch, filesOf, type Offers } from "./offers.ts";
-import { ConfigError, type Playout, type SessionSettings, type Slot } from "./playout.ts";
+import type { Playout, Slot } from "./playout.ts";
 import { type Download, estimateThroughput, type PlayerState, type Policy } from "./policies/state.ts";
+import { ConfigError, type SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
 
 /** What fetches and shows share of a package. */

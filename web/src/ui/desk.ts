@@ -1,8 +1,9 @@
 // What the parts of the element know of it, and what it asks of a player.
 import type { PlayerOptions } from "../play/playback.ts";
 import type { Player } from "../play/player.ts";
+import type { RungInfo } from "../play/rungs.ts";
 import { readAddress, writeAddress } from "./address.ts";
-import type { View } from "./view.ts";
+import type { Orbit } from "./orbit.ts";
 
 /** `Player`, or one that only pretends, in tests. */
 export type PlayerLike = EventTarget &
@@ -23,11 +24,41 @@ export const EVENTS =
   );
 
 /** The view as its parts know it. */
-export type Desk = Readonly<
-  Pick<View, "player" | "orbit" | "signal" | "rungs" | "colours" | "ready" | "full" | "headset" | "scale" | "picture"> &
-    Pick<View, "toggle" | "seek" | "skip" | "frame" | "home" | "beginHere" | "turnOver" | "linked" | "copyLink"> &
-    Pick<View, "toggleFull" | "toggleVr" | "toggleInfo" | "toggleSound" | "set" | "wake">
->;
+export interface Desk {
+  readonly player: PlayerLike;
+  readonly orbit: Orbit;
+  /** Ends with this life of the element. */
+  readonly signal: AbortSignal;
+  /** The rungs of the package, as they were known a moment ago, and the colour of each. */
+  readonly rungs: readonly RungInfo[];
+  readonly colours: readonly string[];
+  readonly ready: boolean;
+  readonly full: boolean;
+  /** Whether there is a headset to put on. */
+  readonly headset: boolean;
+  /** The share of the display's pixels in each direction that is drawn, and how many these are. */
+  readonly scale: number;
+  readonly picture: readonly [number, number];
+  toggle(): void;
+  seek(seconds: number): void;
+  skip(seconds: number): void;
+  frame(count: number): void;
+  /** Back to where the viewer began; `first`: to the first place of the region, to begin there again. */
+  home(first?: boolean): void;
+  beginHere(): void;
+  turnOver(): void;
+  /** Whether the address of the page says where to begin, and copies of it can. */
+  readonly linked: boolean;
+  copyLink(): void;
+  toggleFull(): void;
+  toggleVr(): void;
+  toggleInfo(): void;
+  toggleSound(): void;
+  /** Changes an attribute of the element, and with it the player. */
+  set(attribute: "loop" | "quality" | "policy" | "view-region", value: string | boolean): void;
+  /** Something has changed: look at everything in the next animation frame. */
+  wake(): void;
+}
 
 /** The moment that is shown, as text. */
 export function momentOf({ player, orbit }: Desk): string {

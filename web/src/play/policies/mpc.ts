@@ -16,7 +16,7 @@ import {
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
 import { type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
-import { ConfigError } from "../playout.ts";
+import { ConfigError } from "../settings.ts";
 import {
   bufferS,
   type Download,
