@@ -133,6 +133,7 @@ MEASUREMENTS = (
         "mechanisms", "mechanisms",
         "mechanisms fox/=fox/transforms.json fox_b/=fox_b.json head/@head_held.json spinach25/=spinach_views.json",
     ),
+    Measurement("mechanisms-basketball", "mechanisms", "mechanisms basketball/"),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip

@@ -130,7 +130,6 @@ class V3:
 
     @property
     def settings(self) -> dict[str, object]:
-        """All of `V3Settings`."""
         return asdict(self.chosen)
 
     def frames(self, footage: Footage, done: int, progress: Progress) -> Iterator[Shown]:
