@@ -21,7 +21,7 @@ from typing import Any
 
 from tests.support.browser import CHROMIUMS, Maker, serve
 
-TIMEOUT_S = 60  # for a page
+TIMEOUT_S = 180  # for a page, on a machine that does other work
 REPORT = """<script type="module">
 const report = await Promise.resolve(window.report).catch((error) => ({ failed: String(error) }));
 const answer = await fetch("/report", { method: "POST", body: JSON.stringify(report ?? null) });
@@ -89,9 +89,11 @@ def _screen(wanted: bool) -> Iterator[dict[str, str]]:
     told, tell = os.pipe()
     with subprocess.Popen(["Xvfb", "-displayfd", f"{tell}", "-nolisten", "tcp"], pass_fds=[tell]) as process:
         os.close(tell)
-        with os.fdopen(told) as number:
-            yield {"DISPLAY": f":{number.readline().strip()}"}
-        process.terminate()
+        try:
+            with os.fdopen(told) as number:
+                yield {"DISPLAY": f":{number.readline().strip()}"}
+        finally:  # or the block would wait for it for ever
+            process.terminate()
 
 
 BROWSERS = (
