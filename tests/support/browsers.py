@@ -21,7 +21,7 @@ from typing import Any
 
 from tests.support.browser import CHROMIUMS, Maker, serve
 
-TIMEOUT_S = 180  # for a page, on a machine that does other work
+TIMEOUT_S = 60  # for a page
 REPORT = """<script type="module">
 const report = await Promise.resolve(window.report).catch((error) => ({ failed: String(error) }));
 const answer = await fetch("/report", { method: "POST", body: JSON.stringify(report ?? null) });

@@ -40,7 +40,6 @@ export class Ahead {
 
   drop(id: number): void {
     for (const t of this.#open.get(id)?.keys() ?? []) this.taken(id, t);
-    this.#bell.ring();
   }
 
   async #until(condition: () => boolean, signal: AbortSignal): Promise<void> {

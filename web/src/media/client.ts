@@ -149,8 +149,7 @@ export class Media {
       if (frame) this.#frames.set(frame, { id, t });
       onFrame(t, frame);
     };
-    const of = { group, quality, tiers };
-    return this.#caller.call("segment", { index, level, of }, { signal, onEvent });
+    return this.#caller.call("segment", { index, level, of: { group, quality, tiers } }, { signal, onEvent });
   }
 
   /** A frame has been shown, or is not wanted any more: others may be decoded. */

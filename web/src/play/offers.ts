@@ -38,9 +38,7 @@ export interface RungOffer {
   readonly allowed: boolean;
   /** Share of the first level's state bytes that its level saves. */
   readonly saved: number;
-  /** In the order of fetching: sound, then each tier of the group that has files, then that of the base whose rows it
-   * reuses.
-   */
+  /** In the order of fetching: sound, then each tier of the group with files, followed by that of the base it reuses. */
   readonly keys: readonly KeyOffer[];
   readonly state: readonly string[];
   readonly stateBytes: number;

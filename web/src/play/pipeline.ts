@@ -30,10 +30,12 @@ export interface PipelineParts extends Pick<Shared, "offers" | "stores" | "playo
   onProblem: (error: unknown) => void;
 }
 
-/** Decodes what is scheduled. Clips stay until `drop` or `clear`. */
+/** Decodes what is scheduled. Clips stay until they have passed, or `clear`. */
 export class Pipeline {
   readonly #clips = new Map<number, Clip>();
   readonly #spaces = new Recent<string, Canonical>(MOST_SPACES);
+  /** What was due when the screen was looked at last: what the clock says meanwhile may be taken back by a hold. */
+  #due = { position: 0, frame: 0 };
   #stop = new AbortController();
   #working = false;
 
@@ -59,10 +61,11 @@ export class Pipeline {
     this.#working = false;
   }
 
-  /** The clips before a position, and the keys of earlier loops, are of no use any more. */
-  drop(before: number): void {
-    this.parts.stores.keys.forget(before);
-    for (const [position, clip] of this.#clips) if (position < before) this.#drop(clip);
+  /** A frame is due on the screen: the clips before it, and the keys of earlier loops, are of no use any more. */
+  due(position: number, frame: number): void {
+    this.#due = { position, frame };
+    this.parts.stores.keys.forget(position);
+    for (const [before, clip] of this.#clips) if (before < position) this.#drop(clip);
     this.wake();
   }
 
@@ -76,6 +79,7 @@ export class Pipeline {
     for (const clip of this.#clips.values()) this.#drop(clip);
     this.#stop.abort();
     this.#stop = new AbortController();
+    this.#due = { position: 0, frame: 0 };
     this.#working = false;
   }
 
@@ -95,10 +99,10 @@ export class Pipeline {
   /** The next segment to decode: the first without a clip, unless enough is decoded. */
   #next(): Slot | null {
     const { playout, offers } = this.parts;
-    const now = playout.at(performance.now() / 1e3);
-    let ahead = now ? -now.frame / offers.fps : 0; // what has passed of the segment on the screen does not count
+    const { position, frame } = this.#due;
+    let ahead = -frame / offers.fps; // what has passed of the segment on the screen does not count
     for (const slot of playout.slots) {
-      if (slot.rung === null || (now && slot.position < now.slot.position)) continue;
+      if (slot.rung === null || slot.position < position) continue;
       if (!this.#clips.has(slot.position)) return ahead < LEAD_S ? slot : null;
       ahead += slot.seconds;
     }

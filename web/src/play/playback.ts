@@ -307,7 +307,7 @@ export class Playback {
 
   /** What a frame lacks; null: it is on the screen, or nothing can be shown in its place but what is there. */
   #show(position: number, rung: number | null, frame: number): Lack | null {
-    this.#pipeline.drop(position);
+    this.#pipeline.due(position, frame);
     const clip = this.#pipeline.clip(position);
     if (rung === null) return null;
     if (clip && this.#shown?.clip === clip && this.#shown.frame === frame) return null;
