@@ -15,7 +15,6 @@ from tools.lab.bench import (
     claims,
     engines,
     jobs,
-    keyframe,
     scale,
     static,
     streaming,
@@ -180,11 +179,6 @@ ANSWERS = {
         reproduce.in_words(rows("paper", "paper-methods")),
         reproduce.streamed_in_words(rows("paper", "paper-streams", math.nan), 30),
         reproduce.PROTOCOL,
-    ],
-    "keyframe": lambda: [
-        keyframe.page(6878, *([row for row in rows("keyframe") if row["fitted"] == name] for name in (
-            "from the frame before", "from scratch"
-        ))).sections[0].answer
     ],
     "work-precision": lambda: [
         section.answer for section in work_precision.page(

@@ -10,7 +10,6 @@ from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.trainer import train
 from airgs_codec.trainer.data.readers import open_scene
 from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
@@ -21,7 +20,6 @@ from tools.lab.baselines import rivals
 from tools.lab.bench import (
     claims,
     jobs,
-    keyframe,
     link,
     mechanisms,
     scale,
@@ -79,9 +77,14 @@ def run_rivals(tmp, patch):
 def run_mechanisms(tmp, patch):
     patch.setattr(mechanisms, "PLAIN", replace(QUICK, calibrate="ladder"))
     scene = write_sequence(tmp / "scene", moving_frames(300, 3, 1))
-    only = ("colour transform", "keyframes as differences")
-    options = mechanisms.Options((f"{scene}@{scene / 'transforms.json'}",), only)
-    return mechanisms.run(options, Lab.at(tmp / "lab", quiet=True))
+    only = ("colour transform", "keyframes as differences", "empty space stays empty", "motion goes on")
+    options = mechanisms.Options((f"{scene}@{scene / 'transforms.json'}", f"{write_blobs(tmp / 'blobs')}:0:3"), only)
+    small = replace(SETTINGS, first_iterations=30, key_iterations=10, frame_iterations=5)
+    patch.setattr(mechanisms, "TrainSettings", lambda **_: small)
+    patch.setattr(mechanisms, "SPLITS", (1,))
+    page = mechanisms.run(options, Lab.at(tmp / "lab", quiet=True))
+    assert [row["scene"] for row in page.tables()[0].rows[2:]] == ["blobs, split 1"] * 2
+    return page
 
 
 def run_static(tmp, patch):
@@ -116,15 +119,6 @@ def run_splits(tmp, patch):
     scene = write_blobs(tmp / "fox")
     options = splits.Options(scene, splits=1, hold=2, frames="0:2", train="--iterations 30,10,5")
     return splits.run(options, Lab.at(tmp / "lab", quiet=True))
-
-
-def run_keyframe(tmp, patch):
-    scene = write_blobs(tmp / "blobs")
-    settings = replace(SETTINGS, budget=150, first_iterations=10, frame_iterations=2, key_iterations=4, group_frames=1)
-    model = train(open_scene(scene, frames=(0, 2)), tmp / "model", settings)
-    patch.setattr(keyframe, "WARM", (2,))
-    patch.setattr(keyframe, "SCRATCH", (4,))
-    return keyframe.run(keyframe.Options(scene, model.folder), Lab.at(tmp / "lab", quiet=True))
 
 
 def run_work_precision(tmp, patch):
@@ -175,7 +169,7 @@ def run_jobs(tmp, patch):
 RUNS = {
     "scenes": run_scenes, "rd-fox": run_rd, "claims": run_claims, "rivals": run_rivals, "mechanisms": run_mechanisms,
     "static": run_static, "tracked-head": run_tracked, "paper": run_paper,
-    "splits-fox": run_splits, "keyframe": run_keyframe, "work-precision": run_work_precision, "stiff": run_stiff,
+    "splits-fox": run_splits, "work-precision": run_work_precision, "stiff": run_stiff,
     "extremes": run_extremes, "streaming": run_streaming, "viewpoints": run_viewpoints, "scale": run_scale,
     "jobs": run_jobs,
 }  # fmt: skip
@@ -199,7 +193,8 @@ def test_it_gives_the_tables_that_are_published(name, tmp_path, monkeypatch):
 def test_every_published_experiment_is_run_here():
     """But for what needs a browser, and for twins."""
     twins = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
-    assert {*RUNS, *twins, "engines", "mechanisms-basketball", *NO_LONGER_MEASURED} == set(read_figures())
+    twins |= {"mechanisms-basketball", "mechanisms-trainer"}
+    assert {*RUNS, *twins, "engines", *NO_LONGER_MEASURED} == set(read_figures())
     assert {one.name for one in EXPERIMENTS} > {"devices", "soak-farm", "upright", "link", "footage"}
 
 

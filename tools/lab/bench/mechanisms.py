@@ -1,16 +1,23 @@
-"""What each mechanism of the encoder buys: scenes encoded as they are, and without one mechanism after the other.
+"""What each mechanism buys: scenes encoded or trained as they are, and without one mechanism after the other.
 
 Pictures that no decision has seen measure: from held-out cameras, or from views of a file of their own. The encoder as
 it is runs at several qualities, which give its bytes as a function of PSNR; a mechanism saves what the package without
 it takes more than the encoder as it is for the same PSNR. Bytes are those of the top rung with all tables, time is CPU
 time of the whole encode by one thread. A mechanism earns its lines that brings LEAST_BYTES, LEAST_DB or LEAST_TIME on
 two scenes; others are here because nobody could do without them.
+
+Frames of multi-view video are trained in SPLITS of their cameras, in pictures of at most SIDE pixels. PSNR is that of
+held-out cameras, each picture after the gain and offset of its colours that fit best. Bytes are those of a package of
+what was trained, by the encoder's defaults. What acts behind the first frame alone goes on from the same first frame,
+and its time is that of the frames behind. Mechanisms for sparse rigs, or for cameras that are not in step, have no row
+where a scene is neither.
 """
 
 from __future__ import annotations
 
 import ast
 import os
+import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -29,14 +36,30 @@ from airgs_codec.encoder import batch, level, omit, pipeline, plan, repair, samp
 from airgs_codec.encoder.plan import WrittenRows
 from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.package.package import Package
 from airgs_codec.package.tables import pack_matrix
+from airgs_codec.progress import Progress, silent
 from airgs_codec.render import read_cameras, render
-from tools.lab import Lab, Page, Row, Section, Table, content, listed, required, setting
+from airgs_codec.trainer import pipeline as training
+from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
+from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.sync import find_offsets, in_step
+from airgs_codec.trainer.fit import first as first_frame
+from airgs_codec.trainer.fit import surround
+from airgs_codec.trainer.fit.active import Scope
+from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
+from airgs_codec.trainer.fit.trainer import Trainer
+from airgs_codec.trainer.frames import train_first
+from airgs_codec.trainer.record import TrainedFrame
+from airgs_codec.trainer.settings import Temporal, TrainSettings
+from tools.lab import Lab, Page, Row, Section, Table, content, expect_names, listed, required, setting
 from tools.lab.made import name_of
 
 LEAST_BYTES, LEAST_DB, LEAST_TIME = 2.0, 0.3, 20.0  # per cent of the bytes, dB, per cent of the time
 QUALITIES = (0.8, 1.0, 1.25)  # of the encoder as it is
 FRAMES = 6  # of a scene, evenly spaced, that measure
+SPLITS, SIDE, SEED = (0, 1), 320, 2  # of cameras; pixels; of the order in which cameras are dealt out
 PLAIN = EncodeSettings(threads=1)
 COLUMNS = {
     "mechanism": ("mechanism", ""), "lines": ("lines", ""), "scene": ("scene", ""),
@@ -47,11 +70,13 @@ COLUMNS = {
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    scenes: tuple[str, ...] = required("SCENE[=CAMERAS][@VIEWS]: VIEWS measure, by default the held-out CAMERAS")
+    scenes: tuple[str, ...] = required(
+        "SCENE[=CAMERAS][@VIEWS]: VIEWS measure, by default the held-out CAMERAS; SCENE:A:B: frames A to B to train on"
+    )
     only: tuple[str, ...] = setting((), "of the mechanisms, by default all")
 
 
-Off = Callable[[EncodeSettings, ExitStack], EncodeSettings]  # switches a mechanism off while the stack is open
+Off = Callable[[Any, ExitStack], Any]  # switches a mechanism off while the stack is open; gives the settings for it
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +84,8 @@ class Mechanism:
     name: str
     code: str  # where it is: modules, of the encoder or FOLDER/MODULE, and functions and classes as MODULE:NAME
     off: Off
+    behind: bool = False  # whether it acts behind the first frame of a training alone
+    needs: str = ""  # of a rig that is trained on: "sparse", "late" (not in step), or nothing
 
     @property
     def lines(self) -> int:
@@ -78,7 +105,7 @@ def _set(**changes: Any) -> Off:
 
 
 def _patched(*patches: tuple[Any, str, Any]) -> Off:
-    def off(settings: EncodeSettings, stack: ExitStack) -> EncodeSettings:
+    def off(settings: Any, stack: ExitStack) -> Any:
         for owner, name, value in patches:
             stack.enter_context(patch.object(owner, name, value))
         return settings
@@ -140,11 +167,63 @@ MECHANISMS = (
 )  # fmt: skip
 
 
+def _late(offsets: dict[str, float]) -> dict[str, float]:
+    """How many frames cameras that are trained on are taken to be late, of what was found."""
+    return offsets
+
+
+HERE = sys.modules[__name__]
+FIT, DATA = "trainer/fit/", "trainer/data/"
+OF_TRAINING = (
+    Mechanism(
+        "walls around a sparse rig", f"{FIT}surround", _patched((first_frame, "sparse_cloud", lambda *_: None)),
+        needs="sparse",
+    ),
+    Mechanism(
+        "what stands within the walls", f"{FIT}surround:standing {FIT}surround:_apart {FIT}grow:surface_of",
+        _patched((surround, "standing", lambda views, outer, *_: outer.positions[:0])), needs="sparse",
+    ),
+    Mechanism("dropout in a sparse rig", "", _patched((first_frame, "DROPOUT", 0.0)), needs="sparse"),
+    Mechanism("cameras are brought into step", f"{DATA}sync", _patched((HERE, "_late", lambda _: {})), needs="late"),
+    Mechanism(
+        "pictures between frames", f"{FIT}parameters:with_motion",
+        _patched((HERE, "_late", lambda found: {name: float(round(late)) for name, late in found.items()})),
+        needs="late",
+    ),
+    Mechanism("what rests stays", f"{DATA}plates {FIT}active", _set(static="off")),
+    Mechanism(
+        "only what may change is fitted", f"{FIT}active",
+        _patched((Trainer, "_scope", lambda trainer, before, target, base: Scope(target.views))), behind=True,
+    ),
+    Mechanism("exposure of cameras", f"{FIT}losses:ExposureModel frames:_exposures", _set(match_exposure="off")),
+    Mechanism("empty space stays empty", f"{FIT}variables:penalty", _set(regularised=False)),
+    Mechanism(
+        "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
+    ),
+    Mechanism("coarse pictures first", f"{FIT}optimise:halve", _set(coarse=0.0), behind=True),
+    Mechanism("temporal loss", f"{FIT}losses:temporal_weights", _set(temporal=Temporal(weight=0.0)), behind=True),
+    Mechanism("only what is better is taken", f"{FIT}losses:better", _set(keep_better=False), behind=True),
+    Mechanism(
+        "new Gaussians where pictures are wrong", f"{FIT}grow:residual_seeds {FIT}grow:find_wrong", _set(seeds=False),
+        behind=True,
+    ),
+    Mechanism(
+        "keyframes from the frame before", f"{FIT}trainer:fit_keyframe",
+        _patched((Trainer, "fit_keyframe", lambda t, target, *_: first_frame.fit_first(t, target, None))), behind=True,
+    ),
+)  # fmt: skip
+
+
 def run(options: Options, lab: Lab) -> Page:
-    known = [one.name for one in MECHANISMS]
+    known = [one.name for one in (*MECHANISMS, *OF_TRAINING)]
+    expect_names("--only", options.only, known)
     chosen = [one for one in MECHANISMS if one.name in (options.only or known)]
     rows: list[Row] = []
     for scene in options.scenes:
+        if ":" in scene:
+            of_training = [one for one in OF_TRAINING if one.name in (options.only or known)]
+            rows += [row for split in SPLITS for row in _rows_of_training(scene, split, of_training, lab)]
+            continue
         curve = [_once(scene, replace(PLAIN, quality=quality), None, lab) for quality in QUALITIES]
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
@@ -158,11 +237,14 @@ Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held
 def row_of(one: Mechanism, scene: str, curve: Sequence[Result], got: Result) -> Row:
     """What a scene takes without a mechanism, in per cent of what it takes as it is for the same PSNR, or time."""
     sizes, quality = [np.log(size) for size, _, _ in curve], [shown for _, shown, _ in curve]
+    size, shown = float(np.exp(_along(quality, sizes, got[1]))), _along(sizes, quality, float(np.log(got[0])))
+    return _row(one, scene, got, (size, shown, curve[QUALITIES.index(1.0)][2]))
+
+
+def _row(one: Mechanism, scene: str, got: Result, base: Result) -> Row:
     return {
-        "mechanism": one.name, "lines": one.lines, "scene": scene,
-        "bytes": 100 * (got[0] / float(np.exp(_along(quality, sizes, got[1]))) - 1),
-        "psnr": got[1] - _along(sizes, quality, float(np.log(got[0]))),
-        "seconds": 100 * (got[2] / curve[QUALITIES.index(1.0)][2] - 1),
+        "mechanism": one.name, "lines": one.lines, "scene": scene, "bytes": 100 * (got[0] / base[0] - 1),
+        "psnr": got[1] - base[1], "seconds": 100 * (got[2] / base[2] - 1),
     }  # fmt: skip
 
 
@@ -195,8 +277,79 @@ def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Res
         for number in evenly_spaced(len(sequence), FRAMES):
             shown, original = decode(package, number), sequence.load([number]).frames[0]
             errors += [mse(render(shown, camera).rgb, render(original, camera).rgb) for camera in cameras]
-        size = rung_bytes(package.manifest, 0, 0, package.manifest_bytes) / package.manifest.frames
-    return size, psnr(float(np.mean(errors))), seconds
+    return _top_bytes(package), psnr(float(np.mean(errors))), seconds
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Frames that are trained on in one split of their cameras; `offsets`: frames that cameras are late."""
+
+    scene: MultiviewScene
+    span: tuple[int, int]
+    held_out: tuple[str, ...]
+    offsets: dict[str, float]
+
+    @property
+    def kinds(self) -> set[str]:
+        cameras = [camera for camera in self.scene.cameras if camera.name not in self.held_out]
+        kinds = {"": True, "sparse": degrees_apart(cameras) > SPARSE_DEGREES, "late": bool(self.offsets)}
+        return {name for name, there in kinds.items() if there}
+
+    def seen(self) -> MultiviewScene:
+        """The frames; whatever cameras that are trained on are taken for, those that measure are in step."""
+        late = {n: v for n, v in _late(self.offsets).items() if n not in self.held_out}
+        late |= {n: v for n, v in self.offsets.items() if n in self.held_out}
+        return with_held_out(in_step(self.scene, late, self.span), self.held_out)
+
+
+def _rows_of_training(scene: str, split: int, chosen: Sequence[Mechanism], lab: Lab) -> list[Row]:
+    path, start, stop = scene.split(":")
+    opened, span = open_scene(Path(path)), (int(start), int(stop))
+    reads, name = (content(Path(path)), span, split, SIDE), f"{name_of(path)}, split {split}"
+    late = lab.results.once("offsets", reads, lambda: find_offsets(opened, span))
+    names = [camera.name for camera in opened.cameras]
+    some = max(2, len(names) // 5)
+    order = np.random.default_rng(SEED).permutation(names).tolist()
+    rig = Rig(opened, span, tuple(order[split * some : (split + 1) * some]), late)
+    first, whole, behind = lab.results.once("training", reads, lambda: _trained(rig, None, None))
+    rows = []
+    for one in (one for one in chosen if one.needs in rig.kinds):
+        begun = first if one.behind else None
+        known = (*reads, one.name)
+        _, *got = lab.results.once("training", known, lambda one=one, begun=begun: _trained(rig, one, begun))  # type: ignore[misc]
+        rows.append(_row(one, name, *((got[1], behind) if one.behind else (got[0], whole))))
+        lab.tell(f"{rows[-1]}")
+    return rows
+
+
+def _trained(rig: Rig, one: Mechanism | None, first: TrainedFrame | None) -> tuple[TrainedFrame, Result, Result]:
+    """The first frame, and what all frames take and show with the time of all, and of those behind it."""
+    given, times = first, [time.process_time()]
+
+    def begin(capture: Capture, progress: Progress = silent) -> TrainedFrame:
+        nonlocal first
+        first = given or train_first(capture, progress)
+        times.append(time.process_time())
+        return first
+
+    with TemporaryDirectory(prefix="airgs-") as folder, ExitStack() as stack:
+        stack.enter_context(patch.dict(os.environ, {"XDG_CACHE_HOME": folder}))
+        stack.enter_context(patch.object(training, "train_first", begin))
+        settings = TrainSettings(max_size=SIDE)
+        settings = one.off(settings, stack) if one else settings
+        run = training.open_run(rig.seen(), Path(folder) / "model", settings)
+        records = list(training.train_frames(run))
+        times.append(time.process_time())
+        encode(open_sequence(run.model.folder), Path(folder) / "x.airgs", PLAIN)
+        size = _top_bytes(open_package(Path(folder) / "x.airgs"))
+    assert first
+    shown = float(np.mean([record.held_out_matched for record in records]))
+    return first, (size, shown, times[2] - times[0]), (size, shown, times[2] - times[1])
+
+
+def _top_bytes(package: Package) -> float:
+    """Bytes a frame of the top rung with all tables."""
+    return rung_bytes(package.manifest, 0, 0, package.manifest_bytes) / package.manifest.frames
 
 
 def answer(rows: Sequence[Row]) -> str:
