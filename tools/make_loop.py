@@ -14,7 +14,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -88,18 +88,9 @@ def mix(a: Gaussians, b: Gaussians, share: float) -> Gaussians:
     same = np.sign(np.sum(a.quaternions * b.quaternions, axis=1, keepdims=True))
     turned = a.quaternions * (1 - share) + b.quaternions * np.where(same == 0, 1, same) * share
 
-    def between(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
-        return (x * (1 - share) + y * share).astype(np.float32)
-
-    return replace(
-        a,
-        means=between(a.means, b.means),
-        quaternions=(turned / np.linalg.norm(turned, axis=1, keepdims=True)).astype(np.float32),
-        log_scales=between(a.log_scales, b.log_scales),
-        opacity_logits=between(a.opacity_logits, b.opacity_logits),
-        sh_dc=between(a.sh_dc, b.sh_dc),
-        sh_rest=between(a.sh_rest, b.sh_rest),
-    )
+    mixed = {f.name: getattr(a, f.name) * (1 - share) + getattr(b, f.name) * share for f in fields(Gaussians)}
+    mixed["quaternions"] = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    return Gaussians(**{name: np.asarray(values, np.float32) for name, values in mixed.items()})
 
 
 def cameras_on_arc(position: NDArray[np.float64], focus: NDArray[np.float64], degrees: float) -> list[Camera]:

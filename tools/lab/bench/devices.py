@@ -125,15 +125,8 @@ class Fit:
         base = default_settings(self.settings_of)
         counts = (base.iterations_from_scratch(views), base.key_iterations, base.frame_iterations)
         first, key, frame = (max(1, round(self.effort * count)) for count in counts)
-        return replace(
-            base,
-            first_iterations=first,
-            key_iterations=key,
-            frame_iterations=frame,
-            group_frames=KEYFRAME,
-            min_psnr_db=0.0,
-            max_drop_db=math.inf,
-        )
+        base = replace(base, first_iterations=first, key_iterations=key, frame_iterations=frame)
+        return replace(base, group_frames=KEYFRAME, min_psnr_db=0.0, max_drop_db=math.inf)
 
     def open(self) -> MultiviewScene:
         """The frames that are fitted. Raises SceneError."""

@@ -4,7 +4,6 @@ as `airgs-encode` does it by default, one process with a thread for each core; a
 
 from __future__ import annotations
 
-import filecmp
 import os
 import tempfile
 from collections.abc import Callable, Mapping
@@ -18,6 +17,7 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, listed, seconds_of, setting
+from tools.lab.bench.soak_farm import same_files
 from tools.lab.made import make_scene
 
 WORKERS = 2
@@ -57,10 +57,8 @@ def encodes(rows: int, frames: int) -> dict[str, float]:
             DEFAULT: _seconds(folder, "default", os.cpu_count() or 1, InProcess),
             TWO: _seconds(folder, "two", 1, lambda: Processes(WORKERS, 1)),
         }
-        files = [p.relative_to(folder / "one") for p in (folder / "one").rglob("*") if p.is_file()]
         for other in ("two", "default"):
-            differ = filecmp.cmpfiles(folder / "one", folder / other, files, shallow=False)[1:]
-            assert not any(differ), f"{other}: other bytes than those of one process"
+            assert same_files(folder / "one", folder / other), f"{other}: other bytes than those of one process"
     return took
 
 

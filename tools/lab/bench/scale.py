@@ -26,13 +26,9 @@ from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, alone, listed, rows_of, setting
 from tools.lab.made import make_scene
 
+LEVELS = LevelSettings(0.0), LevelSettings(0.5, 2.0)
 SETTINGS = EncodeSettings(
-    calibrate="none",
-    measure_pictures=0,
-    preset="veryfast",
-    group_frames=30,
-    keep_all=True,
-    levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0)),
+    calibrate="none", measure_pictures=0, preset="veryfast", group_frames=30, keep_all=True, levels=LEVELS
 )
 HOW = (
     "Made scenes have no spherical harmonics past DC; groups of 30 frames, two levels, x264 preset veryfast, no trial "

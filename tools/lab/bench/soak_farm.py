@@ -120,7 +120,7 @@ def run(options: Options, lab: Lab) -> Page:
     alone, _ = seconds_of(lambda: encode(open_sequence(out / "scene"), out / "one.airgs", SETTINGS))
     made: Counter[str] = Counter()
     took, runs = seconds_of(lambda: torment(options, lab, made))
-    records, same = unpack((out / "records").read_bytes()), _same(out / "one.airgs", out / "farm.airgs")
+    records, same = unpack((out / "records").read_bytes()), same_files(out / "one.airgs", out / "farm.airgs")
     failures = ", ".join(f"{count} {name}" for name, count in sorted(made.items()))
     row = {"jobs": len(records), "failures": failures, "made": made.total(), "commands": runs, "same bytes": same}
     row |= {"seconds of one process": alone.wall, "seconds of the cluster": took.wall}
@@ -172,7 +172,7 @@ def _fail(fault: str, cluster: Cluster, work: Path, rng: random.Random, made: Co
     made[fault] += 1
 
 
-def _same(one: Path, other: Path) -> bool:
+def same_files(one: Path, other: Path) -> bool:
     """Return whether two folders have the same files with the same bytes."""
     files = [sorted(p.relative_to(folder) for p in folder.rglob("*") if p.is_file()) for folder in (one, other)]
     return files[0] == files[1] and not any(filecmp.cmpfiles(one, other, files[0], shallow=False)[1:])

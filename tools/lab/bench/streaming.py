@@ -94,12 +94,8 @@ def rung_mbps(m: Manifest) -> list[float]:
 def page(options: Options, rows: Sequence[Row]) -> Page:
     scenes = dict.fromkeys(row["scene"] for row in rows)
     words = [default_words(rows), best_words(rows), cliff_words(rows)]
-    picture = Picture(
-        "streaming",
-        "PSNR over waiting, means and their intervals over traces",
-        partial(draw, rows),
-        (4 * len(scenes), 3.2),
-    )
+    caption = "PSNR over waiting, means and their intervals over traces"
+    picture = Picture("streaming", caption, partial(draw, rows), (4 * len(scenes), 3.2))
     section = Section(" ".join(filter(None, words)), pictures=[picture], tables=[Table("streaming", rows, COLUMNS)])
     first = [row for row in rows if row["scene"] == rows[0]["scene"]]
     return Page([section], how_of(options, rows), brief=[Table("brief", first, BRIEF)])

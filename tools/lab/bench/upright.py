@@ -16,6 +16,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 
@@ -210,7 +211,7 @@ def run(options: Options, lab: Lab) -> Page:
 def measure(scene: str, options: Options) -> Row:
     place, _, told = scene.partition("=")
     up, name, rng = np.array(parse_up(told or "y"), np.float64), Path(place).stem, np.random.default_rng(0)
-    shown = _moments(Path(place), rng) if place.endswith(".glb") else _always(_frames(place))
+    shown = _moments(Path(place), rng) if place.endswith(".glb") else repeat(_frames(place))
     quarters = list(Rotation.create_group("O"))
     right: dict[str, list[bool]] = {"quarters": [], "turned": []}
     for i in range(options.turns):
@@ -248,11 +249,6 @@ def _words(rows: Sequence[Row], kind: str) -> str:
 def _frames(place: str) -> list[Gaussians]:
     sequence = open_sequence(place)
     return [repair([sequence.read(i)], place).frames[0] for i in evenly_spaced(len(sequence), FRAMES)]
-
-
-def _always(frames: list[Gaussians]) -> Iterator[list[Gaussians]]:
-    while True:
-        yield frames
 
 
 def _moments(path: Path, rng: np.random.Generator) -> Iterator[list[Gaussians]]:

@@ -23,6 +23,7 @@ from airgs_codec.render import render
 from airgs_codec.scene.camera import Camera, resized
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.trainer.fit.points import project
 from tools.lab import Lab, Page, Section, required, setting
 from tools.lab.made import camera_entry
 
@@ -77,10 +78,7 @@ def some_points(shown: Gaussians, cameras: Sequence[Camera], most: int) -> NDArr
     opaque = shown.opacities() > OPAQUE
     seen = np.zeros(len(means), bool)
     for camera in cameras:
-        x, y, z = (means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
-        front = np.where(z > camera.near, z, np.inf)
-        u, v = camera.fx * x / front + camera.cx, camera.fy * y / front + camera.cy
-        seen |= (z > camera.near) & (u >= 0) & (u < camera.width) & (v >= 0) & (v < camera.height)
+        seen[project(camera, means)[2]] = True
     rows = np.flatnonzero(opaque & seen)
     random = np.random.default_rng(0)
     rows = rows[np.sort(random.permutation(len(rows))[:most])]

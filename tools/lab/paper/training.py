@@ -152,14 +152,11 @@ def changes(base: TrainSettings) -> list[Change]:
         change("grouping τ", "a drop of 1 dB", max_drop_db=1.0),
         change("how frames move", "six MLPs", deltas="mlp"),
         change("how frames move", "MLPs, then each on its own", deltas="mlp+residual"),
-        change(temporal, "0", temporal=replace(base.temporal, weight=0.0)),
         change(temporal, "a tenth", temporal=replace(base.temporal, weight=weight / 10)),
         change(temporal, "ten times", temporal=replace(base.temporal, weight=10 * weight)),
         change("inflation loss λ_inf", "0", inflation=0.0),
         change("inflation loss λ_inf", "100 times", inflation=100 * base.inflation),
         change("new Gaussians at keyframes", "none", max_growth=0.0),
-        change("new Gaussians at keyframes", "without seeds", seeds=False),
-        change("what rests", "not known", static="off"),
     ]
 
 
