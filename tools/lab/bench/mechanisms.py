@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import ast
 import os
-import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -85,7 +84,7 @@ class Mechanism:
     code: str  # where it is: modules, of the encoder or FOLDER/MODULE, and functions and classes as MODULE:NAME
     off: Off
     behind: bool = False  # whether it acts behind the first frame of a training alone
-    needs: str = ""  # of a rig that is trained on: "sparse", "late" (not in step), or nothing
+    needs: str = ""  # of `Rig.kinds`
 
     @property
     def lines(self) -> int:
@@ -167,35 +166,62 @@ MECHANISMS = (
 )  # fmt: skip
 
 
-def _late(offsets: dict[str, float]) -> dict[str, float]:
-    """How many frames cameras that are trained on are taken to be late, of what was found."""
-    return offsets
+@dataclass(frozen=True, slots=True, eq=False)
+class Rig:
+    """Frames that are trained on in one split of their cameras; `offsets`: frames that cameras are late."""
+
+    scene: MultiviewScene
+    span: tuple[int, int]
+    held_out: tuple[str, ...]
+    offsets: dict[str, float]
+
+    @property
+    def kinds(self) -> set[str]:
+        """What is true of it, of what mechanisms need."""
+        seen = self.seen()
+        sparse = degrees_apart([camera for camera in seen.cameras if not camera.held_out]) > SPARSE_DEGREES
+        kinds = {"": True, SPARSE: sparse, NO_POINTS: sparse and seen.points is None, LATE: bool(self.offsets)}
+        return {name for name, there in kinds.items() if there}
+
+    def seen(self) -> MultiviewScene:
+        """The frames; whatever cameras that are trained on are taken for, those that measure are in step."""
+        late = {name: offset for name, offset in self.taken_late().items() if name not in self.held_out}
+        late |= {name: offset for name, offset in self.offsets.items() if name in self.held_out}
+        return with_held_out(in_step(self.scene, late, self.span), self.held_out)
+
+    def taken_late(self) -> dict[str, float]:
+        return self.offsets
 
 
-HERE = sys.modules[__name__]
+def _to_whole_frames(rig: Rig) -> dict[str, float]:
+    return {name: float(round(offset)) for name, offset in rig.offsets.items()}
+
+
+SPARSE, NO_POINTS, LATE = "few cameras far apart", "and nobody gives points", "cameras that are not in step"
 FIT, DATA = "trainer/fit/", "trainer/data/"
 OF_TRAINING = (
     Mechanism(
         "walls around a sparse rig", f"{FIT}surround", _patched((first_frame, "sparse_cloud", lambda *_: None)),
-        needs="sparse",
+        needs=SPARSE,
     ),
     Mechanism(
         "what stands within the walls", f"{FIT}surround:standing {FIT}surround:_apart {FIT}grow:surface_of",
-        _patched((surround, "standing", lambda views, outer, *_: outer.positions[:0])), needs="sparse",
+        _patched((surround, "standing", lambda views, outer, *_: outer.positions[:0])), needs=NO_POINTS,
     ),
-    Mechanism("dropout in a sparse rig", "", _patched((first_frame, "DROPOUT", 0.0)), needs="sparse"),
-    Mechanism("cameras are brought into step", f"{DATA}sync", _patched((HERE, "_late", lambda _: {})), needs="late"),
+    Mechanism("dropout in a sparse rig", "", _patched((first_frame, "DROPOUT", 0.0)), needs=SPARSE),
+    Mechanism("cameras are brought into step", f"{DATA}sync", _patched((Rig, "taken_late", lambda _: {})), needs=LATE),
     Mechanism(
-        "pictures between frames", f"{FIT}parameters:with_motion",
-        _patched((HERE, "_late", lambda found: {name: float(round(late)) for name, late in found.items()})),
-        needs="late",
+        "pictures between frames", f"{FIT}parameters:with_motion trainer/capture:_behind trainer/capture:key",
+        _patched((Rig, "taken_late", _to_whole_frames)), needs=LATE,
     ),
     Mechanism("what rests stays", f"{DATA}plates {FIT}active", _set(static="off")),
     Mechanism(
         "only what may change is fitted", f"{FIT}active",
         _patched((Trainer, "_scope", lambda trainer, before, target, base: Scope(target.views))), behind=True,
     ),
-    Mechanism("exposure of cameras", f"{FIT}losses:ExposureModel frames:_exposures", _set(match_exposure="off")),
+    Mechanism(
+        "exposure of cameras", f"{FIT}losses:ExposureModel trainer/frames:_exposures", _set(match_exposure="off")
+    ),
     Mechanism("empty space stays empty", f"{FIT}variables:penalty", _set(regularised=False)),
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
@@ -280,32 +306,10 @@ def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Res
     return _top_bytes(package), psnr(float(np.mean(errors))), seconds
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rig:
-    """Frames that are trained on in one split of their cameras; `offsets`: frames that cameras are late."""
-
-    scene: MultiviewScene
-    span: tuple[int, int]
-    held_out: tuple[str, ...]
-    offsets: dict[str, float]
-
-    @property
-    def kinds(self) -> set[str]:
-        cameras = [camera for camera in self.scene.cameras if camera.name not in self.held_out]
-        kinds = {"": True, "sparse": degrees_apart(cameras) > SPARSE_DEGREES, "late": bool(self.offsets)}
-        return {name for name, there in kinds.items() if there}
-
-    def seen(self) -> MultiviewScene:
-        """The frames; whatever cameras that are trained on are taken for, those that measure are in step."""
-        late = {n: v for n, v in _late(self.offsets).items() if n not in self.held_out}
-        late |= {n: v for n, v in self.offsets.items() if n in self.held_out}
-        return with_held_out(in_step(self.scene, late, self.span), self.held_out)
-
-
 def _rows_of_training(scene: str, split: int, chosen: Sequence[Mechanism], lab: Lab) -> list[Row]:
     path, start, stop = scene.split(":")
     opened, span = open_scene(Path(path)), (int(start), int(stop))
-    reads, name = (content(Path(path)), span, split, SIDE), f"{name_of(path)}, split {split}"
+    reads, name = (content(Path(path)), span, split, SIDE), f"{name_of(path)} {start}:{stop}, split {split}"
     late = lab.results.once("offsets", reads, lambda: find_offsets(opened, span))
     names = [camera.name for camera in opened.cameras]
     some = max(2, len(names) // 5)
