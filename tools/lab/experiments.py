@@ -132,7 +132,9 @@ MEASUREMENTS = (
         "mechanisms fox/=fox/transforms.json fox_b/=fox_b.json head/@head_held.json spinach25/=spinach_views.json",
     ),
     Measurement("mechanisms-basketball", "mechanisms", "mechanisms basketball/"),
-    Measurement("mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:0:5 kinoptic_views/:8:13"),
+    Measurement(
+        "mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:0:5 kinoptic_views/:8:13"
+    ),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip

@@ -10,7 +10,7 @@ Frames of multi-view video are trained in SPLITS of their cameras, in pictures o
 held-out cameras, each picture after the gain and offset of its colours that fit best. Bytes are those of a package of
 what was trained, by the encoder's defaults. What acts behind the first frame alone goes on from the same first frame,
 and its time is that of the frames behind. Mechanisms for sparse rigs, or for cameras that are not in step, have no row
-where a scene is neither.
+where a scene is neither. What other random numbers do is no mechanism, but says what is chance.
 """
 
 from __future__ import annotations
@@ -199,7 +199,9 @@ def _to_whole_frames(rig: Rig) -> dict[str, float]:
 
 SPARSE, NO_POINTS, LATE = "few cameras far apart", "and nobody gives points", "cameras that are not in step"
 FIT, DATA = "trainer/fit/", "trainer/data/"
+CONTROL = "nothing but other random numbers"
 OF_TRAINING = (
+    Mechanism(CONTROL, "", _set(seed=1)),
     Mechanism(
         "walls around a sparse rig", f"{FIT}surround", _patched((first_frame, "sparse_cloud", lambda *_: None)),
         needs=SPARSE,
@@ -357,11 +359,15 @@ def _top_bytes(package: Package) -> float:
 
 
 def answer(rows: Sequence[Row]) -> str:
-    names = dict.fromkeys(row["mechanism"] for row in rows)
+    names = dict.fromkeys(row["mechanism"] for row in rows if row["mechanism"] != CONTROL)
     counts = {name: sum(_earns(row) for row in rows if row["mechanism"] == name) for name in names}
     enough, others = ([name for name, count in counts.items() if (count >= 2) == there] for there in (True, False))
     told = f"Of {len(counts)} mechanisms {len(enough)} bring enough on two scenes or more"
-    return f"{told}; {listed(others)} do not." if others else f"{told}."
+    told = f"{told}; {listed(others)} do not." if others else f"{told}."
+    if chance := [row for row in rows if row["mechanism"] == CONTROL]:
+        size, shown = (max(abs(row[name]) for row in chance) for name in ("bytes", "psnr"))
+        told += f" Other random numbers alone move bytes by up to {size:.1f} % and PSNR by up to {shown:.2f} dB."
+    return told
 
 
 def _earns(row: Row) -> bool:
