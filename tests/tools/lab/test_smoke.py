@@ -104,14 +104,10 @@ def run_tracked(tmp, patch):
 def run_paper(tmp, patch):
     patch.setattr(reproduce, "in_processes", lambda work, calls, *_: [work(*one) for one in calls])
     small = replace(SETTINGS, first_iterations=30, key_iterations=10, frame_iterations=5)
-    for module in (reproduce, training):
-        patch.setattr(module, "trainer_settings", lambda *_: small)
-    patch.setattr(reproduce, "changes", lambda settings: training.changes(settings)[:1])
+    patch.setattr(training, "trainer_settings", lambda *_: small)
     patch.setattr(training, "QUICK_FIRST", 30)
     scene = f"fox={write_blobs(tmp / 'blobs')}"
-    options = reproduce.Options(
-        (f"{scene},frames=0:2",), ("airgs", "naive3dgs"), show=("fox",), ablated=f"{scene},frames=0:2", quick=True
-    )
+    options = reproduce.Options((f"{scene},frames=0:2",), ("airgs", "naive3dgs"), show=("fox",), quick=True)
     return reproduce.run(options, Lab.at(tmp / "lab", quiet=True))
 
 

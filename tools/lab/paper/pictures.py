@@ -78,17 +78,6 @@ def draw_times(rows: Rows, figure: Figure) -> None:
     figure.legend(*axis.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8)
 
 
-def draw_ablations(rows: Rows, figure: Figure) -> None:
-    """By how much every change moves PSNR and bytes from the trainer as it is."""
-    left, right = figure.subplots(1, 2, sharey=True)
-    names = [f"{row['question']}: {row['name']}" for row in rows[1:]]
-    for axis, key, label in ((left, "psnr", "PSNR, change in dB"), (right, "kb_frame", "kB a frame, change")):
-        axis.barh(names, [row[key] - rows[0][key] for row in rows[1:]], color="#8fa8c8")
-        axis.axvline(0, color="#d62728", linewidth=0.8)
-        axis.set_xlabel(label)
-    left.invert_yaxis()
-
-
 def _panels(scenes: Iterable[str], figure: Figure) -> dict[str, Axes]:
     names = list(dict.fromkeys(scenes))
     panels = dict(zip(names, figure.subplots(1, len(names), squeeze=False)[0], strict=True))

@@ -1,4 +1,4 @@
-"""The paper's experiments with all methods in one run: quality, bytes, time, streaming, ablations.
+"""The paper's experiments with all methods in one run: quality, bytes, time, streaming.
 
 Every method trains every scene from the same pictures into scenes/SCENE/METHOD of the folder, and is judged by the
 scene's held-out cameras as its own viewer decodes it. Streams go over the traces in the paper's frame mode. What is
@@ -30,22 +30,17 @@ from tools.lab.paper import pictures
 from tools.lab.paper.streams import OURS, airgs_levels, one_level, stream, streams_of
 from tools.lab.paper.training import (
     METHODS,
-    SIZE,
     Subject,
     Trained,
-    ablate,
-    changes,
     in_processes,
     parse_subject,
     row_of,
-    shortened,
     train,
-    trainer_settings,
 )
 
 DATA = Path(__file__).parents[3] / "tests" / "data"
 FOX = f"fox={DATA / 'fox_views'}"
-PARTS = ("train", "stream", "ablate")
+PARTS = ("train", "stream", "published")
 Rows = list[dict[str, Any]]
 
 
@@ -74,7 +69,6 @@ class Options:
     traces: tuple[Path, ...] = setting((DATA / "fox" / "trace.csv",), "traces, or folders of them")
     show: tuple[str, ...] = setting((), "scenes whose pictures are shown side by side")
     name: str = setting("paper", "that names of pictures and tables begin with")
-    ablated: str = setting(FOX, "scene of the ablations, of 160 pixels unless told")
     only: tuple[str, ...] = setting(PARTS, f"some of {', '.join(PARTS)}")
     jobs: int = setting(2, "processes, each on one core")
     quick: bool = setting(False, "four small frames, a few hundred iterations")
@@ -86,8 +80,6 @@ def run(options: Options, lab: Lab) -> Page:
     subjects = [parse_subject(text) for text in options.scenes]
     expect_names("--show", options.show, tuple(subject.name for subject in subjects))
     subjects = [s.quick() for s in subjects] if options.quick else subjects
-    ablated = parse_subject(options.ablated)
-    ablated = ablated.quick() if options.quick else replace(ablated, size=ablated.size or SIZE)
     files = [f for path in options.traces for f in (sorted(path.iterdir()) if path.is_dir() else [path])]
     traces = [Trace.open(str(file)) for file in files]
     jobs = [(s, m, options.quick, folder(lab, s, m)) for s in subjects for m in options.methods]
@@ -108,16 +100,7 @@ def run(options: Options, lab: Lab) -> Page:
         tables = [Table(f"{options.name}-streams", rows), Table(f"{options.name}-overhead", times)]
         data += tables
         sections.append(Section(streamed_in_words(rows, len(traces)), "Streams, frame by frame", [picture]))
-    if "ablate" in options.only:
-        settings = trainer_settings(ablated, options.quick)
-        settings = settings if options.quick else shortened(settings)
-        calls = [(ablated, change, lab.folder / "ablations" / f"{n:02d}") for n, change in enumerate(changes(settings))]
-        rows = in_processes(ablate, calls, options.jobs, lab.progress)
-        picture = Picture(
-            f"{options.name}-ablations", "What every change moves", partial(pictures.draw_ablations, rows), (10, 5.5)
-        )
-        data.append(Table(f"{options.name}-ablations", rows))
-        sections.append(Section("", "Ablations", [picture]))
+    if "published" in options.only:
         data.append(Table(f"{options.name}-published", [dict(zip(PUBLISHED, row, strict=True)) for row in TABLE]))
         sections.append(Section(PROTOCOL, "What the paper publishes"))
     return Page(sections, data=data)

@@ -5,7 +5,6 @@ A scene is NAME=FOLDER, then options after commas. Tables 1 and 2 of the paper: 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +15,7 @@ import numpy as np
 
 from airgs_codec.cli.common import parse_frames
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper
-from airgs_codec.errors import AirgsError, ConfigError, TrainingError
+from airgs_codec.errors import AirgsError, ConfigError
 from airgs_codec.jobs.engines import Processes
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
@@ -124,67 +123,6 @@ def _naive(_: Subject, quick: bool) -> Method:
 METHODS: dict[str, Callable[[Subject, bool], Method]] = {
     "airgs": _airgs, "airgs-paper": _paper, "v3": _v3, "3dgstream": _stream, "4dgs": _fourdgs, "naive3dgs": _naive,
 }  # fmt: skip
-
-
-SIZE = 160  # longest side of the pictures in pixels
-AS_IT_IS = "as it is"
-
-
-@dataclass(frozen=True, slots=True)
-class Change:
-    question: str
-    name: str
-    settings: TrainSettings
-
-
-def changes(base: TrainSettings) -> list[Change]:
-    """All of them; the first one is the trainer as it is."""
-
-    def change(question: str, name: str, **some: object) -> Change:
-        return Change(question, name, replace(base, **some))  # type: ignore[arg-type]
-
-    weight = base.temporal.weight
-    temporal = "temporal loss λ_t"
-    return [
-        change("", AS_IT_IS),
-        change("grouping τ", "no keyframe after the first", min_psnr_db=0.0, max_drop_db=math.inf),
-        change("grouping τ", "τ = 30 dB alone, the paper's", max_drop_db=math.inf),
-        change("grouping τ", "a drop of 1 dB", max_drop_db=1.0),
-        change("how frames move", "six MLPs", deltas="mlp"),
-        change("how frames move", "MLPs, then each on its own", deltas="mlp+residual"),
-        change(temporal, "a tenth", temporal=replace(base.temporal, weight=weight / 10)),
-        change(temporal, "ten times", temporal=replace(base.temporal, weight=10 * weight)),
-        change("inflation loss λ_inf", "0", inflation=0.0),
-        change("inflation loss λ_inf", "100 times", inflation=100 * base.inflation),
-        change("new Gaussians at keyframes", "none", max_growth=0.0),
-    ]
-
-
-def shortened(settings: TrainSettings) -> TrainSettings:
-    """Half of the usual iterations or fewer: what matters is the difference that a change makes."""
-    return replace(settings, first_iterations=1000, key_iterations=500, frame_iterations=150)
-
-
-def ablate(subject: Subject, change: Change, folder: Path) -> dict[str, Any]:
-    """The change trained and encoded, going on where a run before was interrupted; one that fails says so in its note.
-
-    PSNR in dB over held-out views, Gaussians in the last frame.
-    """
-    row: dict[str, Any] = {"question": change.question, "name": change.name}
-    footage = subject.footage(folder)
-    try:
-        frames = run_method(AirGS(subject.open(), change.settings), footage)
-    except TrainingError as error:
-        return row | {"psnr": math.nan, "kb_frame": math.nan, "note": str(error)}
-    quality = [frame.psnr for frame in frames]
-    return row | {
-        "psnr": sum(quality) / len(quality),
-        "worst": min(quality),
-        "kb_frame": mean_bytes(frames) / 1e3,
-        "keys": sum(frame.kind == "key" for frame in frames),
-        "gaussians": frames[-1].gaussians,
-        "train_s_frame": sum(frame.seconds for frame in frames) / len(frames),
-    }
 
 
 RENDERED = 5  # frames whose pictures are timed
