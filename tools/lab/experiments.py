@@ -135,6 +135,15 @@ MEASUREMENTS = (
     Measurement(
         "mechanisms-trainer", "mechanisms", "mechanisms fox_views/:8:13 kinoptic_views/:0:5 kinoptic_views/:8:13"
     ),
+    Measurement(
+        "mechanisms-motion", "mechanisms",
+        "mechanisms fox_views/:8:13 kinoptic_views/:0:5 --only 'motion goes on, in as many iterations' "
+        "'coarse pictures first'",
+    ),
+    Measurement(
+        "mechanisms-exposure", "mechanisms",
+        "mechanisms basketball_views/:0:3 --only 'exposure of cameras' 'nothing but other random numbers'",
+    ),
     Measurement("scale", "time", "scale"),
     Measurement("jobs", "time", "jobs"),
 )  # fmt: skip

@@ -46,6 +46,7 @@ from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import find_offsets, in_step
 from airgs_codec.trainer.fit import first as first_frame
 from airgs_codec.trainer.fit import surround
+from airgs_codec.trainer.fit import trainer as frame_fit
 from airgs_codec.trainer.fit.active import Scope
 from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
 from airgs_codec.trainer.fit.trainer import Trainer
@@ -107,6 +108,15 @@ def _patched(*patches: tuple[Any, str, Any]) -> Off:
     def off(settings: Any, stack: ExitStack) -> Any:
         for owner, name, value in patches:
             stack.enter_context(patch.object(owner, name, value))
+        return settings
+
+    return off
+
+
+def _both(*offs: Off) -> Off:
+    def off(settings: Any, stack: ExitStack) -> Any:
+        for one in offs:
+            settings = one(settings, stack)
         return settings
 
     return off
@@ -227,6 +237,10 @@ OF_TRAINING = (
     Mechanism("empty space stays empty", f"{FIT}variables:penalty", _set(regularised=False)),
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
+    ),
+    Mechanism(
+        "motion goes on, in as many iterations", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start",
+        _both(_set(velocity=False), _patched((frame_fit, "UNFORESEEN", 1.0))), behind=True,
     ),
     Mechanism("coarse pictures first", f"{FIT}optimise:halve", _set(coarse=0.0), behind=True),
     Mechanism("temporal loss", f"{FIT}losses:temporal_weights", _set(temporal=Temporal(weight=0.0)), behind=True),
