@@ -192,17 +192,17 @@ def residual_seeds(
 
     `largest`: their largest radius in world units.
     """
-    coarse = hull_of(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
+    coarse = _hull_of(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
     low, high = coarse.min(axis=0), coarse.max(axis=0)
     margin = 0.05 * (high - low)
     drawn = rng.uniform(low - margin, high + margin, (CANDIDATES, 3))
-    hull = hull_of(_away_from_visible(drawn, g), views, wrong)
+    hull = _hull_of(_away_from_visible(drawn, g), views, wrong)
     if len(hull) < FEWEST:
         return None
-    surface = surface_of(hull, views)
-    chosen = one_per_cell(surface, most)
+    surface = _surface_of(hull, views)
+    chosen = _one_per_cell(surface, most)
     if not len(chosen):
         return None
     positions, colours = (a[chosen].astype(np.float32) for a in (surface.positions, surface.colours))
@@ -211,16 +211,16 @@ def residual_seeds(
     return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
 
 
-def hull_of(
-    points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]], share: float = SEEN
+def _hull_of(
+    points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]]
 ) -> NDArray[np.float64]:
-    """The points (P, 3) that a `share` of the views sees, almost all of which are in their mask `wrong` (H, W)."""
+    """The points (P, 3) that enough of the views see, almost all of which are in their mask `wrong` (H, W)."""
     seen, agree = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, wrong, strict=True):
         rows, columns, inside = project(view.camera, points)
         seen[inside] += 1
         agree[inside] += mask[rows, columns]
-    return points[(seen >= share * len(views)) & (agree >= AGREE * seen)]
+    return points[(seen >= SEEN * len(views)) & (agree >= AGREE * seen)]
 
 
 def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
@@ -233,7 +233,7 @@ def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.
     return points[tree.query(points, distance_upper_bound=clear)[0] > clear]
 
 
-def surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
+def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
     """The points of a hull (P, 3) that at least three views see first, or two where there are fewer than six views.
 
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:
@@ -257,7 +257,7 @@ def surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
     return Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
 
 
-def one_per_cell(surface: Surface, most: int) -> NDArray[np.intp]:
+def _one_per_cell(surface: Surface, most: int) -> NDArray[np.intp]:
     """At most `most` of the points, one in each cell of a grid: the one on whose colour views agree best."""
     points = surface.positions
     best = np.argsort(surface.disagreement, kind="stable")

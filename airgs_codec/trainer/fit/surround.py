@@ -17,22 +17,17 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from airgs_codec.media.image import box_mean, resize
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera
 from airgs_codec.scene.camera import GOLDEN_ANGLE
-from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
-from airgs_codec.trainer.data.plates import Masks
-from airgs_codec.trainer.fit.grow import CANDIDATES, hull_of, one_per_cell, surface_of
 from airgs_codec.trainer.fit.points import (
     SPARSE_DEGREES,
     degrees_apart,
-    from_points,
     looked_at,
     project,
     scene_extent,
     seen_colours,
-    triangulate,
 )
 
 FEWEST = 4  # cameras that can surround a scene
@@ -51,13 +46,6 @@ STEP = 0.2  # cost of a neighbour one distance away, where pictures disagree by 
 FARTHEST = 16  # distances; a neighbour that is farther away costs no more
 NEAREST = 9  # directions that vote together
 PLANE = 80  # directions that a plane is fitted to
-OVERLAP = 0.3  # logarithm of the factor that balls of walls are larger by, so that nothing shows between them
-SMALL = 60  # parts of a picture's longest side: what is smaller is texture of the walls
-DIFFERENT = (0.1, 0.07, 0.05)  # mean absolute difference of colours, from which something stands before the walls: the
-# first that finds anything, for clothes may be as grey as a floor, and what is less different is often the walls' own
-COMMON = 0.8  # of the views see what stands there
-WITHIN = 0.85  # of the distance to the walls
-FEWEST_POINTS = 50  # of a hull; below that it is noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,27 +57,23 @@ class Cloud:
 
 
 def sparse_cloud(given: Points | None, views: Sequence[View], most: int, rng: np.random.Generator) -> Cloud | None:
-    """What stands around a rig, and in it: the points `given` of a scene, or those found; up to `most` of both.
+    """What stands around a rig, and in it the points `given` of a scene; up to `most` of both.
 
-    None where cameras stand close together, or not around a scene, or points that are given or triangulated tell all of
-    it, or there is nothing around it.
+    None where no points are given or they tell all of the scene, where cameras stand close together or not around it,
+    and where there is nothing around it.
     """
     cameras = [view.camera for view in views]
     if degrees_apart(cameras) <= SPARSE_DEGREES or not surround(cameras) or _plain(views):
         return None
-    if _covered((given or triangulate(views)).positions, cameras) >= COVERED:
+    if given is None or _covered(given.positions, cameras) >= COVERED:
         return None
     around = surroundings(views)
     seen = np.zeros(len(around), np.bool_)
     for camera in cameras:
         seen[project(camera, around)[2]] = True
     outer = _some(Points(around[seen], seen_colours(around[seen], views)), most // 2, rng)
-    if given is None:
-        positions = standing(views, outer, most // 4, rng)
-        inner = Points(positions, seen_colours(positions, views))
-    else:
-        colours = seen_colours(given.positions, views) if given.colours is None else given.colours
-        inner = _some(replace(given, colours=colours), most - len(outer.positions), rng)
+    colours = seen_colours(given.positions, views) if given.colours is None else given.colours
+    inner = _some(replace(given, colours=colours), most - len(outer.positions), rng)
     points = Points(*(np.concatenate(parts) for parts in zip(_columns(outer), _columns(inner), strict=True)))
     places, shown = _columns(outer)
     unseen = Points(around[~seen], shown[cKDTree(places).query(around[~seen])[1]])
@@ -152,37 +136,6 @@ def surroundings(views: Sequence[View]) -> NDArray[np.float32]:
     for _ in range(2):
         smooth = _on_planes(directions, smooth, weight, near, spread)
     return (centre + directions / np.clip(smooth, inverse[-1], inverse[0])[:, None]).astype(np.float32)
-
-
-def standing(views: Sequence[View], outer: Points, most: int, rng: np.random.Generator) -> NDArray[np.float32]:
-    """(P, 3) up to `most` points of what stands within the surroundings: the hull of what these do not show."""
-    around, colours = _columns(outer)
-    centre, extent = looked_at([view.camera for view in views]), scene_extent([view.camera for view in views])
-    walls = from_points(around, colours, 0, 0.99, 0.1 * extent)
-    walls = replace(walls, log_scales=walls.log_scales + np.float32(OVERLAP))
-    apart = [_apart(walls, view) for view in views]
-    reach = np.linalg.norm(around - centre, axis=1)
-    tree = cKDTree((around - centre) / reach[:, None])
-    for different in DIFFERENT:
-        hull, wrong = np.asarray(around, np.float64), Masks(one > different for one in apart)
-        for _ in range(2):  # first where it is, then what it is like
-            drawn = rng.uniform(hull.min(axis=0), hull.max(axis=0), (CANDIDATES, 3))
-            distance = np.linalg.norm(drawn - centre, axis=1)
-            inside = distance < WITHIN * reach[tree.query((drawn - centre) / distance[:, None])[1]]
-            hull = hull_of(drawn[inside], views, wrong, COMMON)
-            if len(hull) < FEWEST_POINTS:
-                break
-        else:
-            surface = surface_of(hull, views)
-            return surface.positions[one_per_cell(surface, most)].astype(np.float32)
-    return around[:0]
-
-
-def _apart(walls: Gaussians, view: View) -> NDArray[np.floating]:
-    """(H, W) how far the colours of a picture are from those of the walls, whose own fine texture does not count."""
-    drawn, size = render(walls, view.camera).rgb, max(1, max(view.camera.width, view.camera.height) // SMALL)
-    apart = np.abs(box_mean(drawn, size) - box_mean(view.target.rgb, size)).mean(axis=2)
-    return box_mean(apart, size)
 
 
 def _between(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -45,7 +45,6 @@ from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import find_offsets, in_step
 from airgs_codec.trainer.fit import first as first_frame
-from airgs_codec.trainer.fit import surround
 from airgs_codec.trainer.fit import trainer as frame_fit
 from airgs_codec.trainer.fit.active import Scope
 from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
@@ -188,9 +187,8 @@ class Rig:
     @property
     def kinds(self) -> set[str]:
         """What is true of it, of what mechanisms need."""
-        seen = self.seen()
-        sparse = degrees_apart([camera for camera in seen.cameras if not camera.held_out]) > SPARSE_DEGREES
-        kinds = {"": True, SPARSE: sparse, NO_POINTS: sparse and seen.points is None, LATE: bool(self.offsets)}
+        cameras = [camera for camera in self.seen().cameras if not camera.held_out]
+        kinds = {"": True, SPARSE: degrees_apart(cameras) > SPARSE_DEGREES, LATE: bool(self.offsets)}
         return {name for name, there in kinds.items() if there}
 
     def seen(self) -> MultiviewScene:
@@ -207,7 +205,7 @@ def _to_whole_frames(rig: Rig) -> dict[str, float]:
     return {name: float(round(offset)) for name, offset in rig.offsets.items()}
 
 
-SPARSE, NO_POINTS, LATE = "few cameras far apart", "and nobody gives points", "cameras that are not in step"
+SPARSE, LATE = "few cameras far apart", "cameras that are not in step"
 FIT, DATA = "trainer/fit/", "trainer/data/"
 CONTROL = "nothing but other random numbers"
 OF_TRAINING = (
@@ -215,10 +213,6 @@ OF_TRAINING = (
     Mechanism(
         "walls around a sparse rig", f"{FIT}surround", _patched((first_frame, "sparse_cloud", lambda *_: None)),
         needs=SPARSE,
-    ),
-    Mechanism(
-        "what stands within the walls", f"{FIT}surround:standing {FIT}surround:_apart {FIT}grow:surface_of",
-        _patched((surround, "standing", lambda views, outer, *_: outer.positions[:0])), needs=NO_POINTS,
     ),
     Mechanism("dropout in a sparse rig", "", _patched((first_frame, "DROPOUT", 0.0)), needs=SPARSE),
     Mechanism("cameras are brought into step", f"{DATA}sync", _patched((Rig, "taken_late", lambda _: {})), needs=LATE),
