@@ -189,7 +189,7 @@ def test_it_gives_the_tables_that_are_published(name, tmp_path, monkeypatch):
 def test_every_published_experiment_is_run_here():
     """But for what needs a browser, and for twins."""
     twins = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
-    twins |= {"mechanisms-basketball", "mechanisms-trainer"}
+    twins |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
     assert {*RUNS, *twins, "engines", *NO_LONGER_MEASURED} == set(read_figures())
     assert {one.name for one in EXPERIMENTS} > {"devices", "soak-farm", "upright", "link", "footage"}
 
