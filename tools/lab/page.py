@@ -6,6 +6,7 @@ A page is a value. `write_page` makes its files, `text_of` what the terminal sho
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -34,6 +35,7 @@ class Table:
     name: str
     rows: Sequence[Mapping[str, Any]]
     columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # key -> heading, format; empty: all keys
+    once: int = 0  # first columns, whose cells are empty where a row has the same as the one above
 
     @property
     def keys(self) -> list[str]:
@@ -45,7 +47,9 @@ class Table:
 
     def cells(self) -> list[list[str]]:
         forms = {key: form for key, (_, form) in self.columns.items()}
-        return [[shown(row.get(key), forms.get(key, "")) for key in self.keys] for row in self.rows]
+        lines = [[shown(row.get(key), forms.get(key, "")) for key in self.keys] for row in self.rows]
+        again = [False, *(a[: self.once] == b[: self.once] for a, b in itertools.pairwise(lines))]
+        return [[""] * self.once + line[self.once :] if one else line for one, line in zip(again, lines, strict=True)]
 
     def numeric(self) -> list[bool]:
         return [any(_is_number(row.get(key)) for row in self.rows) for key in self.keys]

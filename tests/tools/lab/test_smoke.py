@@ -83,7 +83,7 @@ def run_mechanisms(tmp, patch):
     patch.setattr(mechanisms, "TrainSettings", lambda **_: small)
     patch.setattr(mechanisms, "SPLITS", (1,))
     page = mechanisms.run(options, Lab.at(tmp / "lab", quiet=True))
-    assert [row["scene"] for row in page.tables()[0].rows[2:]] == ["blobs 0:3, split 1"] * 2
+    assert [row["scene"] for row in page.tables()[0].rows[2:]] == ["blobs:0:3/1"] * 2
     return page
 
 

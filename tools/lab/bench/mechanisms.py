@@ -201,10 +201,6 @@ class Rig:
         return self.offsets
 
 
-def _to_whole_frames(rig: Rig) -> dict[str, float]:
-    return {name: float(round(offset)) for name, offset in rig.offsets.items()}
-
-
 SPARSE, LATE = "few cameras far apart", "cameras that are not in step"
 FIT, DATA = "trainer/fit/", "trainer/data/"
 CONTROL = "nothing but other random numbers"
@@ -218,7 +214,7 @@ OF_TRAINING = (
     Mechanism("cameras are brought into step", f"{DATA}sync", _patched((Rig, "taken_late", lambda _: {})), needs=LATE),
     Mechanism(
         "pictures between frames", f"{FIT}parameters:with_motion trainer/capture:_behind trainer/capture:key",
-        _patched((Rig, "taken_late", _to_whole_frames)), needs=LATE,
+        _patched((Rig, "taken_late", lambda rig: {n: float(round(v)) for n, v in rig.offsets.items()})), needs=LATE,
     ),
     Mechanism("what rests stays", f"{DATA}plates {FIT}active", _set(static="off")),
     Mechanism(
@@ -264,7 +260,7 @@ def run(options: Options, lab: Lab) -> Page:
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
     rows.sort(key=lambda row: known.index(row["mechanism"]))
-    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS)])])
+    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS, once=2)])])
 
 
 Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held-out views, CPU seconds
@@ -319,7 +315,7 @@ def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Res
 def _rows_of_training(scene: str, split: int, chosen: Sequence[Mechanism], lab: Lab) -> list[Row]:
     path, start, stop = scene.split(":")
     opened, span = open_scene(Path(path)), (int(start), int(stop))
-    reads, name = (content(Path(path)), span, split, SIDE), f"{name_of(path)} {start}:{stop}, split {split}"
+    reads, name = (content(Path(path)), span, split, SIDE), f"{name_of(path)}:{start}:{stop}/{split}"
     late = lab.results.once("offsets", reads, lambda: find_offsets(opened, span))
     names = [camera.name for camera in opened.cameras]
     some = max(2, len(names) // 5)
