@@ -33,7 +33,7 @@ demo: .venv/installed web/node_modules/installed
 	$(BIN)/airgs-encode $(FOX) -o $(OUT)/fox.airgs
 	$(BIN)/airgs-manifest inspect $(OUT)/fox.airgs --plot $(OUT)/ladder.png
 	$(BIN)/airgs-manifest validate $(OUT)/fox.airgs
-	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(FOX)/trace.csv --views $(FOX)/transforms.json --report $(OUT)/report
+	$(BIN)/airgs-play $(OUT)/fox.airgs --trace $(FOX)/trace.csv --report $(OUT)/report
 	-$(BIN)/python -m tools.screenshot $(OUT)/fox.airgs -o $(OUT)/browser.png
 	@echo
 	@echo "Pictures: $(OUT)/browser.png, $(OUT)/ladder.png, $(OUT)/report/index.html. What to do next:"

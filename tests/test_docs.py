@@ -9,18 +9,9 @@ from tools import check_docs
 
 MOST_WORDS = {"README.md": 800, "CHANGELOG.md": 400, "CONTRIBUTING.md": 1000, "FORMAT.md": 5200}
 USER_PAGES = [
-    "README",
-    "browser",
-    "encoding",
-    "farm",
-    "formats",
-    "playing",
-    "python",
-    "security",
-    "serving",
-    "tracking",
+    "README", "browser", "encoding", "farm", "formats", "playing", "python", "security", "serving", "tracking",
     "training",
-]
+]  # fmt: skip
 USER_PAGE_WORDS = 1200
 USER_WORDS = 9000
 WORDS = 24_000
@@ -42,6 +33,11 @@ def test_commands_and_python_of_user_pages_run(page, workshop):
 @pytest.mark.parametrize("page", check_docs.pages(), ids=lambda page: page.relative_to(REPOSITORY).as_posix())
 def test_commands_parse_and_paths_names_and_links_exist(page):
     assert list(check_docs.findings(page)) == []
+
+
+def test_commands_of_the_makefile_parse():
+    lines = re.findall(r"^\t-?\$\(BIN\)/(airgs-.*|python -m .*)", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
+    assert len(lines) > 9 and [error for line in lines if (error := check_docs.command_error(line.split(), True))] == []
 
 
 def words(page):

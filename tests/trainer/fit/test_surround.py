@@ -27,9 +27,7 @@ def inside(count=8):
     return cameras
 
 
-GIVEN = Points(
-    np.random.default_rng(1).normal(0, 0.2, (500, 3)).astype(np.float32), np.full((500, 3), 0.25, np.float32)
-)
+GIVEN = Points(np.random.default_rng(1).normal(0, 0.2, (500, 3)).astype(np.float32), None)
 
 
 @pytest.fixture(scope="module")
