@@ -20,7 +20,17 @@ from airgs_codec.analysis.up import Subject, find_front, flatness, guess_up, sur
 from airgs_codec.errors import SceneError
 from airgs_codec.render import cpu
 from airgs_codec.render.cpu import RasterInputs, one_thread
-from airgs_codec.scene.camera import BLACK, UP, Camera, dome_views, look_at, side_view
+from airgs_codec.scene.camera import (
+    BLACK,
+    NEAR_SHARE,
+    UP,
+    Camera,
+    dome_views,
+    extent_of,
+    look_at,
+    placed,
+    side_view,
+)
 from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import LARGEST, SH_C0, Gaussians, from_rotation_vector, to_matrices
 
@@ -58,7 +68,7 @@ EMPTY = 4  # power of the covered share: a picture with a hole of a quarter coun
 SOLID, HALF = 0.9, 0.5  # opacity of a pixel of an object, and of one that has a depth
 ROUGH = 0.2  # change of the logarithm of depth from pixel to pixel that counts 1 / e
 AHEAD = 0.7  # cosine
-WIDEST = 1e9  # world units; what is larger or further squares to more than float32 holds
+WIDEST = 1e9  # sizes of the scene; what is larger or further squares to more than float32 holds
 LEAST = 1e-12  # avoids 0 / 0 where nothing is drawn
 
 
@@ -163,9 +173,14 @@ class Pose:
         """Look from `position` along `direction`, of any length: the mean over samples. Where it has none, along z."""
         length = float(np.linalg.norm(direction))
         direction = direction / length if length > 0 else np.array([0.0, 0.0, 1.0])
-        camera = look_at(position, position + direction, UP, size=TRIED_SIZE, fov_y=FIELD_OF_VIEW, name="tried")
+        camera = _posed(position, direction, UP, TRIED_SIZE, "tried")
         score, distance = np.mean([sample.look(camera) for sample in samples], axis=0)
         return Pose(position, direction, float(score), float(distance))
+
+
+def _posed(position: Vector, direction: Vector, up: Vector, size: int, name: str) -> Camera:
+    camera = look_at(position, position + direction, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
+    return replace(camera, near=NEAR_SHARE)
 
 
 def _search(gaussians: Gaussians) -> list[Pose]:
@@ -230,6 +245,14 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
     Raises SceneError when a frame has no finite row.
     """
     frames = [repair([frame], "views").frames[0] for frame in frames]
+    middle = frames[len(frames) // 2]
+    origin, size = extent_of(middle.means.astype(np.float64), middle.opacities().astype(np.float64))
+    found = _find([frame.placed(origin, 1 / size) for frame in frames], up)
+    return replace(found, cameras=[placed(camera, -origin / size, size) for camera in found.cameras])
+
+
+def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:
+    """`find_viewpoints` in frames of size 1 about the origin."""
     middle, subject = frames[len(frames) // 2], Subject.of(frames)
     with one_thread():
         try:
@@ -240,13 +263,8 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
     x, y, z = upright.round(2) + 0.0
     guess = f"{GUESS}({x:g}, {y:g}, {z:g}); --up says otherwise" if up is None else ""
     if poses:
-        cameras = [
-            look_at(p.position, p.position + p.direction, upright, size=SIZE, fov_y=FIELD_OF_VIEW, name=f"found{i:02d}")
-            for i, p in enumerate(poses)
-        ]
-        x, y, z = np.median([pose.position for pose in poses], axis=0)
-        story = f"a filmed place: {len(cameras)} views about ({x:.3g}, {y:.3g}, {z:.3g})"
-        return FoundViews(cameras, True, story, guess)
+        cameras = [_posed(p.position, p.direction, upright, SIZE, f"found{i:02d}") for i, p in enumerate(poses)]
+        return FoundViews(cameras, True, f"a filmed place: {len(cameras)} views", guess)
     stands = subject.floor is not None and float(subject.floor @ upright) > UPRIGHT
     low, high = ON_FLOOR if stands else AROUND
     ahead = np.cos(RISE) * find_front(subject, upright) + np.sin(RISE) * upright

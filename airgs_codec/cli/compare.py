@@ -55,7 +55,7 @@ from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
 from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.camera import UP, orbit_views
+from airgs_codec.scene.camera import UP, orbit_views, with_near_planes
 from airgs_codec.scene.formats.table import is_clip
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -175,9 +175,11 @@ def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) 
     cameras = list(read_cameras(options.views) if options.views else original.cameras)
     region = package.manifest.region
     cameras += region_views(region, options.draws, options.seed)
-    if not cameras:  # an orbit around the middle frame, upright as the package tells
+    middle = original.load([len(original) // 2]).frames[0]
+    if not cameras:  # an orbit, upright as the package tells
         world = package.manifest.world
-        cameras = orbit_views(original.read(len(original) // 2), up=UP if world is None else up_of(world))
+        cameras = orbit_views(middle, up=UP if world is None else up_of(world))
+    cameras = with_near_planes(cameras, middle)
     return before_background(region, compared_views(cameras, options.split))
 
 

@@ -34,7 +34,7 @@ from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
 from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.camera import resized, training_views
+from airgs_codec.scene.camera import resized, training_views, with_near_planes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -129,8 +129,9 @@ def _plan(
         return _draw(region if region.background else with_background(region, behind), pictures)
     middle = sequence.load([len(sequence) // 2]).frames[0]
     if sequence.cameras:
-        held_out = [c for c in sequence.cameras if c.held_out]
-        around = region_around(training_views(sequence.cameras), middle, margin=margin)
+        cameras = with_near_planes(sequence.cameras, middle)
+        held_out = [c for c in cameras if c.held_out]
+        around = region_around(training_views(cameras), middle, margin=margin)
         return _draw(with_background(around, behind), pictures, held_out)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)], up)
     source, notes = "found" if found.confident else "orbit", tuple(filter(None, (found.story, found.guess)))

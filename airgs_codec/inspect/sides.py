@@ -21,7 +21,7 @@ from airgs_codec.package.tables import Region
 from airgs_codec.places.place import is_address, place_at
 from airgs_codec.render import Camera
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME
-from airgs_codec.scene.camera import BLACK, UP, Background, orbit_views
+from airgs_codec.scene.camera import BLACK, UP, Background, orbit_views, with_near_planes
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
@@ -163,9 +163,11 @@ def left_out(a: Side, b: Side) -> list[str]:
 
 
 def before_both(a: Side, b: Side, views: Sequence[Camera]) -> list[Camera]:
-    """The views before the background of A or, where that is black, of B: both are seen before the same one."""
+    """The views before the background of A or, where that is black, of B, their near planes as A is large: both are
+    seen before the same one, and behind the same planes.
+    """
     behind = b.background if a.background == BLACK else a.background
-    return [replace(view, background=behind) for view in views]
+    return [replace(view, background=behind) for view in with_near_planes(views, next(a.read(range(1))))]
 
 
 def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:

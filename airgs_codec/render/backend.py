@@ -17,7 +17,7 @@ from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu
 from airgs_codec.render.cpu import Contribution, Floats, RasterInputs, Render, Weights
-from airgs_codec.scene.camera import Background, Camera
+from airgs_codec.scene.camera import Background, Camera, with_near_planes
 from airgs_codec.scene.gaussians import Gaussians
 
 DEVICES = ("auto", "cpu", "cuda")
@@ -90,8 +90,9 @@ def draw(gaussians: Gaussians, camera: Camera, device: str = "cpu") -> Render:
     `device` may be auto, too. Raises ConfigError where it cannot be used.
     """
     renderer = open_renderer(device)
-    seen = argument("camera", camera, Camera, "a Camera")
-    return renderer.render(argument("gaussians", gaussians, Gaussians, "Gaussians"), seen)
+    shown = argument("gaussians", gaussians, Gaussians, "Gaussians")
+    (seen,) = with_near_planes([argument("camera", camera, Camera, "a Camera")], shown)
+    return renderer.render(shown, seen)
 
 
 def _missing() -> str | None:

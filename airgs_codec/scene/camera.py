@@ -8,25 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec._arguments import described
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import LARGEST, Gaussians
 
 Background = tuple[float, float, float]  # r, g, b, 0..1
 BLACK: Background = (0.0, 0.0, 0.0)
 MOST_PIXELS = 32_768  # along a side of a picture
 ROTATION_TOLERANCE = 1e-2  # for what files round; axes of another length or not at right angles are something else
-NEAR = 0.01  # world units, as gsplat has it
+NEAR_SHARE = 1 / 400  # of the distance to what is seen: near plane of cameras that have none
+MOST_NEAR = 1 / 3  # of it: near plane of cameras whose files have one in units of their own, at most
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera around; its own inverse
 UP = np.array([0.0, -1.0, 0.0])  # where nobody tells it: structure from motion mostly leaves it so
 FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
 COVERED = 0.98  # of all weight lies within a view, at least
 MARGIN = 1.25  # around that
+WIDTHS = 4  # of a Gaussian that is seen alone, from which it is seen
 LEAST_SHARE = 1e-6  # keeps a weighted median of nothing, and a ring of radius 0, out
 GOLDEN_ANGLE = np.pi * (3 - 5**0.5)  # radians; successive turns by it spread evenly over a sphere (Vogel 1979)
 
@@ -44,7 +47,7 @@ class Camera:
     cy: float  # pixels
     world_to_camera: NDArray[np.float64]  # (4, 4) rigid: rotation and translation
     split: str = "train"  # "train", or "test" for a held-out camera
-    near: float = NEAR  # world units along the view axis; Gaussians whose mean is nearer are not drawn
+    near: float = 0.0  # world units along the view axis, from which Gaussians are drawn; 0: see `with_near_planes`
     background: Background = BLACK  # what is seen behind the scene
 
     @staticmethod
@@ -128,7 +131,7 @@ def check_camera(c: Camera) -> None:
         raise ValueError(f"camera {c.name} has size {c.width}x{c.height}, not of 1 to {MOST_PIXELS} pixels")
     if c.fx <= 0 or c.fy <= 0:
         raise ValueError(f"camera {c.name} has focal lengths {c.fx:g} and {c.fy:g}, not above 0")
-    if not 0 < c.near < np.inf:
+    if not 0 <= c.near < np.inf:
         raise ValueError(f"camera {c.name} has near {c.near}")
     axes = c.world_to_camera[:3, :3]
     if np.abs(axes @ axes.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(axes) < 0:
@@ -191,6 +194,77 @@ def with_pixels(camera: Camera, width: int, height: int) -> Camera:
     x, y = width / camera.width, height / camera.height
     fx, fy, cx, cy = camera.fx * x, camera.fy * y, camera.cx * x, camera.cy * y
     return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
+
+
+def placed(camera: Camera, origin: NDArray[np.float64], scale: float) -> Camera:
+    """The camera that sees of `Gaussians.placed` what this one sees of the Gaussians."""
+    view = camera.world_to_camera.copy()
+    view[:3, 3] = scale * (view[:3, 3] + view[:3, :3] @ origin)
+    return replace(camera, world_to_camera=view, near=scale * camera.near)
+
+
+def with_near_planes(cameras: Sequence[Camera], gaussians: Gaussians) -> list[Camera]:
+    """The cameras with near planes in proportion to what they see of a scene.
+
+    A camera that has none gets NEAR_SHARE of the `scene_scale`; others keep theirs, as far as it is at most MOST_NEAR
+    of that.
+    """
+    return at_scale(cameras, scene_scale(cameras, gaussians.means.astype(np.float64), gaussians.opacities()))
+
+
+def at_scale(cameras: Sequence[Camera], scale: float) -> list[Camera]:
+    """`with_near_planes` for a scale that is known."""
+    return [replace(c, near=min(c.near, MOST_NEAR * scale) if c.near else NEAR_SHARE * scale) for c in cameras]
+
+
+def rig_scale(cameras: Sequence[Camera], points: NDArray[Any] | None) -> float:
+    """`scene_scale` of points (P, 3) in the scene; without any the median distance to where cameras look, or theirs to
+    each other, whichever is larger.
+    """
+    if points is not None and len(points):
+        return scene_scale(cameras, points, np.ones(len(points)))
+    places = np.stack([camera.position for camera in cameras])
+    apart = float(np.linalg.norm(places - places.mean(axis=0), axis=1).max())
+    return max(float(np.median(np.linalg.norm(places - looked_at(cameras), axis=1))), apart) or 1.0
+
+
+def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """(3,) the point nearest to all optical axes, by least squares."""
+    total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
+    for camera in cameras:
+        forward = camera.world_to_camera[2, :3]
+        across = np.eye(3) - np.outer(forward, forward)
+        total += across
+        right += across @ camera.position
+    return np.asarray(np.linalg.solve(total, right), np.float64)
+
+
+def scene_scale(cameras: Sequence[Camera], means: NDArray[Any], weights: NDArray[Any]) -> float:
+    """The size of a scene in its own units, above 0: the median distance from cameras to what they see.
+
+    What one sees is the weighted median of the depths of finite points (N, 3) in its picture. Where nobody sees any it
+    is how far they are from their middle, but for the outermost; where they have no extent either, 1.
+    """
+    finite = np.isfinite(means).all(axis=1) & (weights > 0)
+    means, weights = means[finite].astype(np.float64), weights[finite].astype(np.float64)
+    seen = []
+    for c in cameras:
+        x, y, z = c.world_to_camera[:3, :3] @ means.T + c.world_to_camera[:3, 3:]
+        across, down = np.abs(c.fx * x + (c.cx - c.width / 2) * z), np.abs(c.fy * y + (c.cy - c.height / 2) * z)
+        inside = (z > 0) & (across <= c.width / 2 * z) & (down <= c.height / 2 * z)
+        if inside.any():
+            seen.append(weighted_quantile(z[inside], weights[inside], 0.5))
+    if seen:
+        return float(np.median(seen))
+    return extent_of(means, weights)[1]
+
+
+def extent_of(means: NDArray[Any], weights: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
+    """(3,) the middle of weighted points (N, 3), and how far they are from it, but for the outermost; 1 for no way."""
+    if not len(means):
+        return np.zeros(3), 1.0
+    middle = np.array([weighted_quantile(values, weights, 0.5) for values in means.T])
+    return middle, weighted_quantile(np.linalg.norm(means - middle, axis=1), weights, COVERED) or 1.0
 
 
 def training_views(cameras: Sequence[Camera]) -> list[Camera]:
@@ -261,10 +335,14 @@ def side_view(
     x, y, z = matrix[:3, :3] @ offsets.T
     wanted = MARGIN / np.tan(FIELD_OF_VIEW / 2) * np.maximum(np.abs(x), np.abs(y)) - z
     radius = weighted_quantile(np.linalg.norm(offsets, axis=1), weights, COVERED)
-    # A view from no distance has no direction, nor has one whose distance is lost beside its centre in float32.
-    least = max(MARGIN * radius, float(np.abs(centre).max()) * LEAST_SHARE, LEAST_SHARE)
+    # A view from no distance has no direction, nor has one whose distance is lost beside its centre in float32; a
+    # single Gaussian is seen from without.
+    sizes = gaussians.log_scales.max(axis=1)
+    width = float(np.exp(np.median(np.append(sizes[np.isfinite(sizes)], -LARGEST)).clip(-LARGEST, LARGEST)))
+    least = max(MARGIN * radius, WIDTHS * width, float(np.abs(centre).max()) * LEAST_SHARE)
     away = max(weighted_quantile(wanted, weights, COVERED), least)
-    return look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
+    camera = look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
+    return replace(camera, near=NEAR_SHARE * away)
 
 
 def _content(

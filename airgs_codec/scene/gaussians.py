@@ -94,6 +94,12 @@ class Gaussians:
         """The same Gaussians without the SH bands above `degree`, which is at most theirs."""
         return replace(self, sh_rest=self.sh_rest[:, : SH_REST[degree]])
 
+    def placed(self, origin: NDArray[np.float64], scale: float) -> Gaussians:
+        """The same less `origin` (3,) and then `scale` times as large, above 0."""
+        means = (self.means - origin) * scale
+        sizes = self.log_scales + np.float32(math.log(scale))
+        return replace(self, means=means.astype(np.float32), log_scales=sizes.astype(np.float32))
+
     def opacities(self) -> NDArray[np.float32]:
         """(N,) opacity alpha in [0, 1], the sigmoid of the logits."""
         return sigmoid(self.opacity_logits)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
-from airgs_codec.scene.camera import NEAR, OPENGL_TO_OPENCV, Camera
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
 from airgs_codec.scene.cameras.posed import Posed, expect_any, inverse, undistorted
 from airgs_codec.scene.files import Cursor, expecting, read_json, read_object
 
@@ -83,7 +83,7 @@ def _of_entry(name: str, entry: _Entry, held_out: set[str]) -> Posed:
     to_world = np.asarray(entry.maps[0]["transform_matrix"], np.float64).reshape(4, 4)
     width, height, fx, fy, cx, cy = (float(entry[key]) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"))
     to_camera = inverse(to_world @ OPENGL_TO_OPENCV)
-    split, near = str(entry.get("split", "test" if picture in held_out else "train")), float(entry.get("near", NEAR))
+    split, near = str(entry.get("split", "test" if picture in held_out else "train")), _near(entry)
     taken = Camera(name, int(width), int(height), fx, fy, cx, cy, to_camera, split, near)
     camera, lens = _without_lens(taken, entry)
     mask = str(entry["mask_path"]) if "mask_path" in entry else None
@@ -145,6 +145,14 @@ def _inria_cameras(path: Path, data: Any) -> list[Posed]:
             lens = fx, fy, shown / 2, tall / 2
             posed.append(Posed(Camera(picture, shown, tall, *lens, inverse(to_world), near=INRIA_NEAR), picture))
     return expect_any(posed, path, "at least one camera")
+
+
+def _near(entry: _Entry) -> float:
+    """The near plane of an entry, 0 where it has none. Raises ValueError for one that is not in front of the camera."""
+    near = float(entry.get("near", 0))
+    if near <= 0 and "near" in entry:
+        raise ValueError(f"near: expected a distance above 0, got {near:g}")
+    return near
 
 
 def is_panoptic(data: Any) -> bool:

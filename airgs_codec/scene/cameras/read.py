@@ -37,7 +37,7 @@ def read_cameras(path: Path) -> list[Camera]:
 
     A dynamic scene has an entry for each camera and frame: a camera that the file names counts once, with its first
     pose, any other once for each place it was at. A distorted camera is that of its undistorted pictures. `split` is
-    "train" where a form marks no held-out cameras, `near` is `scene.camera.NEAR` where it implies no other.
+    "train" where a form marks no held-out cameras, `near` is 0 where it implies none.
 
     Raises SceneError when there is no file of a known form, several of them in a folder, or one that is broken.
     """

@@ -24,7 +24,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import Lens, check_picture, read_picture, to_bytes
 from airgs_codec.media.movie import VideoReader
-from airgs_codec.scene.camera import BLACK, Background, Camera
+from airgs_codec.scene.camera import BLACK, Background, Camera, at_scale, rig_scale
 from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.sequence import GaussianSequence
@@ -151,6 +151,12 @@ def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int,
 def seen_until(scene: MultiviewScene, stop: int) -> int:
     """Where the frames end whose pictures show those before `stop`: one further where cameras are early."""
     return min(len(scene), stop + any(shot.after < 0 for shot in scene.frames[0]))
+
+
+def with_near_planes(scene: MultiviewScene) -> MultiviewScene:
+    """The scene whose cameras have near planes in proportion to what they see, as `scene.camera` has it."""
+    scale = rig_scale(scene.cameras, scene.points.positions if scene.points else None)
+    return _with_cameras(scene, lambda camera: at_scale([camera], scale)[0])
 
 
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:

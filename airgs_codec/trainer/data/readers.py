@@ -32,7 +32,16 @@ from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames, natural_key
-from airgs_codec.trainer.data.multiview import MultiviewScene, Points, Shot, Source, frames_of, in_frames, open_video
+from airgs_codec.trainer.data.multiview import (
+    MultiviewScene,
+    Points,
+    Shot,
+    Source,
+    frames_of,
+    in_frames,
+    open_video,
+    with_near_planes,
+)
 
 POINT_FILES = (
     "points3d.ply", "points3D.ply", "points_frame0.ply", "points.ply", "sparse_pc.ply", "points3d.npy",
@@ -330,7 +339,8 @@ def open_scene(
             raise SceneError(f"{folder}: expected pictures of frame {number}, got none")
     start, stop = frames_of(scene, frames)
     points = scene.points or (_read_points(folder) if start == 0 else None)
-    return replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
+    found = replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
+    return with_near_planes(found)
 
 
 def _read(folder: Path) -> MultiviewScene:

@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import match_features, sift
-from airgs_codec.render import Camera
+from airgs_codec.scene.camera import Camera, looked_at
 from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
@@ -119,17 +119,6 @@ def degrees_apart(cameras: Sequence[Camera]) -> float:
     cosines = unit @ unit.T
     np.fill_diagonal(cosines, -1)
     return float(np.degrees(np.median(np.arccos(np.clip(cosines.max(axis=1), -1, 1))))) if len(cameras) > 1 else 0.0
-
-
-def looked_at(cameras: Sequence[Camera]) -> NDArray[np.float64]:
-    """(3,) the point nearest to all optical axes, by least squares."""
-    total, right = 1e-6 * np.eye(3), np.zeros(3)  # parallel axes meet nowhere: the system would be singular
-    for camera in cameras:
-        forward = camera.world_to_camera[2, :3]
-        across = np.eye(3) - np.outer(forward, forward)
-        total += across
-        right += across @ camera.position
-    return np.asarray(np.linalg.solve(total, right), np.float64)
 
 
 def seen_colours(positions: NDArray[np.float32], views: Sequence[View]) -> NDArray[np.float32]:

@@ -18,13 +18,12 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from airgs_codec.media.image import box_mean, resize
 from airgs_codec.render import Camera
-from airgs_codec.scene.camera import GOLDEN_ANGLE
+from airgs_codec.scene.camera import GOLDEN_ANGLE, looked_at
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.points import (
     SPARSE_DEGREES,
     degrees_apart,
-    looked_at,
     project,
     scene_extent,
     seen_colours,

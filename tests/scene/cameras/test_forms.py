@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import NEAR, look_at
+from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.cameras.forms import INRIA_NEAR, PANOPTIC_NEAR, PLACEHOLDER
 from airgs_codec.scene.cameras.read import read_cameras
 from tests.support.camera_files import (
@@ -24,7 +24,7 @@ from tests.support.views import ring
 
 @pytest.mark.parametrize("form", FORMS)
 def test_near_planes_are_those_that_a_form_implies(tmp_path, form):
-    near = {"inria": INRIA_NEAR, "splatv": INRIA_NEAR, "panoptic": PANOPTIC_NEAR}.get(form, NEAR)
+    near = {"inria": INRIA_NEAR, "splatv": INRIA_NEAR, "panoptic": PANOPTIC_NEAR}.get(form, 0)
     assert {c.near for c in read_cameras(FORMS[form](tmp_path, ring(2)))} == {near}
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.scene.camera import look_at
+from airgs_codec.scene.camera import look_at, looked_at
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.fit.points import from_points, looked_at
+from airgs_codec.trainer.fit.points import from_points
 from airgs_codec.trainer.fit.surround import Cloud, sparse_cloud, surround, surroundings
 from tests.support.views import coloured_cloud, joined, ring, views_of
 

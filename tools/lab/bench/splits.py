@@ -7,7 +7,7 @@ goes on), with the options given. For every held-out camera, at the times of its
     psnr      mean over frames of its PSNR in dB, in the look of the model
     matched   the same after a gain and an offset for each colour, found for that camera over all frames: no camera that
               nobody trained on can tell how it was exposed
-    haze      from half-way to the middle of the scene, with a near plane of 0.01 units: share of the picture's light
+    haze      from half-way to the middle of the scene, with the camera's near plane: share of the picture's light
               paths that end in Gaussians nearer than a tenth of the way that is left (0: clear, 1: fog)
     light     mean of that picture over the mean of what the camera filmed (near 0: black)
 
@@ -34,13 +34,12 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, cpu, read_cameras
-from airgs_codec.scene.camera import BLACK, NEAR
+from airgs_codec.scene.camera import BLACK, looked_at
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out, with_near
 from airgs_codec.trainer.data.pictures import Pictures, View, pictures_for
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import in_step
-from airgs_codec.trainer.fit.points import looked_at
 from airgs_codec.trainer.frames import frame_before
 from airgs_codec.trainer.record import Model, known_offsets, read_model
 from airgs_codec.trainer.settings import settings_from_table
@@ -210,7 +209,7 @@ def from_half_way(g: Gaussians, camera: Camera, middle: NDArray[np.float64]) -> 
     step = WAY * (middle - camera.position)
     view = camera.world_to_camera.copy()
     view[:3, 3] -= view[:3, :3] @ step
-    moved = replace(camera, world_to_camera=view, near=NEAR)
+    moved = replace(camera, world_to_camera=view, near=camera.near)
     near = np.linalg.norm(g.means - (camera.position + step), axis=1) < NEAR_SHARE * np.linalg.norm(step)
     white = np.where(near, 0.5, -0.5).astype(np.float32) / np.float32(SH_C0)
     marked = replace(g.with_degree(0), sh_dc=np.repeat(white[:, None], 3, axis=1))
