@@ -99,7 +99,8 @@ def decode_frames(
     """Frames [start, stop) one after another, each with its number; the other arguments are those of `decode`.
 
     `tiers`: key tiers, from the first on, that the viewer has; by default those that viewers of the level fetch. Each
-    key tier and each segment is decoded once. Raises what `decode` raises.
+    key tier and each segment is decoded once. Frames share arrays, which cannot be written to. Raises what `decode`
+    raises.
     """
     package = argument("package", package, Package, OPENED, open_package)
     m = package.manifest
@@ -116,7 +117,15 @@ def decode_frames(
         first, last = max(start, segment.start), min(stop, segment.stop)
         shown = decode_segment(package, index, base, j, range(first - segment.start, last - segment.start))
         for number, gaussians in zip(range(first, last), shown, strict=True):
-            yield Frame(number, gaussians)
+            yield Frame(number, _sealed(gaussians))
+
+
+def _sealed(g: Gaussians) -> Gaussians:
+    """The same without the right to write to its arrays, which are of other frames, too."""
+    columns = [getattr(g, field.name).view() for field in fields(g)]
+    for column in columns:
+        column.flags.writeable = False
+    return Gaussians(*columns)
 
 
 def decode_canonical(package: Package, group: int, quality: int, tiers: int | None = None) -> Canonical:

@@ -83,7 +83,7 @@ def _checked(frame: Frame, where: str) -> Gaussians:
     if not len(g):
         raise SceneError(f"{where}: expected at least one Gaussian, got none")
     for name in NAMES:
-        finite = np.isfinite(getattr(g, name))
+        finite = np.isfinite(getattr(g, name)) | (name == "log_scales") & np.isneginf(getattr(g, name))
         if not finite.all():
             place = tuple(np.argwhere(~finite)[0].tolist())
             raise SceneError(f"{where}: {name}: expected finite numbers, got {columns[name][place]} in row {place[0]}")

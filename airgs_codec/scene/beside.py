@@ -7,7 +7,6 @@ group and measure, named "start:stop/measure".
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.places.whole import atomic_path, write_json
 from airgs_codec.scene.camera import BLACK, Background
-from airgs_codec.scene.files import expecting
+from airgs_codec.scene.files import expecting, read_object
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
@@ -46,7 +45,7 @@ def read_settings(folder: Path, frames: int) -> Settings:
     if not path.exists():
         return Settings()
     with expecting(path, '{"fps": number, "keyframes": [frame, ...]}'):
-        data: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        data = read_object(path)
         fps = exact_number(str(data.get("fps", DEFAULT_FPS)))
         keyframes = data.get("keyframes")
         starts = None if keyframes is None else tuple(sorted({0, *(int(k) for k in keyframes)}))

@@ -19,6 +19,8 @@ NARROWER = 1.0  # bits a row that other names of axes must save
 LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
 DROPPED = "Gaussians that are not finite in some frame were dropped"  # how notes of repairs end, after their number
 ZERO = "Gaussians with zero quaternions were given identity"
+FLAT = "Gaussians without thickness were given a thousandth of their largest axis"
+THIN = np.float32(np.log(1e-3))  # what is thinner covers no pixel of its own while it is less than a thousand wide
 
 
 class LazyFrames(Sequence[Gaussians]):
@@ -113,15 +115,16 @@ class Repaired:
 def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
     """Make frames of one group codable; `where` names them in notes and errors.
 
-    Infinite opacity logits become ±20 and zero quaternions identity, all others unit length; a row that is not finite
-    in some frame is dropped in all of them. All frames are looked at, one after the other. Raises SceneError when no
-    row is left.
+    Infinite opacity logits become ±20 and zero quaternions identity, all others unit length, and what has no thickness
+    a thousandth of its largest axis; a row that is not finite in some frame then is dropped in all of them. All frames
+    are looked at, one after the other. Raises SceneError when no row is left.
     """
     finite = np.ones(len(frames[0]), bool)
-    zero = np.zeros(len(frames[0]), bool)
+    zero, flat = np.zeros(len(frames[0]), bool), np.zeros(len(frames[0]), bool)
     for frame in frames:
-        finite &= _finite_rows(_with_finite_opacity(frame))
+        finite &= _finite_rows(_with_finite_values(frame))
         zero |= _zero_quaternions(frame)
+        flat |= np.isneginf(frame.log_scales).any(axis=1)
     if not finite.any():
         raise SceneError(f"{where}: expected finite Gaussians, all {len(finite)} have NaN or Inf in some frame")
     notes = []
@@ -129,6 +132,8 @@ def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
         notes.append(f"{where}: {count} {DROPPED}")
     if count := int((zero & finite).sum()):
         notes.append(f"{where}: {count} {ZERO}")
+    if count := int((flat & finite).sum()):
+        notes.append(f"{where}: {count} {FLAT}")
     return Repaired(LazyFrames(lambda place: _repaired(frames[place], finite), range(len(frames))), notes)
 
 
@@ -156,13 +161,17 @@ def _spread(g: Gaussians) -> float:
 
 def _repaired(frame: Gaussians, finite: NDArray[np.bool_]) -> Gaussians:
     """A frame with the (N,) finite rows alone."""
-    frame = _with_finite_opacity(frame)
+    frame = _with_finite_values(frame)
     return _with_unit_quaternions(frame if finite.all() else frame.take(finite))
 
 
-def _with_finite_opacity(g: Gaussians) -> Gaussians:
+def _with_finite_values(g: Gaussians) -> Gaussians:
+    """The frame whose infinite opacity logits are limited, and axes without a size thin; a row of no size stays so."""
     logits = np.where(np.isinf(g.opacity_logits), np.sign(g.opacity_logits) * OPACITY_LOGIT_LIMIT, g.opacity_logits)
-    return replace(g, opacity_logits=logits.astype(np.float32))
+    sizes = g.log_scales
+    if (flat := np.isneginf(sizes)).any():
+        sizes = np.where(flat, sizes.max(axis=1, keepdims=True) + THIN, sizes)
+    return replace(g, opacity_logits=logits.astype(np.float32), log_scales=sizes)
 
 
 def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:

@@ -32,7 +32,6 @@ _SHAPES: Mapping[str, tuple[str, Sequence[tuple[int, ...]]]] = {  # of attribute
     "sh_dc": ("(N, 3)", [(3,)]),
     "sh_rest": ("(N, K, 3) with K of 0, 3, 8 or 15", [(k, 3) for k in SH_REST]),
 }
-_LEAST_SIZE = np.float32(1e-9)  # in place of 0, whose logarithm is infinite
 # Each step moves the bits of a 21-bit number further apart: shift, then keep the bits of the mask.
 _SPREAD = (
     (32, 0x001F00000000FFFF),
@@ -165,9 +164,9 @@ def logits_of(alpha: NDArray[np.floating]) -> NDArray[np.float32]:
 
 
 def logs_of(sizes: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Logarithms of sizes; NaN of NaN and of what is negative, which is no size."""
-    with np.errstate(invalid="ignore"):
-        return np.log(np.where(sizes == 0, _LEAST_SIZE, sizes)).astype(np.float32)
+    """Logarithms of sizes; -inf of 0, NaN of NaN and of what is negative, which is no size."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.log(sizes).astype(np.float32)
 
 
 def to_rotation_vector(quaternions: Floats) -> Floats:

@@ -7,6 +7,7 @@ gaussian-splatting reads it.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -74,8 +75,24 @@ class _Image:
 
 
 def find_model(folder: Path) -> Path | None:
-    """The folder of a reconstruction under `folder`: sparse/0, sparse, or itself."""
-    return next((place for place in (folder / "sparse" / "0", folder / "sparse", folder) if is_model(place)), None)
+    """The folder of a reconstruction under `folder`: of those in sparse/0, sparse/1, … the one of most images, or
+    sparse, or itself.
+    """
+    parts = sorted(filter(is_model, (folder / "sparse").glob("[0-9]*")), key=lambda part: (len(part.name), part.name))
+    if parts:
+        return max(parts, key=_images)  # the first of them where several have as many
+    return next(filter(is_model, (folder / "sparse", folder)), None)
+
+
+def _images(model: Path) -> int:
+    """How many images a reconstruction has, 0 where its file is broken, which is told when it is read."""
+    binary = model / "images.bin"
+    try:
+        if binary.is_file():
+            return int(Cursor.open(binary).take("Q")[0])
+        return len(list(_images_of_text(model)))
+    except (OSError, ValueError, LookupError, struct.error):
+        return 0
 
 
 def is_model(folder: Path) -> bool:

@@ -63,7 +63,7 @@ def _sh_degree(path: Path, vertex: Element) -> int:
     rest = sum(name.startswith("f_rest_") for name in names)
     if rest % 3 or rest // 3 not in SH_REST:
         raise SceneError(f"{path}: expected 0, 9, 24 or 45 f_rest properties, got {rest}")
-    wanted = (*_MEANS, *_DC, *_OPACITY, *_SCALES, *_ROTATION, *_rest_names(rest // 3))
+    wanted = (*_MEANS, *_DC, *_OPACITY, *_SCALES[:2], *_ROTATION, *_rest_names(rest // 3))
     if missing := [name for name in wanted if name not in names]:
         raise SceneError(f"{path}: expected INRIA Gaussian properties, missing {', '.join(missing)}")
     return SH_REST.index(rest // 3)
@@ -77,12 +77,16 @@ def _rest_names(k: int) -> list[str]:
 def read_ply(path: Path) -> Gaussians:
     """Read one frame as its file has it.
 
-    Raises SceneError for a file that is missing, truncated or not a Gaussian .ply.
+    Gaussians of two axes have no size along the third. Raises SceneError for a file that is missing, truncated or not a
+    Gaussian .ply.
     """
     header, vertex = _open(path, "element vertex")
     rest = _rest_names(SH_REST[_sh_degree(path, vertex)])
-    groups = (_MEANS, _ROTATION, _SCALES, _OPACITY, _DC, rest)
+    sizes = [name for name in _SCALES if name in {p.name for p in vertex.properties}]
+    groups = (_MEANS, _ROTATION, sizes, _OPACITY, _DC, rest)
     means, quaternions, log_scales, opacity, sh_dc, sh_rest = read_columns(path, header, vertex, groups)
+    if len(sizes) < len(_SCALES):  # discs of 2DGS (Huang et al. 2024)
+        log_scales = np.pad(log_scales, ((0, 0), (0, 1)), constant_values=-np.inf)
     return Gaussians(means, quaternions, log_scales, opacity[:, 0], sh_dc, sh_rest.reshape(len(means), -1, 3))
 
 

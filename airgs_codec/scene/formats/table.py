@@ -178,9 +178,9 @@ class Target:
 def choose_target(place: str, key: str | None, frames: int) -> Target:
     """Return where so many frames go, by the format's name or the ending of a place.
 
-    A place may have any name: one that ends like no format is a folder of frames; so is what ends in a slash or exists
-    as a folder. Raises ConfigError when the ending is that of another format, the place does not suit the number of
-    frames or is in the way, or the library that writes is not there.
+    A name without an ending is a folder of frames; so is what ends in a slash or exists as a folder. Raises ConfigError
+    when the ending is that of another format or of none, the place does not suit the number of frames or is in the way,
+    or the library that writes is not there.
     """
     if not place:
         raise ConfigError("expected the name of a file or folder for the frames, got an empty one")
@@ -190,6 +190,9 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
     ending = max(endings, key=lambda form: len(form.key), default=None)
     if path.name == META_NAME and named in (None, SOG):
         target = Target(path.parent, SOG_FOLDER, True)
+    elif ending is None and path.suffix and not place.endswith(os.sep) and not path.is_dir():
+        known = ", ".join(f".{form.key}" for form in FRAMES)
+        raise ConfigError(f"{place}: expected a name that ends in {known}, or in / for a folder of frames")
     elif place.endswith(os.sep) or ending is None:
         target = Target(path, named or INRIA, True)
     elif named not in (None, ending):
@@ -244,7 +247,7 @@ def write_frames(
 def write(gaussians: Gaussians, path: str | Path) -> list[str]:
     """Write one frame in the format that the ending of `path` tells; returns what is lost, a line for each kind.
 
-    A file there is replaced once the new one is whole. A path that ends like no format is a folder, for frames of .ply.
+    A file there is replaced once the new one is whole. A path without an ending is a folder, for frames of .ply.
     Raises ConfigError for a path that does not suit, SceneError where no Gaussian is finite.
     """
     frame = argument("gaussians", gaussians, Gaussians, "Gaussians")
