@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.gaussians import Gaussians, least_turned, rename_axes, to_rotation_vector
+from airgs_codec.scene.gaussians import Gaussians, least_turned, mix_rows, rename_axes, to_rotation_vector
 
 OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 NARROWER = 1.0  # bits a row that other names of axes must save
 LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
-DROPPED = "Gaussians that are not finite in some frame were dropped"  # how notes of repairs end, after their number
+HIDDEN = "Gaussians are not shown in frames where they are not finite"  # how notes of repairs end, after their number
 ZERO = "Gaussians with zero quaternions were given identity"
 FLAT = "Gaussians without thickness were given a thousandth of their largest axis"
 THIN = np.float32(np.log(1e-3))  # what is thinner covers no pixel of its own while it is less than a thousand wide
@@ -113,28 +113,39 @@ class Repaired:
 
 
 def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
-    """Make frames of one group codable; `where` names them in notes and errors.
+    """Make frames of one group codable; `where` names them in notes and errors. Row n stays row n.
 
     Infinite opacity logits become ±20 and zero quaternions identity, all others unit length, and what has no thickness
-    a thousandth of its largest axis; a row that is not finite in some frame then is dropped in all of them. All frames
-    are looked at, one after the other. Raises SceneError when no row is left.
+    a thousandth of its largest axis. A row that is not finite then in some frame has no opacity there, and else what
+    it has in the first frame where it is finite. All frames are looked at, one after the other. Raises SceneError when
+    no row is finite in any.
     """
-    finite = np.ones(len(frames[0]), bool)
-    zero, flat = np.zeros(len(frames[0]), bool), np.zeros(len(frames[0]), bool)
+    count = len(frames[0])
+    broken, zero, flat = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, bool)
     for frame in frames:
-        finite &= _finite_rows(_with_finite_values(frame))
-        zero |= _zero_quaternions(frame)
-        flat |= np.isneginf(frame.log_scales).any(axis=1)
-    if not finite.any():
-        raise SceneError(f"{where}: expected finite Gaussians, all {len(finite)} have NaN or Inf in some frame")
-    notes = []
-    if count := int((~finite).sum()):
-        notes.append(f"{where}: {count} {DROPPED}")
-    if count := int((zero & finite).sum()):
-        notes.append(f"{where}: {count} {ZERO}")
-    if count := int((flat & finite).sum()):
-        notes.append(f"{where}: {count} {FLAT}")
-    return Repaired(LazyFrames(lambda place: _repaired(frames[place], finite), range(len(frames))), notes)
+        finite = _finite_rows(_with_finite_values(frame))
+        broken |= ~finite
+        zero |= finite & _zero_quaternions(frame)
+        flat |= finite & np.isneginf(frame.log_scales).any(axis=1)
+    stand_in = _stand_in(frames, where) if broken.any() else None
+    kinds = ((broken, HIDDEN), (zero, ZERO), (flat, FLAT))
+    notes = [f"{where}: {np.count_nonzero(rows)} {words}" for rows, words in kinds if rows.any()]
+    return Repaired(LazyFrames(lambda place: _repaired(frames[place], stand_in), range(len(frames))), notes)
+
+
+def _stand_in(frames: Sequence[Gaussians], where: str) -> Gaussians:
+    """Each row as it is in the first frame where it is finite; those that are in none as some other one is."""
+    found = _with_finite_values(frames[0])
+    left = ~_finite_rows(found)
+    for frame in frames[1:]:
+        if not left.any():
+            break
+        values = _with_finite_values(frame)
+        known = left & _finite_rows(values)
+        found, left = mix_rows(values, found, known), left & ~known
+    if left.all():
+        raise SceneError(f"{where}: expected finite Gaussians, all {len(left)} have NaN or Inf in every frame")
+    return found.take(np.where(left, np.argmin(left), np.arange(len(left))))
 
 
 def turn_least(repaired: Repaired) -> Repaired:
@@ -159,10 +170,13 @@ def _spread(g: Gaussians) -> float:
     return float(np.log2(np.maximum(values.std(axis=0), LEAST_SPREAD)).sum())
 
 
-def _repaired(frame: Gaussians, finite: NDArray[np.bool_]) -> Gaussians:
-    """A frame with the (N,) finite rows alone."""
+def _repaired(frame: Gaussians, stand_in: Gaussians | None) -> Gaussians:
+    """A frame with finite rows; those of `stand_in`, without opacity, in place of others."""
     frame = _with_finite_values(frame)
-    return _with_unit_quaternions(frame if finite.all() else frame.take(finite))
+    if stand_in is not None and not (finite := _finite_rows(frame)).all():
+        hidden = replace(stand_in, opacity_logits=np.full(len(frame), -OPACITY_LOGIT_LIMIT))
+        frame = mix_rows(frame, hidden, finite)
+    return _with_unit_quaternions(frame)
 
 
 def _with_finite_values(g: Gaussians) -> Gaussians:

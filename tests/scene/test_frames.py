@@ -27,11 +27,15 @@ def test_repairs_are_made_in_every_frame_and_named():
     logits = a.opacity_logits.copy()
     logits[0], logits[1] = np.inf, -np.inf
     done = repair([replace(a, quaternions=quaternions, opacity_logits=logits), replace(b, means=means)], "scene")
-    assert [len(f) for f in done.frames] == [5, 5]
+    assert [len(f) for f in done.frames] == [6, 6] and [f.opacity_logits[4] for f in done.frames] == [
+        a.opacity_logits[4],
+        -20,
+    ]
+    np.testing.assert_array_equal(done.frames[1].means[4], a.means[4])
     assert done.frames[0].quaternions[2].tolist() == [1, 0, 0, 0]
     assert done.frames[0].opacity_logits[:2].tolist() == [20, -20]
     np.testing.assert_allclose(np.linalg.norm(done.frames[1].quaternions, axis=1), 1, atol=1e-6)
-    assert ["dropped" in n for n in done.notes] == [True, False] and "1 Gaussians with zero" in done.notes[1]
+    assert ["not shown" in n for n in done.notes] == [True, False] and "1 Gaussians with zero" in done.notes[1]
 
 
 def test_a_scene_without_a_finite_row_is_refused():
