@@ -247,8 +247,8 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
     frames = [repair([frame], "views").frames[0] for frame in frames]
     middle = frames[len(frames) // 2]
     origin, size = extent_of(middle.means.astype(np.float64), middle.opacities().astype(np.float64))
-    found = _find([frame.placed(origin, 1 / size) for frame in frames], up)
-    return replace(found, cameras=[placed(camera, -origin / size, size) for camera in found.cameras])
+    found = _find([frame.placed(-origin, 1 / size) for frame in frames], up)
+    return replace(found, cameras=[placed(camera, origin / size, size) for camera in found.cameras])
 
 
 def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:

@@ -1,7 +1,8 @@
 """What follows from how much pictures depend on rows: motion classes, and what errors in channels cost.
 
 The displacement of a row is sent the finer, the more pictures depend on it: a row of class c has the motion unit 2^c
-world units. Rows that move together have one class: neighbours then have alike samples, which video codecs code well.
+world units, times the scale of the scene, which steps of lengths contain. Rows that move together have one class:
+neighbours then have alike samples, which video codecs code well.
 N rows, T frames, C colour channels.
 """
 
@@ -21,13 +22,15 @@ from airgs_codec.scene.gaussians import Gaussians
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 
 
-def motion_classes(sensitivity: NDArray[np.float64], floor: float) -> NDArray[np.int16]:
+def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float = 1.0) -> NDArray[np.int16]:
     """(N,) mean squared derivatives of pictures by the rows' means, in 1 / world unit^2 -> (N,) motion classes.
 
-    The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`. `floor` (> 0) is the least
-    sensitivity that counts: of a row that no picture shows the logarithm is infinite.
+    The motion unit is the power of two nearest to the fourth root of 1 / `sensitivity`, with lengths in units of
+    `scale`. `floor` (> 0) is the least sensitivity that counts: of a row that no picture shows the logarithm is
+    infinite.
     """
-    return np.clip(np.rint(-0.25 * np.log2(np.maximum(sensitivity, floor))), LEAST_CLASS, MOST_CLASS).astype(np.int16)
+    wanted = -0.25 * np.log2(np.maximum(sensitivity, floor)) - 0.5 * math.log2(scale)
+    return np.clip(np.rint(wanted), LEAST_CLASS, MOST_CLASS).astype(np.int16)
 
 
 def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
@@ -35,12 +38,12 @@ def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
     return np.exp2(classes.astype(np.float32))
 
 
-def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians) -> NDArray[np.int16]:
+def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float) -> NDArray[np.int16]:
     """(N,) motion classes by (N,) `sensitivity`, as in `motion_classes`; where no row is seen, by the median size."""
     seen = sensitivity[sensitivity > 0]
     if not len(seen):  # nothing is visible: every row counts alike
-        return np.full(len(g), round(math.log2(_median_size(g))), np.int16)
-    return motion_classes(sensitivity, FLOOR * float(np.median(seen)))
+        return np.full(len(g), round(math.log2(_median_size(g) / scale)), np.int16)
+    return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
 
 
 def share_class(

@@ -18,7 +18,7 @@ STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
 
 @dataclass(frozen=True, slots=True)
 class StepSettings:
-    """Quantiser steps at quality factor 1; lengths are in motion units (see `motion`).
+    """Quantiser steps at quality factor 1; lengths are in motion units (see `motion`) times the scale of the scene.
 
     Calibration starts from the defaults, which lie between what the walking fox and the N3DV spinach scene ask for.
     """
@@ -34,6 +34,10 @@ class StepSettings:
     grid: float = 0.0007  # side of the cells of canonical means, in motion units
     colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter alike
     rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
+
+    def at_scale(self, scale: float) -> StepSettings:
+        """These steps, which are those of a scene of scale 1, for one of another scale."""
+        return replace(self, state=replace(self.state, means=self.state.means * scale), grid=self.grid * scale)
 
     def scaled(self, quality: float) -> StepSettings:
         """These steps times a quality factor; `rows`, an error of pictures, stays."""

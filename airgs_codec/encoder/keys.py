@@ -80,7 +80,9 @@ def lay_out_again(
         if len(written.rows) > len(rows) or written.error > allowed**2:
             return None
     key, sensitivity = mean_frame(frames).take(rows), survey.sensitivity.take(rows)
-    here, there = (_coarseness(base.classes, *of) for of in ((sensitivity, key), (base.sensitivity, base.key)))
+    here, there = (
+        _coarseness(base.classes, *of, survey.scale) for of in ((sensitivity, key), (base.sensitivity, base.key))
+    )
     if here > COARSER * there:
         return None
     return replace(
@@ -99,9 +101,9 @@ def lay_out_again(
     )
 
 
-def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, key: Gaussians) -> float:
+def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, key: Gaussians, scale: float) -> float:
     """The squared error of pictures by means of these motion classes over that by those that views ask for."""
-    asked = classify_motion(sensitivity.means, key)
+    asked = classify_motion(sensitivity.means, key, scale)
     errors = [float(sensitivity.means @ np.exp2(2.0 * some)) for some in (classes, asked)]
     return errors[0] / errors[1] if errors[1] else 1.0
 

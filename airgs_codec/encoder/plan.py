@@ -180,7 +180,7 @@ def lay_out(
     score = survey.score(settings.usage)
     tiers = assign_tiers(score[written.rows], settings.tiers)
     sensitivity = survey.sensitivity.take(written.rows).means
-    classes = classify_motion(sensitivity, canonical)
+    classes = classify_motion(sensitivity, canonical, survey.scale)
     order = np.lexsort((grid_codes(canonical.means, classes, fit_grid(canonical.means, classes, steps.grid)), tiers))
     moving = (loaded.frames[t].means[written.rows] for t in middle_frames(0, len(loaded.frames), MOTION_FRAMES))
     changes = ((means - canonical.means)[order].T for means in moving)

@@ -18,8 +18,10 @@ from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.importance import importance
 from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
+from airgs_codec.analysis.sight import DATAPARSER, SEEN, in_trained_frame, see, seeing
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.errors import ConfigError
 from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
@@ -34,7 +36,7 @@ from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
 from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.camera import resized, training_views, with_near_planes
+from airgs_codec.scene.camera import resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -42,6 +44,7 @@ CHECKED = 16  # further ones, which show what leaving out would do
 DECISION_PIXELS = 200_000  # of a picture that decides: larger ones are made smaller
 SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many decide
 LOOKED_AT = 3  # frames, where no camera is given
+DISTANCE = 3.0  # world units, from which scenes of scale 1 are mostly looked at
 DRAWS = 240  # views that are drawn; groups and segments take them in turn
 
 Pictures = list[View]  # a frame is its place in its group, or its number in the sequence
@@ -79,8 +82,14 @@ class ViewPlan:
         if world is None and axes:
             world = world_from(axes.up, axes.metres)
             notes.append(f"{world_words(world)}; the specification of {sequence.format.name} says so")
-        plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world))
+        plan = _plan(sequence, pictures, margin, region, None if world is None else up_of(world), renderer)
         return replace(plan, world=world, renderer=renderer, notes=(*plan.notes, *notes))
+
+    @property
+    def scale(self) -> float:
+        """How far away what is looked at mostly is, over what it is in scenes that default steps are made for."""
+        places = ((np.array(place.position), np.array(place.focus)) for place in self.region.places)
+        return float(np.median([np.linalg.norm(focus - position) for position, focus in places])) / DISTANCE
 
     def decide(self, frames: int) -> Pictures:
         """Pictures of a group of so many frames: all frames or evenly many of them, each from a view of its own."""
@@ -122,31 +131,64 @@ def _plan(
     margin: float | None,
     region: Region | None,
     up: NDArray[np.float64] | None,
+    renderer: Renderer,
 ) -> ViewPlan:
     """The plan without a world; `up` (3,), where it is told, matters to views that are found alone."""
-    behind = sequence.background
+    behind, middle = sequence.background, sequence.load([len(sequence) // 2]).frames[0]
     if region is not None:
-        return _draw(region if region.background else with_background(region, behind), pictures)
-    middle = sequence.load([len(sequence) // 2]).frames[0]
-    if sequence.cameras:
-        cameras = with_near_planes(sequence.cameras, middle)
+        return _draw(region if region.background else with_background(region, behind), pictures, middle, renderer)
+    cameras, notes = _given(sequence, middle, renderer)
+    if cameras:
         held_out = [c for c in cameras if c.held_out]
         around = region_around(training_views(cameras), middle, margin=margin)
-        return _draw(with_background(around, behind), pictures, held_out)
+        plan = _draw(with_background(around, behind), pictures, middle, renderer, held_out)
+        return replace(plan, notes=notes)
     found = find_viewpoints([sequence.read(i) for i in evenly_spaced(len(sequence), LOOKED_AT)], up)
-    source, notes = "found" if found.confident else "orbit", tuple(filter(None, (found.story, found.guess)))
+    source, notes = "found" if found.confident else "orbit", (*notes, *filter(None, (found.story, found.guess)))
     around = region_around(found.cameras, middle, margin=margin, source=source)
-    return replace(_draw(with_background(around, behind), pictures), trusted=found.confident, notes=notes)
+    plan = _draw(with_background(around, behind), pictures, middle, renderer)
+    return replace(plan, trusted=found.confident, notes=notes)
 
 
-def _draw(region: Region, pictures: int, held_out: Sequence[Camera] = ()) -> ViewPlan:
-    """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead."""
+def _given(sequence: GaussianSequence, middle: Gaussians, renderer: Renderer) -> tuple[list[Camera], tuple[str, ...]]:
+    """The cameras of a sequence that see something of it, none where they are of another scene, and what is to say."""
+    if not sequence.cameras:
+        return [], ()
+    path, notes = sequence.cameras_path, []
+    sight = see(sequence.cameras, middle, renderer)
+    for moves in {place / DATAPARSER for place in (sequence.folder, path.parent if path else sequence.folder)}:
+        if (
+            moves.is_file()
+            and (other := see(in_trained_frame(sequence.cameras, moves), middle, renderer)).share > sight.share
+        ):
+            sight = other
+            notes.append(f"cameras are moved to where the Gaussians are, as {moves.name} says")
+    if sight.share < SEEN:
+        what = f"{len(sequence.cameras)} cameras{f' of {path.name}' if path else ''} see {sight.share:.1%} of the scene"
+        return [], (f"{what}: they are of another one, or in other coordinates, and are not used",)
+    if sight.blind:
+        notes.append(f"cameras that see nothing of the scene are not used: {', '.join(sight.blind)}")
+    return sight.cameras, tuple(notes)
+
+
+def _draw(
+    region: Region, pictures: int, middle: Gaussians, renderer: Renderer, held_out: Sequence[Camera] = ()
+) -> ViewPlan:
+    """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead.
+
+    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are.
+    """
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
-    deciding = [resized(camera, share) for camera in draw_views(region, DRAWS, DECIDING)]
-    measuring = list(held_out) if point and held_out else draw_views(region, DRAWS, MEASURING)
+    deciding, measuring = (
+        list(seeing(draw_views(region, DRAWS, seed), middle, renderer)) for seed in (DECIDING, MEASURING)
+    )
+    if not (deciding and measuring):
+        raise ConfigError("views: expected some that show the scene, got a viewing region from which nothing is seen")
+    measuring = list(held_out) if point and held_out else measuring
     small = region.width * region.height <= SMALL_PIXELS
-    return ViewPlan(region, True, deciding, measuring, 2 * pictures if small else pictures)
+    decided = 2 * pictures if small else pictures
+    return ViewPlan(region, True, [resized(camera, share) for camera in deciding], measuring, decided)
 
 
 def _spread(frames: int, cameras: Sequence[Camera]) -> Pictures:
@@ -183,6 +225,7 @@ class Survey:
     sensitivity: Sensitivity
     importance: NDArray[np.float64]  # (N,) of `analysis.importance`
     trusted: bool  # rows that no picture shows may be left out
+    scale: float = 1.0  # of the scene, as in `ViewPlan`
     renderer: Renderer = CPU
     removals: dict[int, float] = field(default_factory=dict)  # errors in `checks` known so far, see `RowPruning`
 
@@ -227,4 +270,6 @@ def survey_group(sequence: GaussianSequence, span: GroupSpan, views: ViewPlan) -
     if known is not None and len(known.peak) == len(frames[0]):
         usage = known
     ranked = importance(frames, usage, sensitivity)
-    return Survey(span, views.check(span.frames), usage, sensitivity, ranked, views.trusted, views.renderer)
+    return Survey(
+        span, views.check(span.frames), usage, sensitivity, ranked, views.trusted, views.scale, views.renderer
+    )

@@ -196,10 +196,12 @@ def with_pixels(camera: Camera, width: int, height: int) -> Camera:
     return replace(camera, width=width, height=height, fx=fx, fy=fy, cx=cx, cy=cy)
 
 
-def placed(camera: Camera, origin: NDArray[np.float64], scale: float) -> Camera:
-    """The camera that sees of `Gaussians.placed` what this one sees of the Gaussians."""
+def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArray[np.float64] | None = None) -> Camera:
+    """The camera that sees of a scene what this one sees, once that was turned (3, 3), shifted (3,), and scaled."""
     view = camera.world_to_camera.copy()
-    view[:3, 3] = scale * (view[:3, 3] + view[:3, :3] @ origin)
+    if turn is not None:
+        view[:3, :3] = view[:3, :3] @ turn.T
+    view[:3, 3] = scale * (view[:3, 3] - view[:3, :3] @ shift)
     return replace(camera, world_to_camera=view, near=scale * camera.near)
 
 

@@ -93,9 +93,9 @@ class Gaussians:
         """The same Gaussians without the SH bands above `degree`, which is at most theirs."""
         return replace(self, sh_rest=self.sh_rest[:, : SH_REST[degree]])
 
-    def placed(self, origin: NDArray[np.float64], scale: float) -> Gaussians:
-        """The same less `origin` (3,) and then `scale` times as large, above 0."""
-        means = (self.means - origin) * scale
+    def placed(self, shift: NDArray[np.float64], scale: float) -> Gaussians:
+        """The same shifted by (3,), and then scaled by a factor above 0."""
+        means = (self.means + shift) * scale
         sizes = self.log_scales + np.float32(math.log(scale))
         return replace(self, means=means.astype(np.float32), log_scales=sizes.astype(np.float32))
 

@@ -29,6 +29,7 @@ from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.compare import compare
 from airgs_codec.render.cuda import upload
+from airgs_codec.scene.camera import scene_scale
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Target, View
 from airgs_codec.trainer.fit import kernels
@@ -126,7 +127,8 @@ def codec_steps(
     """
     state = (steps or StepSettings()).state
     sensitivity = measure_sensitivity([g], cameras, renderer)
-    unit = motion_units(classify_motion(sensitivity.means, g))
+    scale = scene_scale(cameras, g.means, g.opacities())
+    unit = scale * motion_units(classify_motion(sensitivity.means, g, scale))
     alpha = g.opacities()
     length = np.linalg.norm(g.quaternions.astype(np.float64), axis=1, keepdims=True)
     table = {
