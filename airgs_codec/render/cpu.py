@@ -27,7 +27,7 @@ Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
 TILE = kernels.TILE  # pixels across a tile
-FAR = 1e10  # world units along the view axis
+FAR = 1e18  # world units along the view axis: the square of more is no float32
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
