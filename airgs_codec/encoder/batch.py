@@ -102,7 +102,8 @@ class Calibrated:
 
 
 def calibrate_sequence(prepared: PreparedSequence, settings: EncodeSettings, work: Work) -> Calibrated:
-    """Find settings for this scene, and the SH bands that it needs."""
+    """Find settings for this scene, whose steps of lengths are in its scale, and the SH bands that it needs."""
+    settings = replace(settings, steps=settings.steps.at_scale(prepared.views.scale))
     if settings.calibrate == "none":
         return Calibrated(prepared, settings, None, (), False)
     work.progress("calibration", 0, 1)

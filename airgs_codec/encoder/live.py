@@ -207,7 +207,6 @@ def _begin(
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
     views = plan_views(part, settings)
-    settings = replace(settings, steps=settings.steps.at_scale(views.scale))
     credit = sequence.attribution if attribution is None else attribution
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with temporary_work(progress) as work, staged_package(place) as stage:

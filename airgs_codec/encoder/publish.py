@@ -131,7 +131,6 @@ def _encode(
         watch = Stopwatch()
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
         original = prepare(ordered, settings, work, attribution, found.views)
-        settings = replace(settings, steps=settings.steps.at_scale(original.views.scale))
         progress = EncodeProgress(work.progress, original, settings)
         work = replace(work, progress=progress)
         if goal and goal.metric == DELTA_E:

@@ -171,5 +171,5 @@ def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
     means[3] = np.nan
     other = open_side(str(write_sequence(tmp_path / "nan", [replace(g, means=means)])))
     result = compare_two(original, other, range(1), ring(1))
-    assert result.gaussians[1] == (39, 39) and np.isfinite(result.quality.psnr)
-    assert comparison_json(original, other, result)["compared"]["gaussians"] == [39, 39]
+    assert result.gaussians[1] == (40, 40) and np.isfinite(result.quality.psnr)
+    assert comparison_json(original, other, result)["compared"]["gaussians"] == [40, 40]
