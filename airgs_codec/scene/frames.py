@@ -17,7 +17,9 @@ OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite lo
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 NARROWER = 1.0  # bits a row that other names of axes must save
 LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
-HIDDEN = "Gaussians that are not finite in some frame are not shown there"  # how notes of repairs end, after their number
+HIDDEN = (
+    "Gaussians that are not finite in some frame are not shown there"  # how notes of repairs end, after their number
+)
 ZERO = "Gaussians with zero quaternions were given identity"
 FLAT = "Gaussians without thickness were given a thousandth of their largest axis"
 THIN = np.float32(np.log(1e-3))  # what is thinner covers no pixel of its own while it is less than a thousand wide

@@ -43,9 +43,13 @@ def encoded(tmp_path, frames, settings=FAST):
 
 def laid_out(sequence, index, group) -> GroupLayout:
     """The layout of a group of a package that was encoded with FAST."""
-    survey = survey_group(sequence, GroupSpan(index, group.start, group.stop), ViewPlan.of(sequence, 24))
-    loaded = sequence.load(range(group.start, group.stop))
-    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, FAST.row_error), FAST, sequence.fps)
+    views = ViewPlan.of(sequence, 24)
+    survey = survey_group(sequence, GroupSpan(index, group.start, group.stop), views)
+    loaded, settings = (
+        sequence.load(range(group.start, group.stop)),
+        replace(FAST, steps=FAST.steps.at_scale(views.scale)),
+    )
+    return lay_out(loaded, survey, keep_rows(loaded.frames, survey, FAST.row_error), settings, sequence.fps)
 
 
 def same(a: Gaussians, b: Gaussians):

@@ -40,7 +40,7 @@ def test_a_gaussian_moves_turns_and_fades_as_its_row_says(tmp_path):
     (tmp_path / "a.splatv").write_bytes(splatv_bytes(rows))
     g = open_sequence(tmp_path / "a.splatv", bake_fps=4, duration=1).read(3)  # half of the clip after the centre
     assert g.means[1].tolist() == [1.5, 2.5, 3.5] and g.quaternions[1].tolist() == [1, 1, 0, 0]
-    np.testing.assert_allclose(g.log_scales[1], [np.log(1e-9), 0, np.log(0.5)], atol=1e-6)
+    np.testing.assert_allclose(g.log_scales[1], [-np.inf, 0, np.log(0.5)], atol=1e-6)
     np.testing.assert_allclose(g.sh_dc[1] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
     assert sigmoid(g.opacity_logits)[1] == pytest.approx(128 / 255 / np.e, abs=1e-6)
 
