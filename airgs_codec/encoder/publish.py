@@ -10,6 +10,7 @@ from pathlib import Path
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import Restored
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence, measure_encoded
 from airgs_codec.encoder.measure import Measured, uncertainty_db
 from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
@@ -18,11 +19,12 @@ from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colo
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.tables import add_sound
 from airgs_codec.encoder.track import tracked
+from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import write_file
+from airgs_codec.package.package import open_package, write_file
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.progress import Progress, Stopwatch, silent, told
@@ -119,7 +121,19 @@ def encode(
         argument("goal", goal, Goal, "a Goal")
     working = temporary_work(told(progress)) if work is None else nullcontext(work)
     with staged_package(place_at(path)) as stage, working as at:
-        return _encode(sequence, Folder(stage), settings, goal, at)
+        report = _encode(sequence, Folder(stage), settings, goal, at)
+        _read_back(stage)
+        return report
+
+
+def _read_back(stage: Path) -> None:
+    """Raise SceneError where what was written cannot be opened and decoded: nobody else could either."""
+    try:
+        package = open_package(stage)
+        for frame in {0, package.manifest.frames - 1}:
+            decode(package, frame)
+    except FormatError as error:
+        raise SceneError(f"the package cannot be read back, and is not published: {error}") from error
 
 
 def _encode(

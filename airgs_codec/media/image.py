@@ -19,6 +19,7 @@ from airgs_codec.places.whole import atomic_path
 
 Value = TypeVar("Value")
 
+WIDEST = np.radians(120)  # along the longer side of undistorted pictures
 # OpenCV counts pixel centres from 0, we have the first at 0.5: added to a matrix of theirs, it gives ours.
 TO_CENTRES = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")  # of pictures that are read
@@ -164,7 +165,8 @@ def fit_lens(
 ) -> Lens:
     """The lens whose pinhole camera is the widest of the same size all of whose pixels the real camera saw.
 
-    `size` is (width, height), `matrix` (3, 3), `coefficients` are OpenCV's of the model.
+    It sees WIDEST at most: towards 180 degrees a pinhole camera would show next to nothing in its middle. `size` is
+    (width, height), `matrix` (3, 3), `coefficients` are OpenCV's of the model.
     """
     if fisheye:
         new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
@@ -172,6 +174,10 @@ def fit_lens(
         )
     else:
         new, _ = cv2.getOptimalNewCameraMatrix(matrix - TO_CENTRES, coefficients, size, 0)
+    least = max(size) / 2 / np.tan(WIDEST / 2)
+    if not new[0, 0] >= least:  # NaN, too
+        across = matrix[1, 1] / matrix[0, 0]
+        new = np.array([[least, 0, size[0] / 2], [0, least * across, size[1] / 2], [0, 0, 1]]) - TO_CENTRES
     return Lens(size, matrix, coefficients, fisheye, new + TO_CENTRES)
 
 
