@@ -131,7 +131,7 @@ def test_behind_the_camera_nothing_is_drawn_and_nothing_pulls():
 @pytest.mark.parametrize("depth", [0.0, 1e-30, 0.01, np.nextafter(0.01, 1), 0.010001])
 def test_on_the_near_plane_and_inside_a_gaussian_everything_is_finite(depth):
     """Means on the plane where drawing begins, and large Gaussians around the camera."""
-    view = camera(0.0, turn=0.0)
+    view = replace(camera(0.0, turn=0.0), near=0.01)
     for size in (1e-4, 0.1, 10.0):
         means = np.tile([1e-3, 2e-3, depth], (200, 1))
         (rgb, _, gradients), (expected, _, _) = both(inputs(means=means, scales=np.full((200, 3), size)), view)
