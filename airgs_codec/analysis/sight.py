@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,23 +38,23 @@ def see(cameras: Sequence[Camera], gaussians: Gaussians, renderer: Renderer = CP
     for camera in with_near_planes(cameras, gaussians):
         small = resized(camera, SIDE / max(camera.width, camera.height))
         drawn |= loaded.contribution(small).total > 0
-        if shows(loaded, small):
+        if shows(loaded, camera):
             found.append(camera)
         else:
             blind.append(camera.name)
     return Sight(found, blind, float(weights @ drawn / max(weights.sum(), np.finfo(np.float64).tiny)))
 
 
-def seeing(cameras: Iterable[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> Iterator[Camera]:
-    """Those of some cameras with near planes that see something of a frame, looked for as they are asked for."""
+def seeing(cameras: Iterable[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> list[Camera]:
+    """Those of some cameras with near planes that see something of a frame."""
     loaded = renderer.load(gaussians)
-    for camera in cameras:
-        if shows(loaded, resized(camera, SIDE / max(camera.width, camera.height))):
-            yield camera
+    return [camera for camera in cameras if shows(loaded, camera)]
 
 
 def shows(loaded: Loaded, camera: Camera) -> bool:
-    return float((loaded.draw(camera).transmittance < 1 - OPAQUE).mean()) >= LIT
+    """Whether a camera sees something."""
+    small = resized(camera, SIDE / max(camera.width, camera.height))
+    return float((loaded.draw(small).transmittance < 1 - OPAQUE).mean()) >= LIT
 
 
 def in_trained_frame(cameras: Sequence[Camera], path: Path) -> list[Camera]:

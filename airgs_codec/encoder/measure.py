@@ -15,9 +15,10 @@ import numpy as np
 from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.survey import Pictures, ViewPlan
-from airgs_codec.media.metrics import Difference, pool
+from airgs_codec.media.metrics import Difference, pool, psnr, squared_error
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
+from airgs_codec.package.region import GUESSED
 from airgs_codec.package.tables import Group, Segment
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, in_order
@@ -79,6 +80,8 @@ def with_errors(m: Manifest, group: int, errors: RungErrors) -> Group:
     PSNR is of the mean squared error over pictures, SSIM and CIEDE2000 are means. Squared errors of a rung that fewer
     pictures measure are scaled by what the error of the top rung in all pictures is to its error in these (a ratio
     estimator; Cochran, Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
+    Where views were guessed, the harder half of them alone tells the PSNR: those from where the scene was filmed may
+    be among the harder ones.
     """
     segments = zip(m.groups[group].segments, errors, strict=True)
     return replace(m.groups[group], segments=[_segment_with(m, segment, of) for segment, of in segments])
@@ -87,6 +90,8 @@ def with_errors(m: Manifest, group: int, errors: RungErrors) -> Group:
 def _segment_with(m: Manifest, segment: Segment, errors: Sequence[Sequence[Difference]]) -> Segment:
     strides = strides_of(m)
     top = np.array([difference.mse for difference in errors[0]])
+    guessed = m.region.source in GUESSED and top.any()
+    harder = np.sort(top)[len(top) // 2 :].mean() / top.mean() if guessed else 1.0
     found = {}
     for (rung, stride), differences in zip(strides.items(), errors, strict=True):
         in_these = top[::stride].mean()
@@ -98,7 +103,7 @@ def _segment_with(m: Manifest, segment: Segment, errors: Sequence[Sequence[Diffe
         levels.append(
             replace(
                 level,
-                psnr=[round(quality.psnr, 2) for quality in row],
+                psnr=[round(psnr(harder * squared_error(quality.psnr)), 2) for quality in row],
                 worst=[round(quality.worst, 1) for quality in row],
                 ssim=[round(quality.ssim, 4) for quality in row],
                 delta_e=[round(quality.delta_e, 2) for quality in row],

@@ -180,9 +180,7 @@ def _draw(
     """
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
-    deciding, measuring = (
-        list(seeing(draw_views(region, DRAWS, seed), middle, renderer)) for seed in (DECIDING, MEASURING)
-    )
+    deciding, measuring = (seeing(draw_views(region, DRAWS, seed), middle, renderer) for seed in (DECIDING, MEASURING))
     if not (deciding and measuring):
         raise ConfigError("views: expected some that show the scene, got a viewing region from which nothing is seen")
     measuring = list(held_out) if point and held_out else measuring

@@ -125,6 +125,7 @@ def _draw(region: Region, place: Place, rng: np.random.Generator, name: str) -> 
 
 
 ORBIT = "orbit"  # the source of a region that is a guess
+GUESSED = ("found", ORBIT)  # the sources where no camera was given
 SOURCES = {
     "cameras": "about the cameras of the scene",
     "found": "about places that were found by looking at the scene",
