@@ -277,10 +277,8 @@ def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:
     around[1::2] = [_nearer(camera, looked_at(around)) for camera in around[1::2]]
     where = f"a view from in front and {2 * VIEWS} around it, near and far, {np.degrees(low):.0f}° to"
     where += f" {np.degrees(high):.0f}° above the horizon{', over its floor' if stands else ''}"
-    story = (
-        f"unclear where from ({doubt}): {where}; {SAVED}" if doubt else f"an object in empty space: {where}; {SAVED}"
-    )
-    return FoundViews([front, *around], not doubt, story, guess)
+    what = f"unclear where from ({doubt})" if doubt else "an object in empty space"
+    return FoundViews([front, *around], not doubt, f"{what}: {where}; {SAVED}", guess)
 
 
 def _nearer(camera: Camera, centre: Vector) -> Camera:

@@ -127,7 +127,7 @@ def sample_of(g: Gaussians) -> CalibrationSample:
         index=np.arange(len(g)),
         key=frames[0],
         frames=frames,
-        classes=classify_motion(sensitivity.means, frames[0]),
+        classes=classify_motion(sensitivity.means, frames[0], 1.0),
         sensitivity=sensitivity,
         moving=np.ones(len(g), bool),
         factors=np.ones(len(g)),
