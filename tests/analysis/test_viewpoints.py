@@ -25,7 +25,7 @@ def directions_of(found):
 
 def test_an_object_is_seen_from_all_around_and_neither_from_straight_above_nor_from_below():
     found = find_viewpoints([ball()], np.array([0.0, 1.0, 0.0]))
-    assert found.confident and "-20° to 45° above the horizon" in found.story
+    assert found.confident and "-30° to 60° above the horizon" in found.story
     sides = -directions_of(found)
     low, high = np.sin(AROUND)
     assert low <= sides[:, 1].min() < 0 and 0.5 < sides[:, 1].max() <= high
@@ -56,8 +56,7 @@ def test_an_object_stands_as_it_is_told():
 
 def test_the_fox_is_seen_as_it_was_trained():
     found = find_viewpoints([read_ply(path) for path in sorted(FOX.glob("*.ply"))[:2]])
-    assert found.confident and 8 <= len(found.cameras) <= 16
-    assert (places_of(found)[:, 1] > 0).all()
+    assert found.confident and (places_of(found)[:, 1] > 0).all()
 
 
 @pytest.fixture(scope="module")
@@ -66,14 +65,16 @@ def room():
 
 
 def test_a_place_is_seen_from_where_it_was_filmed(room):
-    assert room.confident and 8 <= len(room.cameras) <= 16
-    assert (places_of(room)[:, 2] < 4).all() and (directions_of(room)[:, 2] > 0.5).all()
-    assert all(render(filmed_room(), camera).transmittance.mean() < 0.1 for camera in room.cameras)
+    first = slice(8)  # of the best ones, from which viewers begin; the others are from all over it
+    assert room.confident and len(room.cameras) > 16
+    assert (places_of(room)[first, 2] < 4).all() and (directions_of(room)[first, 2] > 0.5).all()
+    assert all(render(filmed_room(), camera).transmittance.mean() < 0.1 for camera in room.cameras[first])
+    assert np.ptp(places_of(room), axis=0).min() > 1.5 * np.ptp(places_of(room)[first], axis=0).min()
 
 
 def test_where_nothing_is_clear_it_says_so_and_looks_from_everywhere():
     found, again = (find_viewpoints([needles(800)]) for _ in range(2))
-    assert not found.confident and "unclear" in found.story and len(found.cameras) == 13
+    assert not found.confident and "unclear" in found.story
     np.testing.assert_array_equal(places_of(again), places_of(found))
 
 
@@ -96,7 +97,7 @@ def test_broken_rows_are_passed_over():
 def test_a_scene_that_cannot_be_seen_has_views_all_the_same():
     g = random_gaussians(10)
     found = find_viewpoints([replace(g, opacity_logits=np.full(10, -20, np.float32))])
-    assert not found.confident and len(found.cameras) == 13
+    assert not found.confident
 
 
 def test_huge_numbers_do_not_confuse_it():
