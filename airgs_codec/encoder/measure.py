@@ -89,12 +89,14 @@ def with_errors(m: Manifest, group: int, errors: RungErrors) -> Group:
 
 def _segment_with(m: Manifest, segment: Segment, errors: Sequence[Sequence[Difference]]) -> Segment:
     strides = strides_of(m)
-    top = np.array([difference.mse for difference in errors[0]])
+    shows = np.array([not difference.blank for difference in errors[0]])
+    shows |= not shows.any()
+    top = np.array([difference.mse for difference in errors[0]])[shows]
     guessed = m.region.source in GUESSED and top.any()
     harder = np.sort(top)[len(top) // 2 :].mean() / top.mean() if guessed else 1.0
     found = {}
     for (rung, stride), differences in zip(strides.items(), errors, strict=True):
-        in_these = top[::stride].mean()
+        in_these = np.mean([one.mse for one in errors[0][::stride] if not one.blank] or [0.0])
         scale = top.mean() / in_these if in_these else 1.0
         found[rung] = pool([replace(one, mse=scale * one.mse) for one in differences])
     levels = []

@@ -68,10 +68,19 @@ def compare_streams(
 def pool_splits(found: Mapping[str, Sequence[Difference]], views: Sequence[View]) -> dict[str, dict[str, Quality]]:
     """The quality of every stream in each split of the cameras; `found`: a difference for each of the views."""
     splits = {split: [view[1].split == split for view in views] for split in splits_of([view[1] for view in views])}
+    expect_something(next(iter(found.values())))
     return {
         split: {name: pool(list(itertools.compress(errors, inside))) for name, errors in found.items()}
         for split, inside in splits.items()
     }
+
+
+def expect_something(differences: Sequence[Difference]) -> int:
+    """How many of some pictures show nothing. Raises ConfigError where none shows anything."""
+    blank = sum(difference.blank for difference in differences)
+    if blank == len(differences):
+        raise ConfigError(f"views: expected some that show something, got {blank} pictures of nothing")
+    return blank
 
 
 def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, Quality | None]:
@@ -115,8 +124,9 @@ class Comparison:
     frames: tuple[int, ...]
     cameras: tuple[str, ...]  # their names
     gaussians: tuple[tuple[int, int], tuple[int, int]]  # of A and of B: fewest and most rows of a frame
-    quality: Quality
+    quality: Quality  # of pictures that show something
     pictures: tuple[Seen, ...]  # all, frame after frame
+    blank: int = 0  # of them, which show nothing of either
 
     @property
     def ranked(self) -> list[Seen]:
@@ -178,7 +188,8 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
     """B against A in the same frames and views, at least one of each.
 
     PSNR is of the mean squared error over all pictures (`media.metrics.PSNR_CAP` where there is none), SSIM and
-    CIEDE2000 are means. Raises SceneError or FormatError for a frame that cannot be read.
+    CIEDE2000 are means. Raises ConfigError where no picture shows anything, SceneError or FormatError for a frame that
+    cannot be read.
     """
     views = [(number, camera) for number in frames for camera in cameras]
     rows: tuple[list[int], list[int]] = ([], [])
@@ -196,6 +207,7 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
         gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
         quality=pool(differences),
         pictures=tuple(Seen(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)),
+        blank=expect_something(differences),
     )
 
 
@@ -213,6 +225,7 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
         "compared": _side(b, result.gaussians[1]),
         "frames": list(result.frames),
         "cameras": list(result.cameras),
+        "blank": result.blank,
         "quality": dataclasses.asdict(result.quality),
         "worst": result.worst.to_json(),
         "typical": result.typical.to_json(),
@@ -242,6 +255,7 @@ def format_two(a: Side, b: Side, result: Comparison, views: str, notes: Iterable
             f"B: {_words(b, result.gaussians[1])}, {b.bytes_per_frame / a.bytes_per_frame:.3g} times those of A",
             f"{len(frames)} frame{'s' * (len(frames) > 1)} ({frames[0]} to {frames[-1]}) in {views}",
             *(f"left out: {note}" for note in notes),
+            *([f"not counted: {result.blank} pictures that show nothing"] if result.blank else []),
             f"PSNR    {q.psnr:.2f} dB pooled over pictures{claim}",
             f"SSIM    {q.ssim:.4f}",
             f"ΔE2000  {q.delta_e:.2f}",

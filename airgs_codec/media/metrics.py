@@ -102,11 +102,13 @@ class Difference:
     mse: float  # mean squared error over pixels and channels
     ssim: float  # mean over pixels and channels
     delta_e: float  # CIEDE2000, mean over pixels
+    blank: bool = False  # both are the same colour all over: they show nothing, and tell nothing
 
     @staticmethod
     def of(reference: Picture, shown: Picture) -> Difference:
         """Every figure of two pictures of one size."""
-        return Difference(reference.mse(shown), reference.ssim(shown), reference.delta_e(shown))
+        error, blank = reference.mse(shown), bool((reference.rgb == shown.rgb[0, 0]).all())
+        return Difference(error, reference.ssim(shown), reference.delta_e(shown), blank and error == 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +122,8 @@ class Quality:
 
 
 def pool(differences: Sequence[Difference]) -> Quality:
-    """The quality of all of some pictures together, at least one."""
+    """The quality of all of some pictures together, at least one: of those that show something, if any does."""
+    differences = [d for d in differences if not d.blank] or differences
     count, squared = len(differences), [d.mse for d in differences]
     ssim, delta_e = (sum(getattr(d, name) for d in differences) / count for name in ("ssim", "delta_e"))
     return Quality(psnr(sum(squared) / count), psnr(max(squared)), ssim, delta_e)
