@@ -48,7 +48,6 @@ PSNR = Metric("PSNR", "dB", 0.1, -20 / math.log(10), PSNR_CAP, ", that of equal 
 DELTA_E = Metric("ΔE", "ΔE", 0.02, -0.6, 100.0, ", that of black and white", 0.01)
 SIZE = Metric("kB/frame", "kB", 0.01, -0.75)
 TRIALS = 8
-ENOUGH = 2.5  # tolerances by which a trial may miss before the last step
 FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
 
 FRAMES = 6  # of the sequence, whose colours tell which directions are seen
@@ -105,10 +104,10 @@ class Goal:
 def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> float:
     """A quality factor at which `trial` gives what the goal asks for; the search begins at `start`.
 
-    It is met to its tolerance, or to ENOUGH of them and then stepped to without a trial; or as near as TRIALS trials
-    came where some lie on both sides of it. The search steps by the metric's slope until two trials lie on both sides
-    of the goal, then by regula falsi between the nearest two: trials are noisy by more than a tolerance where few
-    Gaussians decide, so no slope between two of them can be trusted. Raises OutOfReachError.
+    It is met to its tolerance, or as near as TRIALS trials came where some lie on both sides of it. The search steps by
+    the metric's slope until two trials lie on both sides of the goal, then by regula falsi between the nearest two:
+    trials are noisy by more than a tolerance where few Gaussians decide, so no slope between two of them can be
+    trusted, and no step that was not tried is taken. Raises OutOfReachError.
     """
     slope = goal.metric.slope / goal.tolerance
     seen: dict[float, float] = {}
@@ -118,8 +117,6 @@ def find_quality(goal: Goal, trial: Callable[[float], float], start: float) -> f
         if abs(miss) <= 1:
             return factor
         factor = min(max(_next_factor(seen, slope), FACTORS[0]), FACTORS[1])
-        if abs(miss) <= ENOUGH:
-            return factor
         if factor in seen:
             break
     best = min(seen, key=lambda f: abs(seen[f]))

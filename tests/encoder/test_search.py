@@ -65,18 +65,6 @@ def test_a_search_ends_at_its_goal():
             Goal(metric, value)
 
 
-def test_the_last_small_step_needs_no_trial():
-    """Steps grow by a fifth of a decibel that is too much, at 20 dB for ten times the steps. A third is tried again."""
-    tried = []
-
-    def trial(factor):
-        tried.append(factor)
-        return 43.2 - 20 * math.log10(factor)
-
-    assert find_quality(Goal(PSNR, 43.0), trial, 1.0) == pytest.approx(10 ** (0.2 / 20)) and tried == [1.0]
-    assert find_quality(Goal(PSNR, 42.87), trial, 1.0) == pytest.approx(10 ** (0.33 / 20)) and len(tried) == 3
-
-
 def test_a_colour_difference_ten_times_as_large_as_asked_for_is_none():
     assert find_quality(Goal(DELTA_E, 0.01), lambda _: 0.02, 1.0) == 1.0  # what tables round
     with pytest.raises(ConfigError, match=r"0\.01 ΔE is out of reach, the nearest was 0\.1 at"):
