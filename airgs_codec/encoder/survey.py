@@ -182,7 +182,8 @@ def _draw(
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
     deciding, measuring = (seeing(draw_views(region, DRAWS, seed), middle, renderer) for seed in (DECIDING, MEASURING))
     if not (deciding and measuring):
-        raise ConfigError("views: expected some that show the scene, got a viewing region from which nothing is seen")
+        why = "places, sizes, opacities or colours of its Gaussians are beyond what pictures show"
+        raise ConfigError(f"views: expected some that show the middle frame, got {2 * DRAWS} of nothing: {why}")
     measuring = list(held_out) if point and held_out else measuring
     small = region.width * region.height <= SMALL_PIXELS
     decided = 2 * pictures if small else pictures

@@ -309,7 +309,7 @@ def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_pat
     g = random_gaussians(20)
     wild = Gaussians(g.means, g.quaternions, g.log_scales, g.opacity_logits, g.sh_dc * np.float32(1e30), g.sh_rest)
     folder = write_sequence(tmp_path / "wild", [wild])
-    with pytest.raises(SceneError, match="codes"):
+    with pytest.raises(ConfigError, match="colours of its Gaussians are beyond"):
         encode(open_sequence(folder), good.files.path, FAST)
     assert {p.name: p.read_bytes() for p in good.files.path.iterdir() if p.is_file()} == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "scene", "wild"]  # no stage is left behind
