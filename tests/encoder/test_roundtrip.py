@@ -15,7 +15,7 @@ from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
-from airgs_codec.errors import ConfigError, FormatError, SceneError
+from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.media.metrics import mse, psnr
