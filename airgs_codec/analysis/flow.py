@@ -95,7 +95,7 @@ def _ties(points: Vectors, nodes: Vectors) -> csr_array:
     count = min(NEAR, len(nodes))
     away, which = cKDTree(nodes).query(points, k=count, workers=-1)
     away, which = away.reshape(len(points), count), which.reshape(len(points), count)
-    width = np.maximum(away[:, -1:], 1e-12)
+    width = np.maximum(away[:, -1:], np.finfo(np.float64).tiny)  # 0 / 0 where nodes are at one point
     values = np.maximum(np.exp(-2 * np.square(away / width)), 1e-6)
     values /= values.sum(axis=1, keepdims=True)
     starts = np.arange(0, count * len(points) + 1, count)

@@ -25,7 +25,7 @@ from airgs_codec.scene.formats.form import Axes
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
-FORGIVEN_SHARE = 1e-9  # of 1 + the largest coordinate, beyond the reach: positions that come from matrices round
+FORGIVEN_SHARE = 1e-9  # of how far the focus is, or a coordinate, beyond the reach: positions from matrices round
 LEVELLING = 100  # steps to what is upright: with more, rounding would speak where places say nothing
 DECIDING, MEASURING, CHECKING = 0, 1, 2  # seeds of draws: for an encoder, for its tables, for whoever checks them
 AXES = {sign + name: tuple(int(f"{sign}1") * (name == axis) for axis in "xyz") for name in "xyz" for sign in ("", "-")}

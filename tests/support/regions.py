@@ -48,7 +48,8 @@ def is_inside(region: Region, camera: Camera) -> bool:
     places = [asdict(place) for place in region.places]
     ahead = camera.world_to_camera[2, :3].tolist()
     distance, degrees = departure(places, region.turn, camera.position.tolist(), ahead)
-    return distance <= FORGIVEN_SHARE * (1 + np.abs(camera.position).max()) and degrees <= FORGIVEN_DEGREES
+    size = max(np.abs(camera.position).max(), *(np.abs(np.subtract(p.focus, p.position)).max() for p in region.places))
+    return distance <= FORGIVEN_SHARE * size and degrees <= FORGIVEN_DEGREES
 
 
 # For tests of what becomes of packages: two small pictures of a group decide, and nothing is left out for lack of more.

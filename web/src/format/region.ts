@@ -52,11 +52,10 @@ interface Departure {
 
 const DEGREES = 180 / Math.PI;
 
-const slack = (position: Vector) => FORGIVEN_SHARE * (1 + Math.max(...position.map(Math.abs)));
-
 function departureFrom(place: Place, turn: number, { position, forward }: Viewer): Departure {
   const at = vector(position);
-  const forgiven = slack(at);
+  const sizes = [length(minus(place.focus, place.position)), ...at.map(Math.abs)];
+  const forgiven = FORGIVEN_SHARE * Math.max(...sizes);
   const beyond = length(minus(at, place.position)) - place.reach;
   const ahead = minus(place.focus, at);
   const distant = length(ahead);
