@@ -2,13 +2,13 @@
 
 import json
 import math
+import shlex
 from dataclasses import replace
 
 import pytest
 
 from airgs_codec.errors import ConfigError
 from tests.support.paths import REPOSITORY
-from tests.tools.lab.test_lab import MADE, page
 from tools.lab import published
 from tools.lab.baselines import rivals
 from tools.lab.bench import (
@@ -22,18 +22,28 @@ from tools.lab.bench import (
     viewpoints,
 )
 from tools.lab.command import PROGRAM, measurement_of
-from tools.lab.experiments import MEASUREMENTS, NO_LONGER_MEASURED, Measurement
+from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
 from tools.lab.numerics import extremes, stiff, work_precision
-from tools.lab.page import Table
+from tools.lab.page import Made, Page, Picture, Section, Table
 from tools.lab.paper import reproduce
 from tools.lab.rd import experiment as rd
 from tools.lab.rd.subject import RdPoint
 
+MADE = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
 PAGES = sorted(published.RESULTS.glob("*.md"))
 ENTRY = {
     "command": "airgs-encode --levels 7", "answers": ["It takes 1.5 s, 4 of 9."], "seconds": 81.2,
     "tables": {"a": {"columns": ["kb", "share"], "rows": [[13.84, 0.2571], [1236.4, -0.000213]]}},
 }  # fmt: skip
+
+
+def page(failed=False):
+    rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
+    table = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
+    picture = Picture("line", "A line", lambda figure: figure.subplots().plot([1, 2]), (2, 1))
+    return Page(
+        [Section("It takes 1 ms.", "How long?", [picture], [table]), Section("No.", "More?")], "By hand.", failed
+    )
 
 
 def own(name):
@@ -213,3 +223,21 @@ def test_why_the_horizon_stays_is_so_in_the_figures():
         assert min(waits, key=waits.get) == question.default[1] and len(waits) > 3
         qoe = {row["setting"]: row["error"] for row in found if row["scene"] == scene}
         assert qoe["1"] > qoe[question.default[1]] - question.enough
+
+
+def test_every_picture_of_the_documents_is_of_a_measurement_or_of_the_table_of_figures():
+    assert len({one.file for one in FIGURES}) == len(FIGURES)
+    for one in FIGURES:
+        assert (REPOSITORY / one.file).is_file() and (REPOSITORY / one.document).is_file(), one
+    measured = {f"docs/results/{name}.png" for entry in published.read_figures().values() for name in entry["pictures"]}
+    there = {p.relative_to(REPOSITORY).as_posix() for p in (REPOSITORY / "docs").rglob("*") if p.is_file()}
+    made = {one.file for one in FIGURES} | measured | {"docs/results/figures.json"}
+    assert {file for file in there if not file.endswith(".md")} == made
+
+
+def test_commands_of_the_table_of_figures_are_commands():
+    from tools.check_docs import command_error
+
+    for command in {one.command for one in FIGURES} | {f"{PROGRAM} {one.words}" for one in MEASUREMENTS}:
+        if not command.startswith("("):
+            assert command_error(shlex.split(command), whole=True) is None, command
