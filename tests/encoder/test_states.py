@@ -5,17 +5,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding.channels import LEAST_DRAWN
 from airgs_codec.coding.escapes import LIMIT, UNIT
 from airgs_codec.encoder.level import LEAST_HIDDEN, hide_undrawn
 
 
-@given(npst.arrays(np.float64, (6, 5), elements=st.sampled_from([0.0, 0.002, 0.02, 0.3, 1.0])), st.floats(0.001, 0.02))
+@given(
+    npst.arrays(np.float64, (6, 5), elements=st.sampled_from([0.0, 0.002, 0.005, 0.02, 0.3, 1.0])),
+    st.floats(0.001, 0.02),
+)
 def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were(alpha, unit):
     base = np.array([0.0, 0.01, 0.3, 0.6, 1.0])
     changes, bases = hide_undrawn(alpha - base, base, unit)
     shown = base + changes - bases * UNIT * unit
-    drawn = alpha >= LEAST_DRAWN
+    drawn = alpha >= 1 / 255
     np.testing.assert_allclose(shown[drawn], alpha[drawn], atol=1e-12)
     assert (bases[drawn] == 0).all()
     hidden = bases > 0

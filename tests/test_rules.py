@@ -1,0 +1,96 @@
+"""Rules and constants that decide, each by what would come out if it were another."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from airgs_codec import decoder
+from airgs_codec.coding.channels import hold_undrawn
+from airgs_codec.decoder.decode import decode, decode_frames
+from airgs_codec.encoder.omit import omit_bands
+from airgs_codec.encoder.plan import tier_factors
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
+from airgs_codec.media.metrics import squared_error
+from airgs_codec.media.mp4 import sound_init
+from airgs_codec.package.package import open_package
+from airgs_codec.play.ladder import Decision
+from airgs_codec.play.offers import Offers
+from airgs_codec.play.policies.state import Policy
+from airgs_codec.play.session import simulate
+from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.trainer.fit.losses import codec_steps
+from tests.play.test_session import link, rules
+from tests.support.manifests import tiny_manifest
+from tests.support.paths import VALID
+from tests.support.scenes import random_gaussians, write_sequence
+from tests.support.views import ring
+
+
+def test_a_row_has_its_first_drawn_value_before_it_is_drawn_and_its_last_one_after():
+    channels = np.array([[[9.0]], [[1.0]], [[9.0]], [[2.0]], [[9.0]]])
+    hold_undrawn(channels, np.array([[False], [True], [False], [True], [False]]))
+    assert channels.ravel().tolist() == [1, 1, 1, 2, 2]
+
+
+def test_factors_of_tiers_are_at_most_three_apart():
+    factors = tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
+    assert max(factors) / min(factors) == pytest.approx(3, rel=0.01)
+
+
+def test_bands_go_where_they_cost_less_than_half_of_what_their_bytes_are_worth(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path / "scene", [random_gaussians(200, degree=1)]))
+    settings = EncodeSettings(decide_pictures=4)
+    survey = survey_group(sequence, GroupSpan(0, 0, 1), plan_views(sequence, settings))
+
+    def left(price):
+        return omit_bands(sequence, survey, replace(settings, byte_price=price))
+
+    words = left(1e3)[1].split()
+    error, size = squared_error(float(words[words.index("dB") - 1])), 1e3 * float(words[words.index("kB/frame") - 1])
+    assert [left(share * error / size)[0] for share in (1.5, 2.5)] == [1, 0]
+
+
+def test_a_policy_knows_the_downloads_that_are_over_and_before_them_the_tables_with_their_wait():
+    seen = []
+
+    def watch(state):
+        seen.append(state.history)
+        return Decision(0, True, "watch", state.options[0].size_bytes)
+
+    m = tiny_manifest(groups=(10, 10, 10))
+    log = simulate(Offers(m, 0, 1000), link([8e4], rtt=0.1), Policy("watch", watch), rules(pipelined=True))
+    tables, first = (next(f for f in log.fetches if (f.kind == "tables") is is_table) for is_table in (True, False))
+    assert [len(history) for history in seen] == [1, 1, 1]  # the second is on its way when the third is asked for
+    assert seen[0][0].seconds == pytest.approx(tables.arrival_s - tables.request_s)
+    assert seen[1][0].bytes == seen[2][0].bytes == first.bytes
+
+
+def test_steps_of_opacity_are_finite_where_its_slope_is_none():
+    g = replace(random_gaussians(2), opacity_logits=np.array([20, 0], np.float32))
+    saturated, half = codec_steps(g, ring(2))["opacity_logits"].tolist()
+    assert saturated / half == pytest.approx(0.25 / 0.02)
+
+
+def test_sound_begins_four_packets_before_it_is_heard():
+    box = sound_init(2, 312)
+    at = box.index(b"roll")
+    assert int.from_bytes(box[at + 12 : at + 14], "big", signed=True) == -4
+
+
+def test_frames_cannot_be_written_to_and_few_groups_stay_decoded(monkeypatch):
+    package = open_package(VALID / "two-groups-sh1")
+    for frame in decode_frames(package, 0, 1):
+        with pytest.raises(ValueError, match="read-only"):
+            frame.gaussians.log_scales[0] = 0
+    counted, found = [], decoder.decode.decode_canonical
+    monkeypatch.setattr(decoder.decode, "decode_canonical", lambda *of: counted.append(of) or found(*of))
+    turns = [0, package.manifest.frames - 1] * 2
+    for most, wanted in ((-1, 4), (10**9, 2)):
+        monkeypatch.setattr(decoder.decode, "DECODED_ROWS", most)
+        again = open_package(VALID / "two-groups-sh1")
+        counted.clear()
+        for frame in turns:
+            decode(again, frame)
+        assert len(counted) == wanted
