@@ -71,8 +71,8 @@ def test_a_video_of_another_size_than_its_camera_is_refused_before_it_is_decoded
     end = data.index(b"moov") - 4
     (tmp_path / "b.mp4").write_bytes(data[:start] + bytes(end - start) + data[end:])
     source = Source(tmp_path / "b.mp4", 1)
-    with pytest.raises(SceneError, match=r"b.mp4 frame 1: expected a picture of 24x32, got 32x24"):
-        source.read((24, 32))
+    with pytest.raises(SceneError, match=r"b.mp4: expected pictures of 24x33, got 32x24"):
+        source.read((24, 33))
     with pytest.raises(SceneError):
         source.read((32, 24))
 

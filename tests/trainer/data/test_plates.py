@@ -135,7 +135,7 @@ def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance():
         assert 0.02 < settled.moving.mean() < 0.7
 
 
-@pytest.mark.parametrize("what", ["turned", "zoomed", "cropped", "missing"])
+@pytest.mark.parametrize("what", ["turned", "zoomed", "cropped"])
 def test_cameras_that_move_have_no_plates(what):
     scene = open_scene(FOX_VIEWS)
     assert stands_still(scene)
@@ -147,7 +147,7 @@ def test_cameras_that_move_have_no_plates(what):
         changed = replace(camera, height=100)
     else:
         changed = replace(camera, fx=camera.fx * 1.01)
-    shots = shots[1:] if what == "missing" else [shots[0], replace(shots[1], camera=changed), *shots[2:]]
+    shots[1] = replace(shots[1], camera=changed)
     scene = replace(scene, frames=(*scene.frames[:2], tuple(shots), *scene.frames[3:]))
     assert not stands_still(scene)
     assert rested(Capture.of(scene, TrainSettings(), "cpu")).plates == {}
