@@ -158,7 +158,7 @@ class VideoReader:
         if first is None:
             raise SceneError(f"{self._path}: expected a video, no picture of it can be decoded")
         odd = {
-            "turned upright": min(_display_matrix(first)[::3]) <= 0,
+            "turned upright": (_turn(first) != np.eye(2)).any(),
             "interlaced, rows may be of two moments": first.interlaced_frame,
             f"pixels {pixels} as wide as high, left as they are stored": pixels not in (None, 0, 1),
         }
@@ -223,16 +223,16 @@ class VideoReader:
 
     def _upright(self, frame: av.VideoFrame) -> NDArray[np.uint8]:
         """(H, W, 3) a picture as players show it. Raises SceneError where that is not turned by right angles."""
-        picture, (a, b, c, d) = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), _display_matrix(frame)
-        if a == d == 0:
-            picture, a, b, c, d = picture.transpose(1, 0, 2), c, 0, 0, b
-        if b or c or not (a and d):
+        picture, turn = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), _turn(frame)
+        if not turn.diagonal().any():
+            picture, turn = picture.transpose(1, 0, 2), turn[::-1]
+        if (abs(turn) != np.eye(2)).any():
             raise SceneError(f"{self._path}: expected pictures turned by right angles, got {frame.rotation} degrees")
-        return np.ascontiguousarray(picture[:: 1 if d > 0 else -1, :: 1 if a > 0 else -1])
+        return np.ascontiguousarray(picture[:: turn[1, 1], :: turn[0, 0]])
 
 
-def _display_matrix(frame: av.VideoFrame) -> tuple[int, ...]:
-    """a, b, c, d of a picture whose point (x, y) is shown at (a x + c y, b x + d y), but for where its corner is."""
+def _turn(frame: av.VideoFrame) -> NDArray[np.intp]:
+    """(2, 2) the signs of x and y where players show a step to the right of a picture, and one down."""
     data: Any = frame.side_data.get("DISPLAYMATRIX")
-    a, b, _, c, d = (1, 0, 0, 0, 1) if data is None else np.frombuffer(bytes(data), np.int32)[:5].tolist()
-    return a, b, c, d
+    matrix = np.eye(3) if data is None else np.frombuffer(bytes(data), np.int32).reshape(3, 3)
+    return np.sign(matrix[:2, :2]).astype(np.intp)

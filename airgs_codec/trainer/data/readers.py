@@ -158,9 +158,7 @@ def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene
     shown = [{at + frame: n for frame, n in c.pictures.items()} for at, c in zip(late, clocks, strict=True)]
     common = set.intersection(*map(set, shown))
     if not common:
-        raise SceneError(
-            f"{folder}: expected videos with a moment in common, they begin up to {max(late)} frames apart"
-        )
+        raise SceneError(f"{folder}: expected videos of one time, they begin up to {max(late)} frames apart")
     every = sorted(set().union(*shown))
     moments = [frame for frame in every if min(common) <= frame <= max(common)]
     frames = tuple(
@@ -170,13 +168,12 @@ def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene
     told: dict[str, list[str]] = {}
     for film, clock, at, of in zip(films, clocks, late, shown, strict=True):
         dropped = sum(moment not in of for moment in moments)
-        found = {f"begins {at} frames late": at, f"{dropped} frames dropped": dropped} | dict.fromkeys(clock.remarks, 1)
-        for remark in (remark for remark, is_so in found.items() if is_so):
+        counts = {f"begins {at} frames late": at, f"{dropped} frames dropped": dropped}
+        for remark in (*clock.remarks, *(words for words, count in counts.items() if count)):
             told.setdefault(remark, []).append(film.shot.camera.name)
     words = [f"{remark}: {shortened(names)}" for remark, names in told.items()]
-    left = {"at the ends that not all cameras have": len(every) - len(moments)}
-    left["that no camera has"] = max(common) + 1 - min(common) - len(moments)
-    words += [f"{count} frames {which} are left out" for which, count in left.items() if count]
+    if cut := max(every) + 1 - len(moments):
+        words.append(f"{cut} frames are left out, which no camera has, or at the ends not all have")
     note = f"{len(moments)} frames of {float(fps):g} a second, joined by time; {'; '.join(words)}"
     return MultiviewScene(folder, fps, frames, notes=(note,) if words else ())
 
