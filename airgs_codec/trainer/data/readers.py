@@ -168,12 +168,12 @@ def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene
     told: dict[str, list[str]] = {}
     for film, clock, at, of in zip(films, clocks, late, shown, strict=True):
         dropped = sum(moment not in of for moment in moments)
-        counts = {f"begins {at} frames late": at, f"{dropped} frames dropped": dropped}
+        counts = {f"begins {float(at / fps):.3g} s late": at, f"{dropped} of {len(moments)} frames dropped": dropped}
         for remark in (*clock.remarks, *(words for words, count in counts.items() if count)):
             told.setdefault(remark, []).append(film.shot.camera.name)
     words = [f"{remark}: {shortened(names)}" for remark, names in told.items()]
     if cut := max(every) + 1 - len(moments):
-        words.append(f"{cut} frames are left out, which no camera has, or at the ends not all have")
+        words.append(f"left out are {cut} of {max(every) + 1} frames, which no camera has, or at the ends not all have")
     note = f"{len(moments)} frames of {float(fps):g} a second, joined by time; {'; '.join(words)}"
     return MultiviewScene(folder, fps, frames, notes=(note,) if words else ())
 

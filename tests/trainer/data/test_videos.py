@@ -74,11 +74,11 @@ def filmed(folder, a, b, suffix=".mp4"):
 
 NINE = range(9)
 RIGS = [  # times of two cameras, and those of the frames in which one of them has a picture
-    ("2 frames dropped: b", NINE, [0, 1, 2, 5, 6, 7, 8], NINE),
-    ("begins 3 frames late: b; 3 frames are left out", NINE, range(3, 9), range(3, 9)),
-    ("4 frames are left out", NINE, range(5), range(5)),
-    ("1 frames dropped: a, b", [0, 2, 3, 4], [0, 1, 2, 4], range(5)),
-    ("2 frames are left out, which no camera has", [0, 1, 4, 5], [0, 1, 4, 5], [0, 1, 4, 5]),
+    ("2 of 9 frames dropped: b", NINE, [0, 1, 2, 5, 6, 7, 8], NINE),
+    ("begins 0.12 s late: b; left out are 3 of 9 frames", NINE, range(3, 9), range(3, 9)),
+    ("left out are 4 of 9 frames", NINE, range(5), range(5)),
+    ("1 of 5 frames dropped: a, b", [0, 2, 3, 4], [0, 1, 2, 4], range(5)),
+    ("left out are 2 of 6 frames, which no camera has", [0, 1, 4, 5], [0, 1, 4, 5], [0, 1, 4, 5]),
     ("rate varies, pictures are up to 0.3 frames off and 0 too many: b", NINE, [0, 1.3, 2, 2.7, *range(4, 9)], NINE),
     ("rate varies, pictures are up to 0.2 frames off and 1 too many: b", NINE, [0, 1, 2, 2.2, *range(3, 9)], NINE),
 ]
@@ -120,7 +120,7 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys, suffix, 
 def test_a_rig_with_holes_has_plates_and_offsets_and_says_what_it_lacks(tmp_path, capsys):
     scene = open_scene(filmed(tmp_path, range(9), [0, 1, 3, 4, 6, 7, 8]))
     match_cameras(scene, (0, None), "auto", None, quiet=False)
-    assert capsys.readouterr().out == f"{tmp_path}: 9 frames of 25 a second, joined by time; 2 frames dropped: b\n"
+    assert capsys.readouterr().out == f"{tmp_path}: 9 frames of 25 a second, joined by time; 2 of 9 frames dropped: b\n"
     capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
     assert set(capture.plates) == {"a", "b"}
     assert [len(capture.target(t, t - 1).moving) for t in (1, 2, 3)] == [2, 1, 2]
