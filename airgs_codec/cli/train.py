@@ -29,7 +29,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
 from airgs_codec.trainer import default_model, default_settings, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
-from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.readers import open_scene, shortened
 from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS, TrainSettings, preset
 
 if TYPE_CHECKING:  # torch is imported when training begins
@@ -41,7 +41,6 @@ FIT_ITERATIONS = ("first_iterations", "key_iterations", "frame_iterations")
 EFFORTS = {"quick": 0.4, "normal": 1.0, "high": 2.5}
 MATCHED_DB = 0.2  # that held-out views gain by matching their exposure, from which a frame says so
 PAGE_SHARE = 10  # times as long as it takes to write a page is trained before the next one
-SHOWN = 4  # cameras that a line names, those furthest out of step
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 
@@ -171,6 +170,8 @@ def match_cameras(
     """
     from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets  # what they import takes a second
 
+    for note in () if quiet else scene.notes:
+        say(f"{scene.path}: {note}")
     if sync not in (AUTO, OFF):
         return in_step(scene, read_offsets(Path(sync)), span)
     if known is not None:
@@ -181,9 +182,8 @@ def match_cameras(
     if found and not quiet:
         order = sorted(found, key=lambda name: -abs(found[name]))
         words = [f"{name} is {abs(found[name]):g} frames {'late' if found[name] > 0 else 'early'}" for name in order]
-        more = f" and {len(words) - SHOWN} more" if len(words) > SHOWN else ""
         left = f"all have {len(matched)} of {len(range(*frames_of(scene, span)))} frames"
-        say(f"{', '.join(words[:SHOWN])}{more}: matched, {left}; --sync off leaves it")
+        say(f"{shortened(words)}: matched, {left}; --sync off leaves it")
     return matched
 
 

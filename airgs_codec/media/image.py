@@ -22,6 +22,7 @@ Value = TypeVar("Value")
 WIDEST = np.radians(120)  # along the longer side of undistorted pictures
 # OpenCV counts pixel centres from 0, we have the first at 0.5: added to a matrix of theirs, it gives ours.
 TO_CENTRES = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+ORIENTATION = 0x0112  # of EXIF; 1: as it is stored
 _FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")  # of pictures that are read
 
 
@@ -79,6 +80,8 @@ def _read(path: Path, size: tuple[int, int] | None, take: Callable[[Image.Image]
         if not path.is_file():  # opening a pipe would wait
             raise ValueError("No such file")
         with Image.open(path, formats=_FORMATS) as picture:
+            if picture.format == "TIFF" and picture.getexif().get(ORIENTATION, 1) != 1:
+                raise ValueError("stored as it is shown, got a TIFF with an orientation")
             found = picture.size
             if size in (None, found):
                 return take(picture)
@@ -87,6 +90,14 @@ def _read(path: Path, size: tuple[int, int] | None, take: Callable[[Image.Image]
         raise SceneError(f"{path}: expected a picture: {reason}") from error
     expected, got = (f"{width}x{height}" for width, height in (size or found, found))
     raise SceneError(f"{path}: expected a picture of {expected}, got {got}")
+
+
+def is_turned(path: Path) -> bool:
+    """Whether the header of a picture says that it is shown turned, which `read_picture` leaves as it is stored."""
+    try:
+        return _read(path, None, lambda picture: "exif" in picture.info and picture.getexif().get(ORIENTATION, 1) != 1)
+    except SceneError:
+        return False  # whoever reads it says why
 
 
 def _samples(picture: Image.Image) -> NDArray[np.uint8]:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -18,6 +21,7 @@ from airgs_codec.media.sound import LAYOUTS
 from airgs_codec.places.whole import atomic_path
 
 X264_OPTIONS = {"crf": "18", "preset": "medium"}  # nearly without visible loss
+MOST_OFF = 0.25  # frames that a picture may be beside an even rate before that is said
 
 
 def write_movie(
@@ -70,26 +74,110 @@ class _Voice:
         self._container.mux(self._stream.encode(None))
 
 
+@dataclass(frozen=True, slots=True)
+class Clock:
+    """When the pictures of a video are shown, in frames of an even rate."""
+
+    fps: Fraction | None  # None: nothing tells it
+    start_s: Fraction  # when frame 0 is shown
+    pictures: Mapping[int, int]  # frame -> the number of its picture; a frame that was dropped has none
+    remarks: tuple[str, ...] = ()  # what is odd about the video, each in a few words
+
+    @staticmethod
+    def of(stamps: Sequence[int], unit: Fraction, rates: Sequence[Fraction | None]) -> Clock:
+        """The clock of pictures at ascending times, in units of so many seconds.
+
+        Each picture is of the frame that is nearest, and a frame has the nearest picture. `rates`: what the file says,
+        of which the first that fits the times is taken; where none does, it is measured.
+        """
+        times = np.array(stamps, np.float64) - stamps[0]
+        gaps = np.diff(times)
+        if not len(gaps):
+            return Clock(rates[0], stamps[0] * unit, {0: 0})
+        if gaps.max() >= 2 * gaps.min() - 3:  # units, to each of which times are rounded: frames may be dropped
+            gaps_of_one = gaps[np.rint(gaps / np.sort(gaps)[(len(gaps) - 1) // 2]) == 1]
+            count = int(np.rint(gaps / gaps_of_one.mean()).sum())
+        else:
+            count = len(gaps)
+        at = times * (count / times[-1])
+        off = np.abs(at - np.rint(at))
+        pictures = {int(frame): number for number, frame in sorted(enumerate(np.rint(at)), key=lambda p: -off[p[0]])}
+        span_s = (stamps[-1] - stamps[0]) * unit
+        fitting = (rate for rate in rates if rate and abs(count / rate - span_s) <= unit)
+        fps = next(fitting, (count / span_s).limit_denominator(1001))
+        left = len(stamps) - len(pictures)
+        varies = f"rate varies, pictures are up to {off.max():.1f} frames off and {left} too many"
+        return Clock(fps, stamps[0] * unit, pictures, (varies,) if left or off.max() > MOST_OFF else ())
+
+
 class VideoReader:
-    """Frames of any video that FFmpeg reads, by number, as RGB; fast when read forward, or the last one again."""
+    """Pictures of any video that FFmpeg reads, by number, upright, as RGB; fast when read forward, or the last again.
+
+    Their numbers count those that can be decoded, in the order in which they are shown.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Opens the first video stream. Raises SceneError, also where more frames are promised than there are bytes."""
+        """Opens the first video stream. Raises SceneError."""
         self._path = path
         self._reading = threading.Lock()
-        self._last: NDArray[np.uint8] | None = None  # the frame before `_next`, where it was asked for
+        self._last: NDArray[np.uint8] | None = None  # the picture before `_next`, where it was asked for
+        self._stamps: list[int] = []  # when each picture is shown, in units of the stream; none: it is not known
         self._open()
-        stream = self._container.streams.video[0]
-        self.size = (stream.codec_context.width, stream.codec_context.height)
-        self.fps = stream.average_rate
-        self.frames = stream.frames or self._count()
-        if self.frames > (size := path.stat().st_size):
-            raise SceneError(f"{path}: expected as many frames as {size} bytes can hold, got {self.frames}")
+        context = self._container.streams.video[0].codec_context
+        self._stored = (context.width, context.height)
+
+    def check(self, size: tuple[int, int]) -> None:
+        """Check that upright pictures have a size (width, height); no other one is decoded. Raises SceneError."""
+        found = self.size if set(size) == set(self._stored) else self._stored
+        if found != size:
+            raise SceneError(f"{self._path}: expected pictures of {size[0]}x{size[1]}, got {found[0]}x{found[1]}")
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """Width and height of upright pictures. Raises what `read` does."""
+        height, width = self.read(0).shape[:2]
+        return width, height
+
+    @cached_property
+    def clock(self) -> Clock:
+        """Read when all pictures are shown. Raises SceneError for a broken video, or two pictures at one time."""
+        first, found = None, list[int | None]()
+        try:
+            with av.open(str(self._path.absolute())) as container:
+                stream = container.streams.video[0]
+                for packet in container.demux(stream):
+                    if packet.is_corrupt:
+                        raise SceneError(f"{self._path}: expected a whole video, picture {len(found)} is cut off")
+                    first = first or next(iter(packet.decode()), None)
+                    if packet.size and not packet.is_discard:
+                        found.append(packet.pts)
+                rates, unit = (stream.average_rate, stream.base_rate, stream.guessed_rate), stream.time_base
+                pixels = stream.sample_aspect_ratio
+        except av.FFmpegError as error:
+            raise SceneError(f"{self._path}: cannot read picture {len(found)}: {error}") from error
+        if first is None:
+            raise SceneError(f"{self._path}: expected a video, no picture of it can be decoded")
+        odd = {
+            "turned upright": (_turn(first) != np.eye(2)).any(),
+            "interlaced, rows may be of two moments": first.interlaced_frame,
+            f"pixels {pixels} as wide as high, left as they are stored": pixels not in (None, 0, 1),
+        }
+        remarks = tuple(remark for remark, is_so in odd.items() if is_so)
+        stamps = [stamp for stamp in found if stamp is not None]
+        if unit is None or first.pts is None or len(stamps) < len(found):
+            counted = {number: number for number in range(len(found))}
+            return Clock(rates[0], Fraction(0), counted, (*remarks, "no times, pictures are counted"))
+        # Decoders leave out pictures before the first that they can decode, as where a video was cut.
+        self._stamps = sorted(stamp for stamp in stamps if stamp >= first.pts)
+        if len(set(self._stamps)) < len(self._stamps):
+            raise SceneError(f"{self._path}: expected pictures at times of their own, got several at one")
+        clock = Clock.of(self._stamps, unit, rates)
+        return replace(clock, remarks=(*remarks, *clock.remarks))
 
     def read(self, number: int) -> NDArray[np.uint8]:
-        """(H, W, 3) frame `number`; threads wait for each other.
+        """(H, W, 3) picture `number`; threads wait for each other.
 
-        Raises SceneError when the video ends before it, cannot be decoded, or has a frame of another size.
+        Raises SceneError when the video ends before it, cannot be decoded, or has a picture of another size.
         """
         with self._reading:
             return self._read(number)
@@ -103,12 +191,14 @@ class VideoReader:
         try:
             while True:
                 frame = next(self._decoded)
-                if (frame.width, frame.height) != self.size:
-                    expected, got = (f"{width}x{height}" for width, height in (self.size, (frame.width, frame.height)))
+                if (found := (frame.width, frame.height)) != self._stored:
+                    expected, got = (f"{width}x{height}" for width, height in (self._stored, found))
                     raise SceneError(f"{self._path}: expected frames of {expected}, got {got} at {self._next}")
                 self._next += 1
                 if self._next > number:
-                    self._last = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8)
+                    if self._stamps and frame.pts != self._stamps[number]:
+                        raise SceneError(f"{self._path}: expected frame {number}, it or one before cannot be decoded")
+                    self._last = self._upright(frame)
                     return self._last
         except StopIteration:
             raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
@@ -131,9 +221,18 @@ class VideoReader:
         self._next = 0
         self._last = None
 
-    def _count(self) -> int:
-        """Frames of a container that does not say."""
-        count = sum(1 for packet in self._container.demux(video=0) if packet.size)
-        self._container.close()
-        self._open()
-        return count
+    def _upright(self, frame: av.VideoFrame) -> NDArray[np.uint8]:
+        """(H, W, 3) a picture as players show it. Raises SceneError where that is not turned by right angles."""
+        picture, turn = np.asarray(frame.to_ndarray(format="rgb24"), np.uint8), _turn(frame)
+        if not turn.diagonal().any():
+            picture, turn = picture.transpose(1, 0, 2), turn[::-1]
+        if (abs(turn) != np.eye(2)).any():
+            raise SceneError(f"{self._path}: expected pictures turned by right angles, got {frame.rotation} degrees")
+        return np.ascontiguousarray(picture[:: turn[1, 1], :: turn[0, 0]])
+
+
+def _turn(frame: av.VideoFrame) -> NDArray[np.intp]:
+    """(2, 2) the signs of x and y where players show a step to the right of a picture, and one down."""
+    data: Any = frame.side_data.get("DISPLAYMATRIX")
+    matrix = np.eye(3) if data is None else np.frombuffer(bytes(data), np.int32).reshape(3, 3)
+    return np.sign(matrix[:2, :2]).astype(np.intp)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -146,24 +146,27 @@ class Capture:
         if not early or not any(self.scene.frames[frame : frame + 1]):
             return FrameViews(target.frame, [], Masks([]))
         seen, moving = self.pictures.train(frame), None
+        places = _places(seen)
+        pairs = [(i, places[name]) for i in early if (name := target.views[i].camera.name) in places]
         if self.plates:
             seen, now = settle(seen, self.plates, self.pictures.exposure)
-            then = target.moving or now
-            moving = Masks(then[i] | now[i] for i in early)
-        return FrameViews(target.frame, [replace(seen[i], after=seen[i].after + 1) for i in early], moving)
+            moving = Masks((target.moving[i] | now[j]) if target.moving else now[j] for i, j in pairs)
+        return FrameViews(target.frame, [replace(seen[j], after=seen[j].after + 1) for _, j in pairs], moving)
 
     def target(self, frame: int, start: int) -> FrameViews:
         """A frame as it is fitted from the Gaussians of the frame `start`. Raises what `views` does."""
         if not self.plates:
             return FrameViews(frame, self.views(frame))
         exposure = self.pictures.exposure
-        before = self._moving.pop(start, None)  # pictures of a frame that is past may be out of memory
-        if before is None:
-            before = find_moving(self.pictures.train(start), self.plates, exposure)
+        before, seen = self._moving.pop(start, None), self.pictures.train(start)
+        if before is None:  # pictures of a frame that is past may be out of memory
+            before = find_moving(seen, self.plates, exposure)
         views, now = settle(self.pictures.train(frame), self.plates, exposure)
         self._moving.clear()
         self._moving[frame] = now
-        return FrameViews(frame, views, Masks(a | b for a, b in zip(before, now, strict=True)))
+        places = _places(seen)  # a camera without a picture of the frame before tells what moves now alone
+        pairs = ((mask, places.get(view.camera.name)) for mask, view in zip(now, views, strict=True))
+        return FrameViews(frame, views, Masks(mask if i is None else mask | before[i] for mask, i in pairs))
 
     def given(self, frame: int) -> Gaussians:
         """The Gaussians that the pictures of a frame are drawn from, repaired. Raises SceneError for a broken file."""
@@ -173,6 +176,10 @@ class Capture:
     def usage(self, read: Callable[[int], Gaussians], span: Span, progress: Progress = silent) -> Usage:
         """The usage of a group over its frames [start, stop), which `read` gives, and all its training views."""
         return group_usage(read, self.pictures, self.trainer.renderer, span, progress)
+
+
+def _places(views: Sequence[View]) -> dict[str, int]:
+    return {view.camera.name: place for place, view in enumerate(views)}
 
 
 def group_usage(

@@ -65,8 +65,8 @@ def check_pictures(capture: Capture) -> None:
     """
     scene, reference = capture.scene, capture.settings.reference
     names = [camera.name for camera in scene.cameras if not camera.held_out]
-    if not names:
-        raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
+    if unseen := [t for t, shots in enumerate(scene.frames) if all(shot.camera.held_out for shot in shots)]:
+        raise SceneError(f"{scene.path}: expected training views of frame {unseen[0]}, got none")
     if reference not in (None, *names):
         raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
     capture.pictures.check()

@@ -82,6 +82,8 @@ class Record:
         same: dict[str, Any] = {**named, "background": list(background)}
         if scene.offsets:
             same["offsets"] = dict(scene.offsets)
+        if scene.notes:
+            same["notes"] = list(scene.notes)
         return Record(same, settings.table(), len(scene), str(scene.fps))
 
     @property
@@ -170,7 +172,7 @@ class Model:
     def _write_settings(self) -> None:
         red, green, blue = self.record.scene.get("background", BLACK)
         record = self.record
-        notes = (record.quality(),) if record.frames else ()
+        notes = (*record.scene.get("notes", ()), *([record.quality()] if record.frames else ()))
         told = Settings(Fraction(record.fps), tuple(record.keyframes()), (red, green, blue), notes)
         write_settings(self.folder, told)
 

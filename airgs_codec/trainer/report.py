@@ -106,7 +106,8 @@ def _shown_db(r: FrameRecord) -> float:
 def training_answer(record: Record, cameras: Mapping[str, float]) -> dict[str, str]:
     """What a run comes to in whole sentences; `cameras`: PSNR in dB of the worst frame in each, the worst first."""
     frames, (first, *others) = record.frames, record.frames
-    shown, third = [_shown_db(r) for r in frames], len(frames) // 3
+    held_out = [r.held_out_psnr for r in frames if r.held_out_psnr is not None]  # not of frames that they lack
+    shown, third = held_out or [r.psnr for r in frames], len(held_out or frames) // 3
     trained, mean = float(np.mean([r.psnr for r in frames])), float(np.mean(shown))
     good, change = [], []
     if not record.complete:

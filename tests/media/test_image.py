@@ -9,15 +9,12 @@ import pytest
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import (
-    Lens,
-    box_mean,
     contact_sheet,
     fit_lens,
     label,
     match_features,
     read_mask,
     read_picture,
-    resize,
     sift,
     to_bytes,
     undistort,
@@ -42,7 +39,6 @@ def test_a_contact_sheet_has_a_captioned_tile_for_each_picture():
 def test_pictures_come_back_as_they_were(tmp_path):
     rgb = noise()
     write_png(tmp_path / "a.png", rgb)
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
     np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
 
 
@@ -114,13 +110,6 @@ def test_a_label_darkens_its_line_alone_and_copies():
     assert (rgb == 90).all() and (out[:18] == 90).all() and (out[36:] == 90).all() and (out[18:36] != 90).any()
 
 
-def test_a_lens_without_distortion_changes_nothing():
-    matrix = np.array([[50.0, 0, 32], [0, 50, 24], [0, 0, 1]])
-    picture = noise().astype(np.float32)
-    np.testing.assert_allclose(undistort(picture, Lens((64, 48), matrix, np.zeros(4), False, matrix)), picture)
-    np.testing.assert_allclose(fit_lens((64, 48), matrix, np.zeros(4)).pinhole, matrix, atol=1)
-
-
 def test_features_of_a_shifted_picture_match_by_the_shift():
     smooth = cv2.GaussianBlur(noise(120, 160), (0, 0), 2).astype(np.float32) / 255
     smooth = (smooth - smooth.min()) / (smooth.max() - smooth.min())
@@ -130,13 +119,6 @@ def test_features_of_a_shifted_picture_match_by_the_shift():
     np.testing.assert_allclose(np.median(a[pairs[:, 0]] - b[pairs[:, 1]], axis=0), [15, 10], atol=0.1)
     assert match_features(da[:1], db, 0.8).shape == (0, 2)
     assert sift(np.zeros((20, 20, 3), np.float32), 10)[1].shape == (0, 128)
-
-
-def test_means_over_boxes_and_areas():
-    values = np.arange(16, dtype=np.float32).reshape(4, 4)
-    assert box_mean(values, 3)[1, 1] == values[:3, :3].mean()
-    np.testing.assert_allclose(resize(values, 2, 2), values.reshape(2, 2, 2, 2).mean(axis=(1, 3)))
-    assert resize(values, 4, 4) is values
 
 
 def test_a_lens_maps_straight_rays_to_where_opencv_bends_them():

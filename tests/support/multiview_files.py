@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -55,14 +57,30 @@ def write_rgba(path: Path, picture: np.ndarray) -> None:
     cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA))
 
 
-def write_video(path: Path, pictures: list[np.ndarray], rate: int = 25) -> None:
-    with av.open(str(path), "w") as container:
+def write_video(
+    path: Path, pictures: list[np.ndarray], rate: int = 25, times: Iterable[float] = range(1 << 20)
+) -> None:
+    """`times`: of the pictures, in frames."""
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=rate, options={"qp": "1", "bf": "2"})
         stream.height, stream.width = pictures[0].shape[:2]
         stream.pix_fmt = "yuv420p"
-        for picture in pictures:
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="rgb24")))
+        stream.codec_context.time_base = Fraction(1, 100 * rate)
+        for picture, time in zip(pictures, times, strict=False):
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            frame.pts, frame.time_base = round(100 * time), Fraction(1, 100 * rate)
+            container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
+
+
+def write_filmed(folder: Path, camera: Camera, films: dict[str, tuple[list[np.ndarray], Iterable[float]]]) -> Path:
+    """A scene of videos, by their names, each of pictures and their times in frames; one camera took them all."""
+    entries = []
+    for name, (pictures, times) in films.items():
+        write_video(folder / name, pictures, times=times)
+        entries.append({"file_path": name, "camera": Path(name).stem, "transform_matrix": matrix_of(camera)})
+    _write_transforms(folder / "transforms.json", camera, entries)
+    return folder
 
 
 def same_camera(a: Camera, b: Camera) -> bool:

@@ -80,8 +80,8 @@ class Source:
         """Check that there is a picture of a size, as far as the header of its file tells. Raises SceneError."""
         if self.frame is None:
             check_picture(self.path, size)
-        elif (found := open_video(self.path).size) != size:
-            raise SceneError(f"{self}: expected a picture of {size[0]}x{size[1]}, got {found[0]}x{found[1]}")
+        else:
+            open_video(self.path).check(size)
 
     def __str__(self) -> str:
         return str(self.path) if self.frame is None else f"{self.path} frame {self.frame}"
@@ -103,6 +103,11 @@ class Shot:
     mask: Path | None = None  # picture that is not 0 where the foreground is
     after: float = 0.0  # frames that it was taken after the time of its frame, -0.5 to 0.5
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture as it is read."""
+        return self.lens.size if self.lens else (self.camera.width, self.camera.height)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
@@ -118,11 +123,12 @@ class MultiviewScene:
 
     path: Path
     fps: Fraction  # frames a second
-    frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame
+    frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame; a camera whose picture is missing has none
     points: Points | None = None  # of the first frame; None: the scene has none
     background: Background = BLACK  # what its pictures show behind the scene
     given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`drawn_scene`)
     offsets: Mapping[str, float] = field(default_factory=dict)  # frames that cameras were late, of `sync.in_step`
+    notes: tuple[str, ...] = ()  # what was changed or guessed when it was opened, in whole lines
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -130,6 +136,11 @@ class MultiviewScene:
     @property
     def cameras(self) -> list[Camera]:
         return [shot.camera for shot in self.frames[0]]
+
+    def place(self, frame: int, camera: int) -> int | None:
+        """Where a camera, counted as those of frame 0, is among the shots of a frame; None: it has no picture there."""
+        name = self.frames[0][camera].camera.name
+        return next((i for i, shot in enumerate(self.frames[frame]) if shot.camera.name == name), None)
 
 
 def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tuple[Shot, ...], ...]:

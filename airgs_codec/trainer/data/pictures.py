@@ -161,9 +161,14 @@ class Pictures:
         return self._split(frame, held_out=True)
 
     def view(self, frame: int, index: int) -> View:
-        """The view of a camera, counted as the scene does."""
+        """The view of a shot, counted as those of its frame."""
         shot = self._scene.frames[frame][index]
         return View(self._scaled(shot.camera), Buffered(self._targets, (frame, index)), after=shot.after)
+
+    def seen_by(self, camera: int, frame: int) -> View | None:
+        """The view of a camera, counted as those of frame 0; None: it has no picture of the frame."""
+        place = self._scene.place(frame, camera)
+        return None if place is None else self.view(frame, place)
 
     def cameras(self) -> list[Camera]:
         """The cameras of the first frame at training size."""
@@ -179,7 +184,7 @@ class Pictures:
                 if frame == 0 and not shot.camera.held_out:
                     self._stored.get((frame, index))
                 else:
-                    shot.source.check(_full_size(shot))
+                    shot.source.check(shot.size)
                     self._check_mask(shot)
 
     def _split(self, frame: int, held_out: bool) -> list[View]:
@@ -200,7 +205,7 @@ class Pictures:
 
     def _load(self, key: _Key) -> Stored:
         shot = self._scene.frames[key[0]][key[1]]
-        data = shot.source.read(_full_size(shot))
+        data = shot.source.read(shot.size)
         mask = self._mask(shot)
         if mask is None and data.shape[2] == 3:
             if self._choice == RANDOM:
@@ -217,18 +222,18 @@ class Pictures:
     def _mask(self, shot: Shot) -> NDArray[np.float32] | None:
         """(H, W) of 0 and 1, the foreground; None where all of the picture is trained."""
         self._check_mask(shot)
-        return read_mask(shot.mask, _full_size(shot)) if self._foreground and shot.mask else None
+        return read_mask(shot.mask, shot.size) if self._foreground and shot.mask else None
 
     def _check_mask(self, shot: Shot) -> None:
         if not self._foreground:
             return
         if shot.mask is None:
             raise SceneError(f"{shot.source}: expected a mask of the foreground, the scene has none")
-        check_picture(shot.mask, _full_size(shot))
+        check_picture(shot.mask, shot.size)
 
     def _changes(self, shot: Shot) -> bool:
         camera = self._scaled(shot.camera)
-        return shot.lens is not None or _full_size(shot) != (camera.width, camera.height)
+        return shot.lens is not None or shot.size != (camera.width, camera.height)
 
     def _fitted(self, picture: NDArray[np.float32], shot: Shot) -> NDArray[np.float32]:
         """A picture (H, W, C) without its lens, at training size."""
@@ -242,10 +247,6 @@ def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
     """The pictures that a run with these settings is trained on."""
     masked = settings.foreground != OFF
     return Pictures(scene, max_size=settings.max_size, foreground=masked, background=settings.background)
-
-
-def _full_size(shot: Shot) -> tuple[int, int]:
-    return shot.lens.size if shot.lens else (shot.camera.width, shot.camera.height)
 
 
 Exposure = Mapping[str, Sequence[float]]  # camera -> gains r, g, b and offsets r, g, b

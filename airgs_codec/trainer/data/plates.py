@@ -66,15 +66,15 @@ class Masks(Sequence[NDArray[np.bool_]]):
 
 
 def stands_still(scene: MultiviewScene) -> bool:
-    """Whether every camera of a scene is the same one at all frames, and has a name of its own."""
-    first = scene.cameras
-    return len({camera.name for camera in first}) == len(first) and all(
-        len(shots) == len(first)
+    """Whether every camera is one of those of frame 0 and as it was there; pictures may be missing."""
+    first = {camera.name: camera for camera in scene.cameras}
+    return len(first) == len(scene.cameras) and all(
+        len({shot.camera.name for shot in shots}) == len(shots)
         and all(
-            a.name == s.camera.name
+            (a := first.get(s.camera.name)) is not None
             and np.array_equal(a.world_to_camera, s.camera.world_to_camera)
             and _lens(a) == _lens(s.camera)
-            for a, s in zip(first, shots, strict=True)
+            for s in shots
         )
         for shots in scene.frames
     )
@@ -97,7 +97,8 @@ def plate_sources(scene: MultiviewScene) -> list[tuple[int, list[int]]]:
 
 def find_plate(pictures: Pictures, camera: int, frames: Sequence[int]) -> Plate:
     """The plate of one camera, from its pictures as it exposed them. Raises SceneError for one that cannot be read."""
-    return plate_of([to_bytes(pictures.view(frame, camera).target.rgb) for frame in frames])
+    views = [pictures.seen_by(camera, frame) for frame in frames]
+    return plate_of([to_bytes(view.target.rgb) for view in views if view])
 
 
 def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:

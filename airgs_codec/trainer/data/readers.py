@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.media.image import is_turned
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import colmap, forms
@@ -49,6 +50,7 @@ POINT_FILES = (
 )  # fmt: skip
 VIDEO_SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
 SAME_RATE = 1.001  # ratio of frame rates that cameras of one rig measure a little differently
+SHOWN = 4  # names in a line
 HELD_OUT = "cam00"  # of N3DV
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
@@ -124,26 +126,61 @@ def scene_from_films(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScen
 
     Raises SceneError where frame rates of videos or counts of pictures differ, or a video cannot be read.
     """
-    fps = DEFAULT_FPS
-    if any(film.path.is_dir() for film in films):
-        sources = [[Source(path) for path in find_pictures(film.path)] for film in films]
-        counts = sorted({len(pictures) for pictures in sources})
-        if len(counts) > 1:
-            raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
-    else:
-        videos = [open_video(film.path) for film in films]
-        rates = sorted({video.fps for video in videos if video.fps})
-        if rates and rates[-1] > SAME_RATE * rates[0]:
-            listed = ", ".join(f"{float(rate):g}" for rate in rates)
-            raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
-        fps = Fraction(rates[0]) if rates else DEFAULT_FPS
-        shortest = min(video.frames for video in videos)
-        sources = [[Source(film.path, number) for number in range(shortest)] for film in films]
+    if not any(film.path.is_dir() for film in films):
+        return _joined_by_time(folder, films)
+    sources = [[Source(path) for path in find_pictures(film.path)] for film in films]
+    counts = sorted({len(pictures) for pictures in sources})
+    if len(counts) > 1:
+        raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
     frames = tuple(
         tuple(replace(film.shot, source=source) for film, source in zip(films, moment, strict=True))
         for moment in zip(*sources, strict=True)
     )
-    return MultiviewScene(folder, fps, frames)
+    return MultiviewScene(folder, DEFAULT_FPS, frames)
+
+
+def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
+    """The scene of videos, from the first to the last moment of which all cameras have pictures.
+
+    Where a camera dropped a frame it has no shot. Raises what `scene_from_films` does.
+    """
+    for film in films:
+        open_video(film.path).check(film.shot.size)
+    clocks = [open_video(film.path).clock for film in films]
+    rates = sorted({clock.fps for clock in clocks if clock.fps})
+    apart = [max(c.pictures) * (c.fps / rates[0] - 1) for c in clocks if c.fps and c.fps > SAME_RATE * rates[0]]
+    if apart and max(apart) > 0.5:  # frames, at the end
+        listed = ", ".join(f"{float(rate):g}" for rate in rates)
+        raise SceneError(f"{folder}: expected videos of one frame rate, got {listed}")
+    fps = frame_rate(str(folder), rates[0]) if rates else DEFAULT_FPS
+    begin = min(clock.start_s for clock in clocks)
+    late = [round((clock.start_s - begin) * fps) for clock in clocks]
+    shown = [{at + frame: n for frame, n in c.pictures.items()} for at, c in zip(late, clocks, strict=True)]
+    common = set.intersection(*map(set, shown))
+    if not common:
+        raise SceneError(f"{folder}: expected videos of one time, they begin up to {max(late)} frames apart")
+    every = sorted(set().union(*shown))
+    moments = [frame for frame in every if min(common) <= frame <= max(common)]
+    frames = tuple(
+        tuple(replace(f.shot, source=Source(f.path, of[m])) for f, of in zip(films, shown, strict=True) if m in of)
+        for m in moments
+    )
+    told: dict[str, list[str]] = {}
+    for film, clock, at, of in zip(films, clocks, late, shown, strict=True):
+        dropped = sum(moment not in of for moment in moments)
+        counts = {f"begins {float(at / fps):.3g} s late": at, f"{dropped} of {len(moments)} frames dropped": dropped}
+        for remark in (*clock.remarks, *(words for words, count in counts.items() if count)):
+            told.setdefault(remark, []).append(film.shot.camera.name)
+    words = [f"{remark}: {shortened(names)}" for remark, names in told.items()]
+    if cut := max(every) + 1 - len(moments):
+        words.append(f"left out are {cut} of {max(every) + 1} frames, which no camera has, or at the ends not all have")
+    note = f"{len(moments)} frames of {float(fps):g} a second, joined by time; {'; '.join(words)}"
+    return MultiviewScene(folder, fps, frames, notes=(note,) if words else ())
+
+
+def shortened(names: Sequence[str]) -> str:
+    """Names in a line, the first SHOWN of them."""
+    return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
 
 
 def find_videos(folder: Path) -> list[Path]:
@@ -339,6 +376,9 @@ def open_scene(
             raise SceneError(f"{folder}: expected pictures of frame {number}, got none")
     start, stop = frames_of(scene, frames)
     points = scene.points or (_read_points(folder) if start == 0 else None)
+    if turned := [s.camera.name for s in scene.frames[0] if isinstance(s.source, Source) and is_turned(s.source.path)]:
+        note = f"pictures are taken as they are stored, not as their EXIF orientation has it: {shortened(turned)}"
+        scene = replace(scene, notes=(*scene.notes, note))
     found = replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
     return with_near_planes(found)
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from itertools import dropwhile
 from pathlib import Path
 
 import numpy as np
@@ -141,8 +142,9 @@ def _signals(
     out = {pair: np.zeros((len(frames) - 1, BINS)) for pair in bins}
     before = None
     for place, frame in enumerate(frames):
-        grey = 255 * pictures.view(frame, index).target.rgb.mean(axis=2).ravel()
-        if before is not None:
+        view = pictures.seen_by(index, frame)
+        grey = 255 * view.target.rgb.mean(axis=2).ravel() if view else None  # what moved around a hole is not known
+        if before is not None and grey is not None:
             motion = np.abs(grey - before)
             motion = np.clip(motion - 3 * np.median(motion) / 0.6745, 0, STRONGEST)  # a camera's noise is no motion
             moving = np.flatnonzero(motion)
@@ -255,9 +257,12 @@ def in_step(
     """
     first, end = frames_of(scene, span)
     late = {name: offset for name, offset in offsets.items() if offset}
-    if not late:
-        return replace(scene, frames=scene.frames[first:end], points=None if first else scene.points)
     names = [camera.name for camera in scene.cameras]
+    if not late:
+        found = scene.frames[first:end]
+        if len(found[0]) < len(names) and stands_still(scene):
+            raise SceneError(f"{scene.path}: expected pictures of all cameras at frame {first}, where training begins")
+        return replace(scene, frames=found, points=None if first else scene.points)
     if unknown := sorted(set(late) - set(names)):
         raise SceneError(f"{scene.path}: no camera {', '.join(unknown)}; there are {', '.join(names)}")
     if not stands_still(scene):
@@ -265,19 +270,20 @@ def in_step(
     of = [late.get(name, 0.0) for name in names]
     start = max(first, math.ceil(-min(of) - WHOLE))
     stop = min(start + end - first, math.floor(len(scene) - 1 - max(of) + WHOLE) + 1)
-    if start >= stop:
+    shots = [[_shot_at(scene, i, frame + offset) for i, offset in enumerate(of)] for frame in range(start, stop)]
+    frames = tuple(tuple(filter(None, of_frame)) for of_frame in dropwhile(lambda of_frame: None in of_frame, shots))
+    if not frames:
         raise SceneError(f"{scene.path}: expected offsets that leave a frame of {end - first} to all cameras")
-    frames = tuple(
-        tuple(_shot_at(scene, index, frame + offset) for index, offset in enumerate(of)) for frame in range(start, stop)
-    )
     return replace(scene, frames=frames, offsets=late, points=None if first else scene.points)
 
 
-def _shot_at(scene: MultiviewScene, index: int, time: float) -> Shot:
-    """What a camera took nearest to a time in frames; of two that are as near, the earlier one."""
+def _shot_at(scene: MultiviewScene, index: int, time: float) -> Shot | None:
+    """What a camera took nearest to a time in frames; of two that are as near, the earlier one. None: it is missing."""
     nearest = math.ceil(time - 0.5 - WHOLE)
     after = round(nearest - time, 6)
-    shot = scene.frames[nearest][index]
+    if (place := scene.place(nearest, index)) is None:
+        return None
+    shot = scene.frames[nearest][place]
     return replace(shot, after=after) if abs(after) > WHOLE else shot
 
 

@@ -11,7 +11,6 @@ from airgs_codec.places.results import open_store
 from airgs_codec.trainer.data.multiview import (
     MultiviewScene,
     Shot,
-    Source,
     content_of,
     read_contents,
     with_frames,
@@ -60,21 +59,6 @@ def test_frames_of_a_video_have_names_of_their_own_wherever_it_lies(tmp_path):
     assert len(set(names(scene, tmp_path))) == 3  # by their number, though two show the same
     assert names(filmed(tmp_path / "two", [10, 10, 90]), tmp_path) == names(scene, tmp_path)
     assert not set(names(filmed(tmp_path / "three", [10, 10, 200]), tmp_path)) & set(names(scene, tmp_path))
-
-
-def test_a_video_of_another_size_than_its_camera_is_refused_before_it_is_decoded(tmp_path):
-    folder = tmp_path / "scene"
-    scene = filmed(folder, [10, 20])
-    assert scene.frames[1][0].source.read((32, 24)).shape == (24, 32, 3)
-    data = (folder / "a.mp4").read_bytes()
-    start = data.index(b"mdat") + 4
-    end = data.index(b"moov") - 4
-    (tmp_path / "b.mp4").write_bytes(data[:start] + bytes(end - start) + data[end:])
-    source = Source(tmp_path / "b.mp4", 1)
-    with pytest.raises(SceneError, match=r"b.mp4 frame 1: expected a picture of 24x32, got 32x24"):
-        source.read((24, 32))
-    with pytest.raises(SceneError):
-        source.read((32, 24))
 
 
 def test_a_mask_counts_where_it_is_read(tmp_path):

@@ -12,7 +12,7 @@ from airgs_codec.trainer.data.multiview import with_held_out, with_near
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
 from tests.support.camera_files import write_llff
-from tests.support.multiview_files import matrix_of, plain, same_camera, write_panoptic, write_video, write_views
+from tests.support.multiview_files import matrix_of, plain, same_camera, write_panoptic, write_views
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
 
@@ -119,18 +119,6 @@ def test_unnamed_cameras_have_one_name_at_all_times(moving):
     path.write_text(json.dumps(data))
     names = [[shot.camera.name for shot in frame] for frame in open_scene(moving).frames]
     assert names == [[c.name for c in ring(6)]] * 2
-
-
-def test_transforms_may_name_videos(tmp_path):
-    cameras = ring(2)
-    entries = [{"file_path": f"{c.name}.mp4", "camera": c.name, "transform_matrix": matrix_of(c)} for c in cameras]
-    c = cameras[0]
-    shared = {"w": 48, "h": 48, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
-    (tmp_path / "transforms.json").write_text(json.dumps({**shared, "frames": entries}))
-    for c in cameras:
-        write_video(tmp_path / f"{c.name}.mp4", [plain(60, (48, 48)), plain(90, (48, 48))], rate=12)
-    scene = open_scene(tmp_path)
-    assert len(scene) == 2 and scene.fps == 12
 
 
 def write_ns_process_data(folder, camera, **shared):

@@ -20,7 +20,6 @@ from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source, con
 from airgs_codec.trainer.data.pictures import Pictures
 from airgs_codec.trainer.data.sync import FEWEST, find_offsets, in_step, read_offsets
 from airgs_codec.trainer.pipeline import rested
-from airgs_codec.trainer.record import Record
 from airgs_codec.trainer.settings import TrainSettings
 from tests.support.multiview_files import plain
 from tests.support.views import ring
@@ -77,12 +76,8 @@ def test_offsets_are_found_to_a_quarter_of_a_frame():
     assert all(abs(found[name] - late[name]) <= 0.25 for name in late)
 
 
-def test_a_rig_in_step_is_left_alone():
-    assert find_offsets(filmed({})) == {}
-
-
-@pytest.mark.parametrize("scene", [filmed({}, still=True), filmed({"cam01": 2.0}, frames=FEWEST - 1)])
-def test_nothing_is_said_where_nothing_moves_or_too_little_is_seen(scene):
+@pytest.mark.parametrize("scene", [filmed({}), filmed({}, still=True), filmed({"cam01": 2.0}, frames=FEWEST - 1)])
+def test_nothing_is_said_of_a_rig_in_step_or_where_nothing_moves_or_too_little_is_seen(scene):
     assert find_offsets(scene) == {}
 
 
@@ -161,12 +156,6 @@ def test_a_frame_that_begins_a_group_shows_nothing_from_before_it(tmp_path):
         assert len(target.moving) == len(seen)
     still = Capture.of(files(tmp_path), TrainSettings(), "cpu").target(1, 0)
     assert capture.key(still) is still
-
-
-def test_the_record_of_a_run_has_its_offsets(tmp_path):
-    scene, settings = files(tmp_path), TrainSettings()
-    assert Record.of(in_step(scene, {"cam01": 1.0}), BLACK, settings).scene["offsets"] == {"cam01": 1.0}
-    assert "offsets" not in Record.of(scene, BLACK, settings).scene
 
 
 @pytest.mark.parametrize(
