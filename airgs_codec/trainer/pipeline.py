@@ -68,7 +68,7 @@ def check_pictures(capture: Capture) -> None:
     if not names:
         raise SceneError(f"{scene.path}: expected training views of the first frame, got none")
     if reference not in (None, *names):
-        raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
+        raise ConfigError(f"reference: expected a training camera of {', '.join(names)}, got {reference}")
     capture.pictures.check()
 
 
