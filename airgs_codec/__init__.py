@@ -21,12 +21,14 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from airgs_codec.decoder.decode import decode, decode_frames
     from airgs_codec.encoder.publish import encode
+    from airgs_codec.encoder.search import Goal
     from airgs_codec.encoder.settings import EncodeSettings
     from airgs_codec.errors import AirgsError
     from airgs_codec.inspect.compare import compare
     from airgs_codec.inspect.validate import validate
-    from airgs_codec.package.package import open_package
+    from airgs_codec.package.package import Package, open_package
     from airgs_codec.play.ladder import Decision
+    from airgs_codec.play.policies.state import PlayerState
     from airgs_codec.play.session import simulate
     from airgs_codec.play.settings import SessionSettings
     from airgs_codec.play.trace import Trace
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from airgs_codec.scene.sequence import GaussianSequence as Sequence
     from airgs_codec.scene.sequence import open_sequence
     from airgs_codec.trainer import train
+    from airgs_codec.trainer.settings import TrainSettings
 
 __version__ = "0.1.0"
 
@@ -46,9 +49,13 @@ __all__ = [
     "Decision",
     "EncodeSettings",
     "Gaussians",
+    "Goal",
+    "Package",
+    "PlayerState",
     "Sequence",
     "SessionSettings",
     "Trace",
+    "TrainSettings",
     "compare",
     "decode",
     "decode_frames",
@@ -69,9 +76,13 @@ _HOMES = {
     "Decision": "play.ladder",
     "EncodeSettings": "encoder.settings",
     "Gaussians": "scene.gaussians",
+    "Goal": "encoder.search",
+    "Package": "package.package",
+    "PlayerState": "play.policies.state",
     "Sequence": "scene.sequence",
     "SessionSettings": "play.settings",
     "Trace": "play.trace",
+    "TrainSettings": "trainer.settings",
     "compare": "inspect.compare",
     "decode": "decoder.decode",
     "decode_frames": "decoder.decode",

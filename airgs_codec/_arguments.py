@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import reprlib
-from collections.abc import Callable
+from collections.abc import Callable, Sized
+from dataclasses import fields
+from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeVar
 
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, FrameError
 
+SHOWN, LONGEST = 4, 120  # of a value in another: parts, characters
 Kind = TypeVar("Kind")
 
 
@@ -31,6 +34,33 @@ def path_argument(name: str, value: str | Path) -> str | Path:
     if isinstance(value, (str, Path)):
         return value
     raise ConfigError(f"{name}: expected a path or an address, got {described(value)}")
+
+
+def frame_argument(value: object, frames: int, least: int = 0) -> int:
+    """Return the number of one of so many frames; from `least` up to 0, where it is below, they count from the end.
+
+    Raises FrameError for anything else.
+    """
+    if not (isinstance(value, Integral) and least <= int(value) < frames):
+        raise FrameError(f"frame: expected {least}..{frames - 1}, got {value!r}")
+    return int(value) % frames
+
+
+def brief(value: Any) -> str:
+    """A dataclass for people, as its `__repr__`: what is not as by default, arrays by their shape and extent."""
+    told = [(f, getattr(value, f.name)) for f in fields(value) if f.repr]
+    unlike = [f"{f.name}={_short(one)}" for f, one in told if type(one) is not type(f.default) or one != f.default]
+    return f"{type(value).__name__}({', '.join(unlike)})"
+
+
+def _short(value: Any) -> str:
+    if hasattr(value, "dtype") and value.ndim:
+        extent = f" from {value.min():.4g} to {value.max():.4g}" if value.size and value.dtype.kind in "fiu" else ""
+        return f"<{value.dtype} {value.shape}{extent}>"
+    if isinstance(value, Sized) and not isinstance(value, str) and len(value) > SHOWN:
+        return f"<{type(value).__name__} of {len(value)}>"
+    text = repr(value)
+    return text if len(text) <= LONGEST and " object at 0x" not in text else f"<{type(value).__name__}>"
 
 
 def described(value: object) -> str:

@@ -173,10 +173,13 @@ def new_figure(width: float, height: float) -> Figure:
 
 def save_figure(figure: Figure, path: Path, dpi: int = 100) -> None:
     """Write a figure in the format that the ending of `path` names. Raises ConfigError."""
+    known = figure.canvas.get_supported_filetypes()
+    if path.suffix[1:].lower() not in known:
+        raise ConfigError(f"{path}: expected a name that ends in .{', .'.join(sorted(known))}")
     try:
         figure.savefig(path, dpi=dpi)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot write the picture: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot write the picture: {error.strerror or error}") from error
 
 
 def plain_log_ticks(axis: Axis, most: int = 6) -> None:

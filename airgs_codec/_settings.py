@@ -7,8 +7,14 @@ import os
 import textwrap
 from collections.abc import Callable
 from dataclasses import MISSING, Field, field, fields, is_dataclass, replace
-from typing import Any, TypeVar
+from numbers import Integral, Real
+from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
+from airgs_codec._arguments import described
+from airgs_codec.errors import ConfigError
+
+MOST = 1 << 31  # of whole numbers
+KINDS = {float: "a number", int: "a whole number", str: "text", bool: "True or False", type(None): "None"}
 Settings = TypeVar("Settings")
 
 
@@ -52,10 +58,43 @@ def applied(settings: Settings, given: dict[str, Any]) -> Settings:
 
 
 def documented(settings: type[Settings]) -> type[Settings]:
-    """Returns the dataclass `settings`, its docstring followed by a paragraph a field: name, default and meaning."""
+    """Returns the dataclass `settings`, its docstring followed by a paragraph a field: name, default and meaning.
+
+    Values of another kind than a field has are refused with a ConfigError that names it, when settings are made.
+    """
     lines = (textwrap.fill(_line(f), 100, subsequent_indent="    ") for f in fields(settings))  # type: ignore[arg-type]
     settings.__doc__ = "\n".join([inspect.cleandoc(settings.__doc__ or ""), "", *lines])
+    check = getattr(settings, "__post_init__", lambda self: None)
+
+    def made(self: Settings) -> None:
+        for name, kind in get_type_hints(settings).items():
+            if not is_of(getattr(self, name), kind):
+                raise ConfigError(f"{name}: expected {words_of(kind)}, got {described(getattr(self, name))}")
+        check(self)
+
+    settings.__post_init__ = made  # type: ignore[attr-defined]
     return settings
+
+
+def is_of(value: Any, kind: Any) -> bool:
+    """Whether a value is of the kind that a field has; no whole number has more than 31 bits."""
+    inner = get_args(kind)
+    if get_origin(kind) is tuple:
+        parts = inner[:1] * len(value) if inner[-1] is ... and isinstance(value, tuple | list) else inner
+        return isinstance(value, tuple | list) and len(value) == len(parts) and all(map(is_of, value, parts))
+    if inner:
+        return any(is_of(value, one) for one in inner)
+    if kind not in (int, float):
+        return isinstance(value, kind)
+    number = isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
+    return number and not (isinstance(value, Integral) and abs(int(value)) >= MOST)
+
+
+def words_of(kind: Any) -> str:
+    """What is expected of a value of a kind."""
+    if get_args(kind) and get_origin(kind) is not tuple:
+        return " or ".join(words_of(one) for one in get_args(kind))
+    return KINDS.get(kind, "a tuple" if get_origin(kind) is tuple else kind.__name__)
 
 
 def _line(f: Field[Any]) -> str:

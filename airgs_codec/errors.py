@@ -12,6 +12,7 @@ class AirgsError(Exception):
 
     + SceneError (ValueError)       a scene that cannot be used: no frames, no Gaussians, a broken .ply
     + ConfigError (ValueError)      settings that cannot work
+      + FrameError (IndexError)     a frame that is not there
     + FormatError (ValueError)      a package that is refused; has .reason, .where and .detail
     + TrainingError (RuntimeError)  a fit went wrong: its loss is not finite, or nothing is left
     + CodecError (RuntimeError)     FFmpeg refused, or decoded something else than it encoded
@@ -37,6 +38,10 @@ class SceneError(AirgsError, ValueError):
 
 class ConfigError(AirgsError, ValueError):
     """Settings that cannot work, or a file in the way of what should be written."""
+
+
+class FrameError(ConfigError, IndexError):
+    """A frame that a sequence or a package does not have."""
 
 
 class FormatError(AirgsError, ValueError):

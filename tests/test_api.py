@@ -2,13 +2,16 @@
 
 import ast
 import inspect
+import pickle
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from tests.support.paths import PACKAGE
+from airgs_codec.inspect.summary import summarise
+from tests.support.paths import FOX, GOLDEN, PACKAGE
 from tests.support.scenes import moving_frames, write_sequence
 
 NAMES = {
@@ -17,9 +20,13 @@ NAMES = {
     "Decision",
     "EncodeSettings",
     "Gaussians",
+    "Goal",
+    "Package",
+    "PlayerState",
     "Sequence",
     "SessionSettings",
     "Trace",
+    "TrainSettings",
     "compare",
     "decode",
     "decode_frames",
@@ -34,7 +41,7 @@ NAMES = {
     "write",
 }
 THERE = {"Sequence": "GaussianSequence"}  # names in their modules, where they are others
-MOST_NAMES = 20
+MOST_NAMES = 24
 FUNCTIONS = sorted(name for name in NAMES if name[0].islower())
 HEAVY = ("numpy", "numba", "scipy", "torch", "cv2", "av", "colour", "matplotlib", "tqdm")
 
@@ -94,6 +101,84 @@ def test_importing_the_package_loads_nothing_heavy():
     code = f"import sys, airgs_codec; sys.exit(', '.join(n for n in {HEAVY} if n in sys.modules) or 0)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"loaded: {done.stderr}"
+
+
+OTHERS = """
+import sys
+from multiprocessing import get_context
+import airgs_codec as airgs
+
+def drawn(package):
+    return airgs.draw(airgs.decode(package, 0), package.cameras[0]).rgb.tobytes()
+
+if __name__ == "__main__":
+    package = airgs.open_package(sys.argv[1])
+    here = drawn(package)
+    for method in ("fork", "spawn", "forkserver"):
+        with get_context(method).Pool(1) as pool:
+            assert pool.apply(drawn, (package,)) == here, method
+"""
+
+
+def test_other_processes_draw_however_they_are_started_after_this_one_has_drawn(tmp_path):
+    (tmp_path / "others.py").write_text(OTHERS)
+    command = [sys.executable, str(tmp_path / "others.py"), str(GOLDEN / "fox")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_frame_of_a_loader_is_drawn_in_its_workers():
+    data = pytest.importorskip("torch.utils.data")
+    sequence = airgs.open_sequence(FOX)
+    airgs.draw(sequence[0], sequence.cameras[0])
+    loader = data.DataLoader(
+        sequence, num_workers=1, collate_fn=lambda g: airgs.draw(g[0], sequence.cameras[0]).rgb.sum(), timeout=60
+    )
+    assert len(list(loader)) == len(sequence)
+
+
+@pytest.fixture(scope="module")
+def public():
+    """One of everything that public functions return."""
+    package, sequence = airgs.open_package(GOLDEN / "fox"), airgs.open_sequence(FOX)
+    frame = next(airgs.decode_frames(package, 0, 1))
+    camera, log = package.cameras[0], airgs.simulate(package, "const:5")
+    picture = airgs.draw(frame.gaussians, camera)
+    assert picture._repr_png_().startswith(b"\x89PNG")
+    compared = airgs.compare(sequence, sequence, frames=range(1))
+    things = (package, sequence, frame, camera, log, picture, compared, airgs.Trace.open("markov:1"), sequence[:3])
+    return {type(thing).__name__: thing for thing in things}
+
+
+KINDS = ["Package", "GaussianSequence", "Frame", "Camera", "SessionLog", "Render", "Comparison", "Trace", "LazyFrames"]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_is_returned_can_be_pickled_and_is_shown_in_a_line(public, kind):
+    thing = public[kind]
+    copy = pickle.loads(pickle.dumps(thing))
+    assert repr(copy) == repr(thing) and len(repr(thing)) < 300 and "array(" not in repr(thing)
+    if kind == "Package":
+        assert (airgs.decode(copy, 3).means == airgs.decode(thing, 3).means).all()
+    if kind == "SessionLog":
+        assert copy.metrics == thing.metrics and copy.events == thing.events
+
+
+def test_the_rungs_of_a_package_have_names_bytes_and_psnr(public):
+    package = public["Package"]
+    rungs, summary = package.rungs, summarise(package.manifest, package.manifest_bytes).rungs
+    assert [rung.name for rung in rungs] == ["Q0+L0", "Q0+L1", "Q1+L0", "Q1+L1"]
+    assert [(r.bytes, r.psnr, r.best) for r in rungs] == [
+        (round(r.bytes_per_frame * package.manifest.frames), r.psnr, r.best) for r in summary
+    ]
+
+
+def test_a_sequence_is_like_a_list(public):
+    sequence = public["GaussianSequence"]
+    firsts = [g.means[0, 0] for g in sequence]
+    assert firsts == [sequence.read(n).means[0, 0] for n in range(len(sequence))]
+    assert sequence[-1].means[0, 0] == firsts[-1] and sequence[np.int64(2)].means[0, 0] == firsts[2]
+    assert [g.means[0, 0] for g in sequence[7:2:-2]] == firsts[7:2:-2]
 
 
 def test_a_sequence_is_encoded_with_its_attribution_and_decoded_by_names_or_numbers(tmp_path):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from airgs_codec.play.ladder import Decision
 from tests.support.paths import FOX, GOLDEN
 
 PACKAGE = GOLDEN / "fox"
@@ -14,8 +13,7 @@ FAST = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultraf
 
 
 def smallest(state):
-    option = min(state.options, key=lambda o: o.size_bytes)
-    return Decision(option.index, True, "the smallest", option.size_bytes)
+    return airgs.Decision(min(state.options, key=lambda o: o.size_bytes).index)
 
 
 @pytest.mark.parametrize("of", [str, lambda path: path])
@@ -44,6 +42,29 @@ def simulate(*given, **more):
 
 
 @pytest.mark.parametrize(
+    "call",
+    [
+        lambda sequence: sequence[99],
+        lambda sequence: sequence[-99],
+        lambda sequence: sequence["0"],
+        lambda sequence: sequence[:2][2],
+        lambda sequence: sequence.read(99),
+        lambda sequence: sequence.read(-1),
+        lambda sequence: sequence.load([0, 99]),
+        lambda sequence: sequence.load([]),
+        lambda sequence: sequence.load(3),
+        lambda sequence: airgs.decode(PACKAGE, 99),
+        lambda sequence: airgs.decode(PACKAGE, -1),
+        lambda sequence: list(airgs.decode_frames(PACKAGE, 0, 99)),
+    ],
+)
+def test_a_frame_that_is_not_there_is_named_alike_everywhere(call):
+    with pytest.raises(airgs.AirgsError, match=r"^frames?: expected") as caught:
+        call(airgs.open_sequence(FOX))
+    assert isinstance(caught.value, IndexError) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
     ("call", "line"),
     [
         (partial(airgs.decode, 3, 0), "package: expected an open package or the path of one, got int 3"),
@@ -59,6 +80,17 @@ def simulate(*given, **more):
         (partial(airgs.validate, None), "path: expected a path or an address, got None"),
         (simulate([], "const:5"), r"package: expected an open package or the path of one, got list \[\]"),
         (simulate(PACKAGE, 5.0), r"trace: expected a trace, or its path or name, got float 5\.0"),
+        (simulate(PACKAGE, "const:5", "best"), "^policy: expected paper.* got 'best'"),
+        (partial(airgs.draw, None, None, "tpu"), "^device: expected auto, cpu, cuda, got 'tpu'"),
+        (partial(airgs.EncodeSettings, quality="high"), "^quality: expected a number, got str 'high'"),
+        (partial(airgs.EncodeSettings, quality=1e-320), "step factors"),
+        (partial(airgs.EncodeSettings, group_frames=2.5), "^group_frames: expected a whole number, got float 2.5"),
+        (partial(airgs.EncodeSettings, tiers=1), "^tiers: expected a tuple, got int 1"),
+        (partial(airgs.EncodeSettings, margin=True), "^margin: expected a number or None, got bool True"),
+        (partial(airgs.SessionSettings, loops=10**99), "^loops: expected a whole number or None, got int 1000"),
+        (partial(airgs.TrainSettings, seed="1"), "^seed: expected a whole number, got str '1'"),
+        (partial(airgs.Goal, "psnr", 40), "^metric: expected a metric, as of Goal.psnr"),
+        (partial(airgs.Goal.size, "12"), "^target: expected a number, got str '12'"),
         (simulate(PACKAGE, "const:5", 3), "policy: expected a name, a function .* got int 3"),
         (simulate(PACKAGE, "const:5", settings=3), "settings: expected SessionSettings, got int 3"),
         (
@@ -66,7 +98,7 @@ def simulate(*given, **more):
             "policy <lambda>: expected a Decision, got Option",
         ),
         (
-            simulate(PACKAGE, "const:5", lambda state: Decision(99, True, "", 0)),
+            simulate(PACKAGE, "const:5", lambda state: airgs.Decision(99)),
             "expected the index of one of .* got 99",
         ),
     ],

@@ -14,7 +14,22 @@ COMMANDS = [
     (encode, ["none", "--quality", "much"], "--quality"),
     (encode, ["none", "--presett", "quick"], "--presett"),
     (encode, ["none", "--preset", "none"], "--preset"),
-    (encode, ["none", "--fps", "0"], "--fps"),
+    *(
+        (encode, ["none", "--fps", rate], "--fps")
+        for rate in ("0", "-1", "nan", "inf", "5e-324", "1e-9", "1e308", "1/0")
+    ),
+    *((encode, ["none", option, "9" * 25], option) for option in ("--group-frames", "--jobs", "--x264-preset")),
+    *((encode, ["none", "--quality", factor], "step factors") for factor in ("0", "1e-320", "1e308", "inf", "nan")),
+    (encode, ["none", "--segment", "inf"], "segment length"),
+    (encode, ["none", "-o", "scene.mp4"], "expected a folder or a name that ends in .airgs"),
+    (encode, ["none", "--report", "page.html"], "page.html: expected a folder"),
+    (decode, [FOX, "-o", "frames.mp4"], "frames.mp4: expected a name that ends in"),
+    (manifest, ["inspect", FOX, "--plot", "ladder"], "ladder: expected a name that ends in ."),
+    (manifest, ["compare", FOX, FOX, "-o", "worst.png"], "worst.png: expected a folder"),
+    (play, [FOX, "--trace", "const:5", "--video", "film.avi"], "film.avi: expected a name that ends in .mp4"),
+    (play, [FOX, "--trace", "const:5", "--player.buffer", "1e-320"], "buffer: expected 0.001 s or more"),
+    (play, [FOX, "--trace", "const:5", "--scale", "1e308"], "scale"),
+    (train, ["none", "-o", "model.ply"], "expected a folder or a name that ends in .gaussians"),
     (decode, ["none.airgs", "-o", "a.ply"], "none.airgs"),
     (decode, [FOX, "-o", "a.ply", "--frames", "9999"], "--frames"),
     (decode, [FOX, "-o", "a.spz", "--format", "none"], "--format"),
@@ -25,7 +40,7 @@ COMMANDS = [
     (manifest, ["compare", FOX, "none"], "none"),
     (play, ["none.airgs", "--trace", "const:5"], "none.airgs"),
     (play, [FOX, "--trace", "none.csv"], "none.csv"),
-    (play, [FOX, "--trace", "const:5", "--policy", "none"], "none"),
+    (play, [FOX, "--trace", "const:5", "--policy", "none"], "--policy: expected"),
     (train, ["none", "-o", "model"], "none"),
 ]
 

@@ -47,13 +47,13 @@ class Restored:
         if self.matched:
             how = f"matched again, {self.sure:.1%} of them with confidence"
             lacking = f"; a frame lacks {self.missing:.1%} of them on average" if self.missing else ""
-            notes.append(f"{_spans(self.matched)}: rows were out of order; {how}{lacking}")
+            notes.append(f"{spans_of(self.matched)}: rows were out of order; {how}{lacking}")
         if self.unmatched:
             reason = f"rows are not those of the frame before (under {LEAST_SURE:.0%} could be matched with confidence)"
-            notes.append(f"{_spans(self.unmatched)}: {reason}; each starts a group, and {COST}")
+            notes.append(f"{spans_of(self.unmatched)}: {reason}; each starts a group, and {COST}")
         if self.alone:
             reason = "each has another number of Gaussians than the frames beside it, and rows cannot be matched"
-            notes.append(f"{_spans(self.alone)}: {reason}; coded one by one, and {COST}")
+            notes.append(f"{spans_of(self.alone)}: {reason}; coded one by one, and {COST}")
         return notes
 
 
@@ -211,7 +211,7 @@ def _alone(sequence: GaussianSequence) -> tuple[int, ...]:
     return tuple(ones) if len(ones) > 1 and sequence.keyframes is None else ()
 
 
-def _spans(frames: Sequence[int]) -> str:
+def spans_of(frames: Sequence[int]) -> str:
     """Frame numbers, ascending, in words: frame 7, or frames 1-4, 7, 9-11."""
     spans: list[str] = []
     for _, members in itertools.groupby(enumerate(frames), key=lambda pair: pair[1] - pair[0]):

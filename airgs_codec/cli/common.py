@@ -17,7 +17,9 @@ from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.terminal import Bar, warn
 from airgs_codec.errors import ConfigError
-from airgs_codec.scene.beside import MAX_FPS, exact_number
+from airgs_codec.places.whole import expect_folder_name
+from airgs_codec.scene.beside import exact_number
+from airgs_codec.scene.beside import frame_rate as rate_of
 
 if TYPE_CHECKING:
     from airgs_codec.jobs.engines import Engine
@@ -25,12 +27,6 @@ if TYPE_CHECKING:
     from airgs_codec.package.tables import World
     from airgs_codec.progress import Progress
     from airgs_codec.scene.sequence import GaussianSequence
-
-
-def expect_rate(option: str, fps: Fraction | None) -> None:
-    """Raise ConfigError where an option is no number of frames a second."""
-    if fps is not None and not 0 < fps <= MAX_FPS:
-        raise ConfigError(f"{option}: expected 0 < fps <= {MAX_FPS}, got {fps}")
 
 
 def parse_frames(text: str | None) -> tuple[int, int | None]:
@@ -93,8 +89,13 @@ def fraction(text: str) -> Fraction:
     return exact_number(text)
 
 
+def read_rate(text: str) -> Fraction:
+    """Returns frames a second. Raises ValueError for what is no number, SceneError for what is no rate."""
+    return rate_of("frames a second", exact_number(text))
+
+
 def frame_rate() -> Any:
-    return setting(None, "frames a second (default: what the scene says, else 30)", read=fraction, metavar="FPS")
+    return setting(None, "frames a second (default: what the scene says, else 30)", read=read_rate, metavar="FPS")
 
 
 class Baking(TypedDict):
@@ -109,7 +110,7 @@ class BakingOptions:
     bake_fps: Fraction | None = setting(
         None,
         "frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
-        read=fraction,
+        read=read_rate,
         metavar="FPS",
     )
     duration: Fraction | None = setting(
@@ -241,6 +242,7 @@ def expect_report(folder: Path | None) -> None:
     """Raise ConfigError where a report cannot be drawn, or a file is where its folder should be."""
     if folder:
         require_matplotlib("--report")
+        expect_folder_name(folder)
         expect_folder(folder)
 
 

@@ -53,7 +53,7 @@ from airgs_codec.media.image import write_png
 from airgs_codec.media.metrics import Difference, Quality
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
-from airgs_codec.places.whole import atomic_path
+from airgs_codec.places.whole import atomic_path, expect_folder_name
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.camera import UP, orbit_views, with_near_planes
 from airgs_codec.scene.formats.table import is_clip
@@ -83,6 +83,7 @@ class Compare:
 def compare(options: Compare) -> int:
     """Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."""
     if options.output:
+        expect_folder_name(options.output)
         expect_folder(options.output)
     _expect_least(every=(options.every, 1))
     a, b = _open_both(options)

@@ -18,7 +18,6 @@ from airgs_codec.cli.common import (
     WorldOptions,
     as_json,
     device,
-    expect_rate,
     expect_report,
     expect_room,
     frame_rate,
@@ -33,7 +32,7 @@ from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.cli.train import train_by_default
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import hold_frames
-from airgs_codec.encoder.publish import EncodeReport
+from airgs_codec.encoder.publish import ENDING, EncodeReport
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
@@ -44,6 +43,7 @@ from airgs_codec.inspect.summary import format_ladder, format_summary, summarise
 from airgs_codec.media.sound import encode_sound
 from airgs_codec.package.package import open_package
 from airgs_codec.places.place import is_address
+from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.trainer.data.readers import is_multiview
@@ -111,9 +111,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def encode(options: Encode) -> int:
     """Encode Gaussian frames as H.264 pictures and a DASH manifest; multi-view video is trained first."""
     settings = _settings(options)
-    expect_rate("--fps", options.fps)
     expect_report(options.report)
     target = options.output or _default_target(options.scene)
+    expect_folder_name(target, ENDING)
     if options.follow:
         return _follow(options, settings, target)
     sequence = _open(options)
@@ -124,6 +124,8 @@ def encode(options: Encode) -> int:
     if cameras and not options.json:
         held_out = sum(camera.held_out for camera in sequence.cameras)
         say(f"cameras: {cameras}, {len(sequence.cameras)} of them, {held_out} held out")
+    for note in sequence.notes:
+        warn(note)
     sound = encode_sound(options.audio, len(sequence) / sequence.fps) if options.audio else None
     if sound and sound.note and not options.json:
         say(f"sound: {options.audio}: {sound.note}")
@@ -172,7 +174,7 @@ def _settings(options: Encode) -> EncodeSettings:
 
 def _default_target(scene: str) -> str:
     place = scene.rstrip("/") if is_address(scene) else Path(scene).resolve()  # "." has no name of its own
-    return f"{place}.airgs"
+    return f"{place}{ENDING}"
 
 
 def _open(options: Encode) -> GaussianSequence:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, TypeVar, g
 from cyclopts import App, Group, Parameter, exceptions
 
 from airgs_codec import __version__
-from airgs_codec._settings import applied, computed_setting, default_of
+from airgs_codec._settings import applied, computed_setting, default_of, is_of
 from airgs_codec.cli.terminal import run_command
 from airgs_codec.errors import AirgsError, ConfigError
 
@@ -140,6 +140,12 @@ def _run(app: App, words: list[str]) -> int:
         return app(words) or 0
     except exceptions.CycloptsError as error:
         raise ConfigError(refusal(error)) from error
+    except ConfigError as error:  # an argument of the library has the name under which it was given here
+        argument, *rest = str(error).partition(":")
+        option = f"--{option_name(argument)}"
+        if option in (word.partition("=")[0] for word in words):
+            error.args = ("".join([option, *rest]),)
+        raise
 
 
 def expect_one(**options: Any) -> None:
@@ -231,7 +237,10 @@ def _annotated(one: Field[Any], hint: Any, about: str, topic: str | None) -> Any
 def _read(read: Callable[[str], Any], kind: Any, _: Any, tokens: Sequence[Any]) -> Any:
     text = tokens[0].value
     try:
-        return read(text)
+        value = read(text)
+        if kind is int and not is_of(value, int):
+            raise ValueError
+        return value
     except AirgsError as error:
         raise ValueError(str(error)) from error
     except (ValueError, ArithmeticError) as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -35,6 +36,9 @@ def run_command(name: str, work: Callable[[], int]) -> int:
 
     SIGINT and SIGTERM end the work where it is, so that it removes what it has begun; the status is 130 or 143.
     """
+    for stream in filter(None, (sys.stdout, sys.stderr)):
+        if isinstance(stream, io.TextIOWrapper):  # whatever its encoding lacks
+            stream.reconfigure(errors="backslashreplace")
     try:
         with _terminable():
             return work()
@@ -96,7 +100,7 @@ class Bar:
 
     def __init__(self, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._piped = not sys.stderr.isatty()
+        self._piped = sys.stderr is None or not sys.stderr.isatty()  # None: it is closed
         self._bar: tqdm | None = None
         self._stage = ""
         self._begun_s = self._said_s = time.monotonic()

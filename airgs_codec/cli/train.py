@@ -16,7 +16,6 @@ from airgs_codec.cli.common import (
     WorkOptions,
     as_json,
     device,
-    expect_rate,
     expect_report,
     frame_rate,
     parse_frames,
@@ -27,7 +26,7 @@ from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
-from airgs_codec.trainer import default_model, default_settings, require_torch
+from airgs_codec.trainer import default_settings, model_folder, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
 from airgs_codec.trainer.data.readers import open_scene, shortened
 from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS, TrainSettings, preset
@@ -106,6 +105,7 @@ def train(options: Train) -> int:
     """Train a tracked Gaussian sequence from multi-view video, for airgs-encode."""
     require_torch()
     expect_report(options.report)
+    folder = model_folder(options.scene, options.output)
     _settings(options, "cpu")  # what cannot work is refused before the seconds that torch takes to load
     scene = _scene(options)
 
@@ -126,7 +126,6 @@ def train(options: Train) -> int:
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")
-    folder = options.output or default_model(options.scene)
     known = known_offsets(folder) if options.resume else None
     scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
     run = open_run(scene, folder, settings, resume=options.resume, device=device)
@@ -150,7 +149,6 @@ def train(options: Train) -> int:
 
 
 def _scene(options: Train) -> MultiviewScene:
-    expect_rate("--fps", options.fps)
     if options.near is not None and not 0 < options.near < float("inf"):
         raise ConfigError(f"--near: expected a positive distance, got {options.near}")
     scene = open_scene(options.scene, fps=options.fps)
@@ -247,7 +245,7 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.record import known_offsets
 
-    views, folder = with_held_out(open_scene(scene, fps=fps), None), default_model(scene)
+    views, folder = with_held_out(open_scene(scene, fps=fps), None), model_folder(scene)
     device = open_renderer(device).device
     views = match_cameras(views, (0, None), AUTO, known_offsets(folder), quiet=quiet)
     run = open_run(views, folder, default_settings(device), resume=True, device=device)

@@ -16,7 +16,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._arguments import argument
+from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import read_codes, read_values
 from airgs_codec.coding.channels import (
@@ -31,7 +31,7 @@ from airgs_codec.coding.quantize import code_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
 from airgs_codec.decoder.states import decode_pictures, expect_size, state_units
-from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, STATE, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
@@ -55,13 +55,12 @@ def decode(
 
     Decodes nothing but the key tiers of the frame's group, those of the group that they are differences to, and its
     segment up to the frame. While the package is open, key tiers of some groups stay decoded, and the escapes of one
-    segment. The result has as many rows as the key tiers that viewers of the level fetch. Raises ConfigError for a
-    frame, level or key quality that the package does not have, FormatError for a broken package.
+    segment. The result has as many rows as the key tiers that viewers of the level fetch. Raises FrameError for a
+    frame, ConfigError for a level or key quality that the package does not have, FormatError for a broken package.
     """
     package = argument("package", package, Package, OPENED, open_package)
     m = package.manifest
-    if not (isinstance(frame, Integral) and 0 <= frame < m.frames):
-        raise ConfigError(f"frame: expected 0..{m.frames - 1}, got {frame!r}")
+    frame = frame_argument(frame, m.frames)
     j, q, index = m.level_index(level), m.quality_index(key_quality), m.segment_at(frame)
     base = _canonical_again(package, m.group_of(index), q, m.levels[j].tiers)
     shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
@@ -106,7 +105,7 @@ def decode_frames(
     m = package.manifest
     j, q = m.level_index(level), m.quality_index(key_quality)
     if not (isinstance(start, Integral) and isinstance(stop, Integral) and 0 <= start <= stop <= m.frames):
-        raise ConfigError(f"frames: expected a range inside 0:{m.frames}, got {start!r}:{stop!r}")
+        raise FrameError(f"frames: expected a range inside 0:{m.frames}, got {start!r}:{stop!r}")
     base: Canonical | None = None
     group = -1
     for index in range(m.segment_at(start), m.segment_at(stop - 1) + 1) if start < stop else ():

@@ -8,7 +8,7 @@ from contextlib import closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from airgs_codec._arguments import argument
+from airgs_codec._arguments import argument, brief, path_argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence, measure_encoded
@@ -27,9 +27,11 @@ from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import open_package, write_file
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.places.place import Folder, Place, place_at
+from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.progress import Progress, Stopwatch, silent, told
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
+ENDING = ".airgs"  # of the names of packages, which may have none
 NO_FILES: Mapping[str, bytes] = {}
 
 
@@ -62,6 +64,8 @@ class EncodeReport:
     trials: Sequence[tuple[float, float]] = ()  # of the search: quality factors, and what they came to
     repairs: Sequence[str] = ()  # why it was encoded again, a line each
     uncertainty: float = 0.0  # as in `Measured`
+
+    __repr__ = brief
 
     def stages(self) -> list[Stage]:
         """The parts of the work in their order, and what came of each."""
@@ -119,6 +123,7 @@ def encode(
     settings = argument("settings", settings, EncodeSettings, "EncodeSettings")
     if goal is not None:
         argument("goal", goal, Goal, "a Goal")
+    expect_folder_name(path_argument("path", path), ENDING)
     working = temporary_work(told(progress)) if work is None else nullcontext(work)
     with staged_package(place_at(path)) as stage, working as at:
         report = _encode(sequence, Folder(stage), settings, goal, at)

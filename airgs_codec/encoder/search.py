@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 
+from airgs_codec._arguments import argument
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.batch import Calibrated, encode_sequence, measure_encoded
 from airgs_codec.encoder.pipeline import PreparedSequence
@@ -66,13 +68,26 @@ class OutOfReachError(ConfigError):
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """What the top rung is to reach."""
+    """What the top rung is to reach: `Goal.psnr(40)`, in dB, `Goal.delta_e(1)` or `Goal.size(12)`, in kB a frame."""
 
     metric: Metric
     value: float  # dB, ΔE, or kB a frame
 
+    @staticmethod
+    def psnr(value: float) -> Goal:
+        return Goal(PSNR, value)
+
+    @staticmethod
+    def delta_e(value: float) -> Goal:
+        return Goal(DELTA_E, value)
+
+    @staticmethod
+    def size(value: float) -> Goal:
+        return Goal(SIZE, value)
+
     def __post_init__(self) -> None:
-        m = self.metric
+        m = argument("metric", self.metric, Metric, "a metric, as of Goal.psnr(40)")
+        argument("target", self.value, Real, "a number")  # type: ignore[type-abstract]
         if not 0 < self.value < math.inf:
             raise ConfigError(f"target: expected a positive {m.name}, got {self.value:g}")
         if self.value < m.rounding:

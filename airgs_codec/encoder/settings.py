@@ -199,6 +199,8 @@ class EncodeSettings:
         qualities = [level.quality for level in self.levels]
         ladder = (self.levels, self.tiers)
         fault = fault_of(self.world.transform) if self.world else None
+        others = [*self.key_factors, *(level.factor for level in self.levels)]
+        factors = [self.quality, *others, *(self.quality * factor for factor in others)]
         checks = [
             (1 <= len(self.levels) <= MAX_CHOICES, f"expected 1 to {MAX_CHOICES} levels"),
             (all(0 <= s <= 1 for s in shares), f"expected pruned shares in [0, 1], got {shares}"),
@@ -212,10 +214,10 @@ class EncodeSettings:
                 f"expected ascending key qualities below {len(self.key_factors)}, got {qualities}",
             ),
             (
-                all(f > 0 for f in (self.quality, *self.key_factors, *(level.factor for level in self.levels))),
-                "expected positive step factors",
+                all(1e-6 <= factor <= 1e6 for factor in factors),
+                "expected positive step factors, of 1e-06 to 1e+06",
             ),
-            (self.segment_s > 0, f"expected a positive segment length, got {self.segment_s}"),
+            (0 < self.segment_s < math.inf, f"expected a positive segment length, got {self.segment_s}"),
             (self.group_frames >= 1, f"expected at least one frame a group, got {self.group_frames}"),
             (
                 abs(sum(self.tiers) - 1) < 1e-9 and min(self.tiers) >= 0,
@@ -235,7 +237,7 @@ class EncodeSettings:
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
             (
                 self.rows == AUTO or not self.track,
-                f"--rows {self.rows}: expected none with --track, which leaves rows in order",
+                f"rows: expected {AUTO} with track, which leaves rows in order, got {self.rows}",
             ),
             (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),

@@ -101,7 +101,7 @@ def tracked(sequence: GaussianSequence, settings: EncodeSettings, work: Work) ->
     if not settings.track or len(sequence) == 1:
         yield Tracked(sequence)
         return
-    names, in_order = look_at_frames(sequence, work)
+    names, in_order, _ = look_at_frames(sequence, work)
     if in_order and len({header.count for header in sequence.headers}) == 1:
         yield Tracked(sequence, ("not tracked: its rows are in order already",))
         return

@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._arguments import argument
+from airgs_codec._arguments import argument, brief
 from airgs_codec._report import table
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.sides import Side, before_both, expect_same_rate, is_package, shared_views, side_of, splits_of
@@ -127,6 +127,8 @@ class Comparison:
     quality: Quality  # of pictures that show something
     pictures: tuple[Seen, ...]  # all, frame after frame
     blank: int = 0  # of them, which show nothing of either
+
+    __repr__ = brief
 
     @property
     def ranked(self) -> list[Seen]:

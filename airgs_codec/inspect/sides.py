@@ -204,7 +204,7 @@ def compared_views(cameras: Sequence[Camera], split: str | None) -> list[Camera]
     """
     found = splits_of(cameras)
     if split is not None and split not in found:
-        raise ConfigError(f"--split: expected one of {', '.join(sorted(found))}, got {split!r}")
+        raise ConfigError(f"split: expected one of {', '.join(sorted(found))}, got {split!r}")
     wanted = {split} if split else {REGION, "test"} if "test" in found else set(found)
     return [camera for camera in cameras if camera.split in wanted]
 

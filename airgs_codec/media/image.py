@@ -36,10 +36,14 @@ def to_floats(samples: NDArray[np.uint8]) -> NDArray[np.float32]:
     return samples.astype(np.float32) / np.float32(255)
 
 
+def encode_png(rgb: NDArray[np.uint8]) -> bytes:
+    """(H, W, 3) RGB as PNG."""
+    return bytes(cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))[1])
+
+
 def write_png(path: Path, rgb: NDArray[np.uint8]) -> None:
     """Write (H, W, 3) RGB as PNG."""
-    _, data = cv2.imencode(".png", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-    path.write_bytes(data.tobytes())
+    path.write_bytes(encode_png(rgb))
 
 
 def save_png(path: str | Path, rgb: NDArray[np.floating]) -> None:

@@ -22,6 +22,7 @@ from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, sound_init
 
 LAYOUTS = {1: "mono", 2: "stereo"}  # by channels
 BITS_S = {1: 64_000, 2: 96_000}  # of the encoder, by channels
+MOST_S = 21_600  # of a sound, most of which would be silence
 TOLERANCE_S = Fraction(1, 25)  # time stamps of files are this rough; a larger gap is silence
 
 
@@ -42,8 +43,11 @@ class SoundTrack:
 def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
     """The first sound of a file, as long as a sequence of so many seconds: cut at its end, or silent from its own on.
 
-    Raises SceneError for a file without sound or one that cannot be read, CodecError when the encoder fails.
+    Raises SceneError for a file without sound, one that cannot be read, and a sequence longer than MOST_S, CodecError
+    when the encoder fails.
     """
+    if seconds > MOST_S:
+        raise SceneError(f"{path}: expected at most {MOST_S} s of pictures beside sound, got {float(seconds):.0f}")
     count = math.ceil(seconds * SOUND_RATE / PACKET_TICKS)
     try:
         return _encode(_Source(path), count, seconds)
@@ -115,6 +119,9 @@ class _Source:
             raise SceneError(f"{path}: expected a file with sound, got one without")
         self._stream = self._container.streams.audio[0]
         self.channels = min(2, self._stream.codec_context.layout.nb_channels)
+        if not self.channels:
+            self._container.close()
+            raise SceneError(f"{path}: expected a file with sound, got a track of no channels")
 
     def parts(self, count: int) -> Iterator[NDArray[np.int16]]:
         """(n, C) parts that have `count` samples together; silence where the file has none.
@@ -124,7 +131,7 @@ class _Source:
         given = rest = 0
         for at, samples in self._placed():
             if at - given > TOLERANCE_S * SOUND_RATE:
-                yield np.zeros((min(at, count) - given, self.channels), np.int16)
+                yield from self._silence(min(at, count) - given)
                 given = min(at, count)
             elif not given:
                 samples = samples[max(0, -at) :]
@@ -136,8 +143,12 @@ class _Source:
             self.longer = rest > TOLERANCE_S * SOUND_RATE
             if self.longer:
                 return
-        if given < count:
-            yield np.zeros((count - given, self.channels), np.int16)
+        yield from self._silence(count - given)
+
+    def _silence(self, count: int) -> Iterator[NDArray[np.int16]]:
+        """So many samples, a second at a time."""
+        for start in range(0, count, SOUND_RATE):
+            yield np.zeros((min(SOUND_RATE, count - start), self.channels), np.int16)
 
     def _placed(self) -> Iterator[tuple[int, NDArray[np.int16]]]:
         """Samples with their places in the file, counted from where all of its streams begin."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, overload
+from functools import partial
+from typing import TYPE_CHECKING, Any, overload
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry, GroupIndex, ReadPage
@@ -48,7 +49,7 @@ class Groups(Sequence[Group]):
     @staticmethod
     def of(groups: Sequence[Group]) -> Groups:
         index, pages = build_index(groups, [pack_group(group) for group in groups])
-        return Groups(index, lambda path, _: pages[path], lambda number, _: groups[number])
+        return Groups(index, partial(_stored, pages), partial(_stored, groups))
 
     def __len__(self) -> int:
         return self.places.groups
@@ -80,6 +81,10 @@ class Groups(Sequence[Group]):
         self._kept[number] = group
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
+
+
+def _stored(tables: Any, which: str | int, _entry: Entry) -> Any:
+    return tables[which]
 
 
 class Segments(Sequence[Segment]):
@@ -215,6 +220,29 @@ class Manifest(Header):
         sound = [path for g in groups for path in self.sound_files(g)]
         keys = [path for g in groups for t in tiers for path in self.key_files(g, t, quality)]
         return sound + keys + [path for g in groups for s in self.segments_of(g) for path in self.state_files(s, level)]
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """Everything that a viewer of one key quality and level fetches from start to end, and what it shows."""
+
+    name: str  # such as Q0+L0
+    key_quality: str
+    level: str
+    bytes: int  # of keys, states, sound and all tables
+    psnr: float | None  # dB, of the error pooled over pictures; None: not measured
+    best: bool  # whether players choose it, see `on_ladder`
+
+
+def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
+    """The rungs of a package whose tables and manifest.mpd have `manifest_bytes` together, quality by quality."""
+    places = [(q, j) for q in range(len(m.qualities)) for j in range(len(m.levels))]
+    sizes = [manifest_bytes + m.bytes_of(m.rung_files(q, j)) for q, j in places]
+    measured = [pooled_quality(m, j, q) for q, j in places]
+    psnr = [None if one is None else one.psnr for one in measured]
+    names = [(m.qualities[q].id, m.levels[j].id) for q, j in places]
+    rest = zip(names, sizes, psnr, on_ladder(list(zip(sizes, psnr, strict=True))), strict=True)
+    return tuple(Rung("+".join(name), *name, *figures) for name, *figures in rest)  # type: ignore[arg-type]
 
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:

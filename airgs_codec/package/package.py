@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry
 from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_NAME, ROOTS, group_path, locate
-from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
@@ -49,6 +50,14 @@ class Package:
 
         return first_views(self.manifest.region, self.manifest.world)
 
+    @property
+    def rungs(self) -> tuple[Rung, ...]:
+        """What viewers can choose among, key quality by key quality. Raises FormatError as `read` does."""
+        return rungs_of(self.manifest, self.manifest_bytes)
+
+    def __repr__(self) -> str:
+        return f"Package({_words(self)})"
+
     def _repr_html_(self) -> str:
         """A line for notebooks, below the player where the package is served with one, else below its poster."""
         m, picture = self.manifest, _player_at(self.files.name)
@@ -56,8 +65,7 @@ class Package:
             with suppress(FormatError):
                 data = base64.b64encode(self.read(POSTER_NAME)).decode()
                 picture = f'<img src="data:{MEDIA_TYPES[".jpg"]};base64,{data}" alt=""><br>'
-        rungs = f"{len(m.qualities)} key qualities of {len(m.levels)} levels"
-        words = f"{self.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs}; {m.attribution}"
+        words = f"{_words(self)}; {m.attribution}"
         return f"<figure>{picture}<figcaption>{escape(words.removesuffix('; '))}</figcaption></figure>"
 
     def read(self, relative: str) -> bytes:
@@ -67,6 +75,12 @@ class Package:
         is wrong with the table of the group that it belongs to.
         """
         return read_file(self.files, relative, self.manifest.entry(relative))
+
+
+def _words(package: Package) -> str:
+    m = package.manifest
+    rungs = f"{len(m.qualities)} key qualities of {len(m.levels)} levels"
+    return f"{package.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs}"
 
 
 def _player_at(address: str) -> str:
@@ -126,19 +140,21 @@ def check_repr_digest(where: str, data: bytes, header: str) -> None:
 
 def open_manifest(root: Root, read: Read) -> Manifest:
     """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
+    return Manifest(**_shared(root), groups=Groups(root.index, partial(_page, read), partial(_group, read, root)))
 
-    def table(path: str, file: FileEntry) -> bytes:
-        if file.bytes > MAX_TABLE_BYTES:
-            raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
-        return read(path, file)
 
-    def page(path: str, entry: Entry) -> Spans:
-        return parse_page(table(path, entry.file), entry, path)
+def _table(read: Read, path: str, file: FileEntry) -> bytes:
+    if file.bytes > MAX_TABLE_BYTES:
+        raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
+    return read(path, file)
 
-    def group(number: int, entry: Entry) -> Group:
-        return parse_group(table(group_path(number + 1), entry.file), root, entry, number)
 
-    return Manifest(**_shared(root), groups=Groups(root.index, page, group))
+def _page(read: Read, path: str, entry: Entry) -> Spans:
+    return parse_page(_table(read, path, entry.file), entry, path)
+
+
+def _group(read: Read, root: Root, number: int, entry: Entry) -> Group:
+    return parse_group(_table(read, group_path(number + 1), entry.file), root, entry, number)
 
 
 def root_of(m: Manifest) -> Root:
@@ -170,7 +186,7 @@ def open_files(files: Place) -> Package:
     if size > MAX_TABLE_BYTES:
         raise FormatError("too_large", f"{files.name}/{JSON_NAME}", f"expected at most {MAX_TABLE_BYTES} bytes")
     data = read()
-    manifest = open_manifest(parse_root(data), lambda name, entry: read_file(files, name, entry))
+    manifest = open_manifest(parse_root(data), partial(read_file, files))
     return Package(files, manifest, len(data), mpd_bytes)
 
 

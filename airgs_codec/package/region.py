@@ -10,6 +10,7 @@ row) and how long a unit is (the scale).
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -180,7 +181,7 @@ def world_from(up: Sequence[float], metres: float | None = None) -> World:
     The turn is the shortest one, after half a turn about x where up is in the lower half space: so y down, z up and
     y up become (x, -y, -z), (x, z, -y) and (x, y, z). Raises ConfigError.
     """
-    direction, length = np.array(up, np.float64), float(np.linalg.norm(up))
+    direction, length = np.array(up, np.float64), math.hypot(*up)
     if not (0 < length < np.inf):
         raise ConfigError(f"up: expected a direction, got {list(up)}")
     direction /= length

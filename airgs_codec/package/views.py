@@ -35,7 +35,7 @@ def set_view(
     if root.live:
         raise ConfigError(f"{path}: expected a package that is whole, got one that is still growing")
     if up is None and view is None:
-        raise ConfigError(f"{path}: expected --up, or --position and --look-at, got nothing to change")
+        raise ConfigError(f"{path}: expected a way up or a view, got nothing to change")
     if up is not None:
         root = replace(root, world=world_from(up, unit_of(root.world) if root.world else None))
     if view is not None:

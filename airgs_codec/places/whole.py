@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import json
 import math
+import mimetypes
 import os
 import re
 import secrets
@@ -25,8 +26,18 @@ PART_SUFFIX = ".part"  # of what is being written; its name starts with a dot
 _PART = re.compile(r"(.*/)?\.([^/]+)\.[0-9a-f]{16}\.part")  # what `atomic_path` writes, below any folder
 _MARK_NAME, _MARK = "airgs-unfinished", b"airgs-codec makes a folder here; nothing else may be put beside it\n"
 _NEW, _OLD = "new", "old"  # folders beside the mark
+_OURS = ".ply .spz .sog .splat .splatv .ksplat .4dgs .splat4d .glb .gltf .usdz .fbx .mpd .m4s .webp .mkv .npz .7z"
+_FILES = {*mimetypes.MimeTypes().types_map[True], *_OURS.split(), ".gz"}  # endings of names
 
 IsOurs = Callable[[Path], bool]  # whether a folder with files in it is of the kind that may be replaced
+
+
+def expect_folder_name(place: str | Path, ending: str = "") -> None:
+    """Raise ConfigError for a place that is no folder yet and has the ending of a file; `ending`: what is expected."""
+    path = Path(place)
+    if path.suffix.lower() in _FILES and not str(place).endswith(os.sep) and not path.is_dir():
+        other = f" or a name that ends in {ending}" * bool(ending)
+        raise ConfigError(f"{place}: expected a folder{other}, got a name that ends in {path.suffix}")
 
 
 @contextmanager

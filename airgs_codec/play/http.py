@@ -20,8 +20,9 @@ import os
 import random
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from types import SimpleNamespace, TracebackType
 from typing import Self
 from urllib.parse import urlsplit
@@ -66,9 +67,9 @@ class HttpSettings:
 
     def __post_init__(self) -> None:
         for name, value in (("time-out", self.timeout_s), ("back-off", self.backoff_s)):
-            if not value > 0:
+            if not 0 < value < math.inf:
                 raise ConfigError(f"{name}: expected more than 0 s, got {value:g}")
-        if self.attempts < 1 or not self.outage_s >= 0:
+        if self.attempts < 1 or not 0 <= self.outage_s < math.inf:
             raise ConfigError("expected an attempt or more, and an outage of 0 s or more")
 
 
@@ -504,19 +505,12 @@ class RemoteTables:
         root = parse_root(data)
         if self._root is not None:
             _check_growth(self._root, root)
-        manifest = open_manifest(root, self._find)
+        manifest = open_manifest(root, partial(_find, self._files))
         if self.offers is None:
             self.offers = Offers(manifest, root_bytes=len(data), live=root.live)
         else:
             self.offers.grow(manifest, len(data))
         self._root, self._root_text = root, data
-
-    def _find(self, path: str, entry: FileEntry) -> bytes:
-        """A table that came, if it is still what the root leads to."""
-        if path not in self._files:
-            raise FormatError("missing_file", path, "it has not been fetched")
-        check_digest(path, self._files[path], entry)
-        return self._files[path]
 
     def _read_table(self, c: Offers, path: str, data: bytes) -> None:
         what, numbers = locate(path)
@@ -541,6 +535,14 @@ class RemoteTables:
             if group_path(keeps) in self._files:
                 m.base_of(group)
             self._keepers.setdefault(keeps - 1, set()).add(group)
+
+
+def _find(tables: Mapping[str, bytes], path: str, entry: FileEntry) -> bytes:
+    """A table that came, if it is still what the root leads to."""
+    if path not in tables:
+        raise FormatError("missing_file", path, "it has not been fetched")
+    check_digest(path, tables[path], entry)
+    return tables[path]
 
 
 def _check_growth(before: Root, after: Root) -> None:

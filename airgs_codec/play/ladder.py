@@ -38,9 +38,9 @@ class Decision:
     """The option that was chosen, and why."""
 
     index: int  # of the option
-    fits: bool  # whether it is within the budget
-    reason: str  # in words, for people
-    size_bytes: int
+    fits: bool = True  # whether it is within the budget
+    reason: str = ""  # in words, for people
+    size_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)

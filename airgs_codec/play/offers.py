@@ -171,6 +171,9 @@ class Offers:
         self._sizes = lru_cache(RETAINED)(lambda path: self.manifest.entry(path).bytes)
         self._group_keys = lru_cache(RETAINED)(self._make_keys)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live, self.first)
+
     @staticmethod
     def of(package: Package) -> Offers:
         return Offers(package.manifest, root_bytes=package.root_bytes)

@@ -73,7 +73,7 @@ def play_steps(
     """
     if policy.needs_quality and not offers.manifest.measured:
         raise ConfigError(
-            f"policy {policy.name}: the package has no measured quality, encode it without --measure-pictures 0"
+            f"policy {policy.name}: the package has no measured quality, encode it with measure_pictures above 0"
         )
     rules = settings or SessionSettings()
     return Player(Fetcher(offers, connection, policy, rules), Playout(rules)).play()

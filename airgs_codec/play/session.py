@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._arguments import argument
+from airgs_codec._arguments import argument, brief
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.layout import FileKind, file_kind
@@ -63,6 +63,8 @@ class SessionLog:
     bytes_by_kind: Mapping[FileKind, int]  # of files that were of use, without headers
     lost: tuple[str, ...]  # what could not be had, one line each
     retried: tuple[str, ...]  # what was asked for again, one line each
+
+    __repr__ = brief
 
     @staticmethod
     def of(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError
 
+LEAST_S = 1e-3  # of a buffer: no frame is shorter
+
 
 @documented
 @dataclass(frozen=True, slots=True)
@@ -27,8 +29,8 @@ class SessionSettings:
     budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group; by default any number")
 
     def __post_init__(self) -> None:
-        if not 0 < self.buffer_s < math.inf:
-            raise ConfigError(f"buffer: expected more than 0 s, got {self.buffer_s:g}")
+        if not LEAST_S <= self.buffer_s < math.inf:
+            raise ConfigError(f"buffer: expected {LEAST_S:g} s or more, got {self.buffer_s:g}")
         for name, value in (("start-up", self.startup_s), ("resume", self.resume_s)):
             if not 0 <= value < math.inf:
                 raise ConfigError(f"{name}: expected 0 s or more, got {value:g}")

@@ -54,8 +54,9 @@ class StudySettings:
             raise ConfigError(f"policies: expected different ones, got {', '.join(self.policies) or 'none'}")
         if not self.traces:
             raise ConfigError("traces: expected at least one")
-        if self.offsets < 1 or self.jobs < 1:
-            raise ConfigError(f"expected at least one offset and job, got {self.offsets} and {self.jobs}")
+        if self.offsets < 1 or self.jobs < 1 or self.seed < 0:
+            got = f"{self.offsets}, {self.jobs} and {self.seed}"
+            raise ConfigError(f"expected at least one offset and job, and a seed of 0 or more, got {got}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from airgs_codec._arguments import path_argument
+from airgs_codec._arguments import brief, path_argument
 from airgs_codec.errors import ConfigError, TransportError
 
 MAHIMAHI_PACKET_BYTES = 1500  # one delivery opportunity
@@ -45,6 +45,7 @@ class Trace:
     offset_s: float = 0.0  # where in the measurement it begins
     end: str = "loop"  # of ENDS
     rtt_s: float | None = None  # round trip, where the measurement has one
+    __repr__ = brief
     _starts: list[float] = field(init=False, repr=False)
     _totals: list[float] = field(init=False, repr=False)  # (K + 1,) bits delivered up to each start, and to the end
 
@@ -153,8 +154,8 @@ class Trace:
         """The trace begun at `offset_s` (what lies before comes last), its rates times `scale`."""
         if not (0 <= offset_s < self.duration_s):
             raise TransportError(f"{self.name}: expected an offset in [0, {self.duration_s:g}) s, got {offset_s:g}")
-        if not 0 < scale < math.inf:
-            raise TransportError(f"{self.name}: expected a positive scale, got {scale:g}")
+        if not 0 < scale * self.mean_bps <= MOST_BPS:
+            raise TransportError(f"{self.name}: expected a positive scale of rates that links have, got {scale:g}")
         first = int(np.searchsorted(self.starts_s, offset_s, side="right")) - 1
         later, earlier = self.starts_s[first:] - offset_s, self.starts_s[: first + 1] + self.duration_s - offset_s
         starts = np.concatenate([np.maximum(later, 0), earlier])

@@ -5,10 +5,10 @@ A `Renderer` is made once from the name of a device and handed down to all that 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu
 from airgs_codec.render.cpu import Contribution, Floats, RasterInputs, Render, Weights
+from airgs_codec.scene.arrays import as_gaussians
 from airgs_codec.scene.camera import Background, Camera, with_near_planes
 from airgs_codec.scene.gaussians import Gaussians
 
@@ -75,22 +76,22 @@ CPU = Renderer()
 def open_renderer(device: str) -> Renderer:
     """The renderer of auto, cpu or cuda; auto is cuda where gsplat can run. Raises ConfigError where cuda cannot."""
     if device not in DEVICES:
-        raise ConfigError(f"--device: expected {', '.join(DEVICES)}, got {device}")
+        raise ConfigError(f"device: expected {', '.join(DEVICES)}, got {device!r}")
     if device == "cpu":
         return CPU
     reason = _missing()
     if device == "cuda" and reason:
-        raise ConfigError(f"--device cuda: {reason}")
+        raise ConfigError(f"device cuda: {reason}")
     return CPU if reason else Renderer("cuda")
 
 
-def draw(gaussians: Gaussians, camera: Camera, device: str = "cpu") -> Render:
+def draw(gaussians: Gaussians | Mapping[str, Any], camera: Camera, device: str = "cpu") -> Render:
     """The picture that a camera sees of Gaussians before its background, drawn on cpu or, with gsplat, on cuda.
 
-    `device` may be auto, too. Raises ConfigError where it cannot be used.
+    They may be a mapping of arrays, as in `Sequence.from_arrays`; `device` may be auto, too. Raises SceneError for what
+    is no frame, ConfigError where the device cannot be used.
     """
-    renderer = open_renderer(device)
-    shown = argument("gaussians", gaussians, Gaussians, "Gaussians")
+    renderer, shown = open_renderer(device), as_gaussians(gaussians)
     (seen,) = with_near_planes([argument("camera", camera, Camera, "a Camera")], shown)
     return renderer.render(shown, seen)
 

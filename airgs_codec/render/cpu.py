@@ -5,6 +5,8 @@ N Gaussians, V visible, K = (degree + 1)^2 - 1 SH coefficients past DC, M (Gauss
 
 from __future__ import annotations
 
+import importlib
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -15,9 +17,11 @@ from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import numba
 import numpy as np
+from numba.np.ufunc import parallel
 from numpy.typing import NDArray
 
-from airgs_codec.media.image import save_png
+from airgs_codec._arguments import brief
+from airgs_codec.media.image import encode_png, save_png, to_bytes
 from airgs_codec.render import cpu_kernels as kernels
 from airgs_codec.scene.camera import BLACK, Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
@@ -31,7 +35,27 @@ FAR = 1e18  # world units along the view axis: the square of more is no float32
 DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
+POOLED = [kernels]  # modules whose kernels numba's pool of threads works on
 _announced = False
+
+
+def _forked() -> None:
+    """In a process that was forked: a lock that nobody holds, and a pool of threads that a fork does not break.
+
+    GNU's OpenMP, numba's fastest pool, ends a forked process that enters it when its parent has. Kernels that are
+    loaded again are bound to the pool that is then chosen.
+    """
+    global _LOCK
+    _LOCK = threading.Lock()
+    if parallel._is_initialized and numba.threading_layer() == "omp":
+        numba.config.THREADING_LAYER = "workqueue"  # type: ignore[attr-defined]
+        parallel._is_initialized = False
+        for module in POOLED:
+            importlib.reload(module)
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forked)
 
 
 class Shaped(Protocol):
@@ -66,6 +90,12 @@ class Render:
 
     rgb: Floats
     transmittance: Floats
+
+    __repr__ = brief
+
+    def _repr_png_(self) -> bytes:
+        """It as a PNG, for notebooks."""
+        return encode_png(to_bytes(self.rgb))
 
     def save(self, path: str | Path) -> None:
         """Write it as an 8-bit PNG, whole or not at all. Raises ConfigError where that cannot be."""

@@ -22,10 +22,11 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import frame_rate
 from airgs_codec.scene.formats.form import Clip, FrameHeader
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, as_floats
 
 Frame = Gaussians | Mapping[str, Any]
 NAMES = tuple(field.name for field in fields(Gaussians))
+GSPLAT = dict(zip(("means", "quats", "scales", "opacities", "sh0", "shN"), NAMES, strict=True))  # as gsplat trains them
 IN_MEMORY = Path("frames in memory")  # in place of a file
 
 
@@ -52,7 +53,7 @@ def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) 
 def _separate(frames: Mapping[str, Any] | Iterable[Frame]) -> Iterator[Frame]:
     """The frames one after another; a mapping has arrays whose first axis is time."""
     if isinstance(frames, Mapping):
-        columns = {name: _array(name, value) for name, value in frames.items()}
+        columns = _ours({name: as_floats(name, value) for name, value in frames.items()}, "frames")
         shape = columns["means"].shape if "means" in columns else None
         if shape is None or len(shape) != 3:
             raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
@@ -66,15 +67,39 @@ def _separate(frames: Mapping[str, Any] | Iterable[Frame]) -> Iterator[Frame]:
         raise SceneError(f"frames: expected frames or a mapping of arrays with a time axis, got {described(frames)}")
 
 
+def as_gaussians(value: Frame) -> Gaussians:
+    """The argument `gaussians` of a function: Gaussians as they are, or a frame as `clip_of` takes it. SceneError."""
+    return value if isinstance(value, Gaussians) else _checked(value, "gaussians")
+
+
+def _ours(columns: dict[str, NDArray[np.float32]], where: str) -> dict[str, NDArray[np.float32]]:
+    """The arrays under our names, where they have gsplat's. Raises SceneError where they may not be as it stores them.
+
+    Its trainer stores logarithms and logits, as we do; its rasteriser takes sizes and opacities by the same names.
+    """
+    if not {*columns} <= {*GSPLAT} or {*columns} <= {*NAMES}:
+        return columns
+    sizes, alpha = (columns.get(name, np.zeros(0)) for name in ("scales", "opacities"))
+    if sizes.size and alpha.size and sizes.min() > 0 and alpha.min() >= 0 and alpha.max() <= 1:
+        expected = "expected logarithms of sizes and logits of opacities, as gsplat's trainer stores them"
+        raise SceneError(f"{where}: scales, opacities: {expected}, got only sizes above 0 and opacities of 0 to 1")
+    if (first := columns.get("sh0")) is not None and first.ndim > 2 and first.shape[-2] == 1:
+        columns["sh0"] = first[..., 0, :]
+    return {GSPLAT[name]: column for name, column in columns.items()}
+
+
 def _checked(frame: Frame, where: str) -> Gaussians:
     if isinstance(frame, Gaussians):
         frame = {name: getattr(frame, name) for name in NAMES}
+    if hasattr(frame, "items"):  # a dictionary of torch's parameters is no Mapping
+        frame = dict(frame.items())
     if not isinstance(frame, Mapping):
         raise SceneError(f"{where}: expected Gaussians or a mapping of their arrays, got {described(frame)}")
-    if not set(NAMES[:-1]) <= set(frame) <= set(NAMES):
+    columns = {str(name): as_floats(f"{where}: {name}", value) for name, value in frame.items()}
+    columns = _ours(columns, where)
+    if not set(NAMES[:-1]) <= set(columns) <= set(NAMES):
         expected = f"expected {', '.join(NAMES[:-1])} and maybe {NAMES[-1]}"
         raise SceneError(f"{where}: {expected}, got {', '.join(map(str, frame)) or 'none'}")
-    columns = {name: _array(f"{where}: {name}", value) for name, value in frame.items()}
     columns.setdefault(NAMES[-1], np.zeros((*columns["means"].shape[:1], 0, 3), np.float32))
     try:
         g = Gaussians(**columns)
@@ -88,17 +113,6 @@ def _checked(frame: Frame, where: str) -> Gaussians:
             place = tuple(np.argwhere(~finite)[0].tolist())
             raise SceneError(f"{where}: {name}: expected finite numbers, got {columns[name][place]} in row {place[0]}")
     return g
-
-
-def _array(where: str, value: Any) -> NDArray[np.float32]:
-    """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient."""
-    try:
-        if hasattr(value, "detach"):
-            value = value.detach().cpu().float().numpy()
-        with np.errstate(over="ignore"):  # what becomes infinite is refused
-            return np.asarray(value, np.float32)
-    except (TypeError, ValueError) as error:
-        raise SceneError(f"{where}: expected an array of numbers: {' '.join(str(error).split())[:120]}") from error
 
 
 class _Spilled:

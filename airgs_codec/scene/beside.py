@@ -27,7 +27,8 @@ USAGE_NAME = "usage.npz"
 MOST_HEADER_BYTES = 1024  # of an array in it
 MEASURES = ("importance", "max", "sum", "hits")  # the first is `analysis.importance`
 DEFAULT_FPS = Fraction(30)
-MAX_FPS = 1000
+MIN_FPS, MAX_FPS = Fraction(1, 86_400), 1000
+FINEST = 1_000_000  # largest denominator of a frame rate: clocks of MP4 have 32 bits
 SETTINGS_NAME = "sequence.json"
 
 
@@ -84,10 +85,10 @@ def exact_number(text: str) -> Fraction:
 
 
 def frame_rate(where: str, fps: Fraction | float) -> Fraction:
-    """Frames a second, exactly. Raises SceneError where they are not above 0 and at most MAX_FPS."""
-    if not (isinstance(fps, Real) and 0 < fps <= MAX_FPS):
-        raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, got {fps}")
-    return Fraction(str(fps))  # 29.97 is 2997/100, not the nearest float
+    """Frames a second, to a millionth of a millionth. Raises SceneError outside of a frame a day to MAX_FPS."""
+    if not (isinstance(fps, Real) and MIN_FPS <= fps <= MAX_FPS):
+        raise SceneError(f"{where}: expected 0 < fps <= {MAX_FPS}, at least a frame a day, got {fps}")
+    return Fraction(str(fps)).limit_denominator(FINEST)  # 29.97 is 2997/100, not the nearest float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from airgs_codec._arguments import described
+from airgs_codec._arguments import brief, described
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import LARGEST, Gaussians
 
@@ -49,6 +49,8 @@ class Camera:
     split: str = "train"  # "train", or "test" for a held-out camera
     near: float = 0.0  # world units along the view axis, from which Gaussians are drawn; 0: see `with_near_planes`
     background: Background = BLACK  # what is seen behind the scene
+
+    __repr__ = brief
 
     @staticmethod
     def look_at(

@@ -10,6 +10,7 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec._arguments import frame_argument
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import Gaussians, least_turned, mix_rows, rename_axes, to_rotation_vector
 
@@ -36,6 +37,9 @@ class LazyFrames(Sequence[Gaussians]):
     def __len__(self) -> int:
         return len(self._numbers)
 
+    def __repr__(self) -> str:
+        return f"<{len(self)} frames>"
+
     @overload
     def __getitem__(self, place: int) -> Gaussians: ...
 
@@ -45,7 +49,7 @@ class LazyFrames(Sequence[Gaussians]):
     def __getitem__(self, place: int | slice) -> Gaussians | LazyFrames:
         if isinstance(place, slice):
             return LazyFrames(self._make, self._numbers[place])
-        number, last = self._numbers[place], self._last
+        number, last = self._numbers[frame_argument(place, len(self), -len(self))], self._last
         if last is None or last[0] != number:
             last = number, self._make(number)
             self._last = last

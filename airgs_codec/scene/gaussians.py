@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +58,8 @@ class Gaussians:
     The covariance of a Gaussian is R S S^T R^T, with R its rotation and S the diagonal of its scales; its colour seen
     along direction d is max(0, 0.5 + SH(d)) (3D Gaussian Splatting, Kerbl et al. 2023).
 
-    Raises SceneError for an array of another shape. Numbers are not looked at: what is not finite is repaired later.
+    Tensors of torch become arrays. Raises SceneError for an array of another shape. Numbers are not looked at: what is
+    not finite is repaired later.
     """
 
     means: NDArray[np.float32]
@@ -72,6 +74,8 @@ class Gaussians:
         for name, (text, shapes) in _SHAPES.items():
             value = getattr(self, name)
             shape = getattr(value, "shape", None)
+            if shape is not None and not (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
+                object.__setattr__(self, name, as_floats(name, value))
             if shape not in [(rows, *rest) for rest in shapes]:
                 expected = text if name == "means" else text.replace("N", str(rows))
                 got = type(value).__name__ if shape is None else tuple(shape)
@@ -79,6 +83,10 @@ class Gaussians:
 
     def __len__(self) -> int:
         return len(self.means)
+
+    def __repr__(self) -> str:
+        ends = [f"({', '.join(f'{x:.4g}' for x in end(self.means, axis=0))})" for end in (np.min, np.max) if len(self)]
+        return f"Gaussians({len(self)} rows of SH degree {self.sh_degree}{' from ' * bool(ends)}{' to '.join(ends)})"
 
     @property
     def sh_degree(self) -> int:
@@ -107,6 +115,20 @@ class Gaussians:
         """(N,) product of a row's two larger scales and its opacity: how much it can cover, in square world units."""
         scales = np.sort(self.log_scales.astype(np.float64), axis=1)
         return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * self.opacities()
+
+
+def as_floats(where: str, value: Any) -> NDArray[np.float32]:
+    """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient.
+
+    Raises SceneError, which begins with `where`, for what is no array of real numbers.
+    """
+    try:
+        if hasattr(value, "detach"):
+            value = value.detach().cpu().float().numpy()
+        with np.errstate(over="ignore"):  # what becomes infinite is refused
+            return np.asarray(value).astype(np.float32, casting="same_kind", copy=False)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"{where}: expected an array of numbers: {' '.join(str(error).split())[:120]}") from error
 
 
 def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:

@@ -8,13 +8,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._arguments import argument, path_argument
-from airgs_codec.errors import SceneError
+from airgs_codec._arguments import argument, described, frame_argument, path_argument
+from airgs_codec.errors import FrameError, SceneError
 from airgs_codec.places.place import Copied, is_address
 from airgs_codec.progress import Progress, silent, told
 from airgs_codec.scene.arrays import IN_MEMORY, clip_of
@@ -43,6 +43,7 @@ from airgs_codec.scene.formats.table import (
     find_frames,
     format_of,
     natural_key,
+    oddities_of,
     read_frame,
     read_frame_header,
 )
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
     from airgs_codec.media.sound import SoundTrack  # and PyAV with it
 
 BESIDE = (ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
+LONE = 2  # frames of a sequence that may be of another scene: where more are unlike, counts vary
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
 
 
@@ -60,7 +62,8 @@ HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again,
 class GaussianSequence:
     """A sequence as `open_sequence` or `from_arrays` gives it: frames in display order, read when they are asked for.
 
-    It can be pickled.
+    `len(s)`, `s[0]`, `s[-1]` and `for frame in s` are as of a list; a slice gives frames that are read when they are
+    asked for, too. `s.read(0)` is the same frame as `s[0]`. It can be pickled.
     """
 
     folder: Path
@@ -131,6 +134,23 @@ class GaussianSequence:
     def __len__(self) -> int:
         return len(self.paths)
 
+    @overload
+    def __getitem__(self, place: int) -> Gaussians: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> LazyFrames: ...
+
+    def __getitem__(self, place: int | slice) -> Gaussians | LazyFrames:
+        return LazyFrames(self.read, range(len(self)))[place]
+
+    def __iter__(self) -> Iterator[Gaussians]:
+        return map(self.read, range(len(self)))
+
+    def __repr__(self) -> str:
+        place, most = self.name_of(self.paths[0] if self.alone else self.folder), max(h.count for h in self.headers)
+        frames = f"{len(self)} frame{'s' * (len(self) > 1)} at {float(self.fps):g} a second"
+        return f"Sequence({place}: {frames}, of up to {most} rows)"
+
     def name_of(self, path: Path) -> str:
         """A path for people: the address, where it was copied from one."""
         return self.copied.named(str(path)) if self.copied else str(path)
@@ -151,7 +171,11 @@ class GaussianSequence:
             return load_usage(path, start, stop, self.count(start)) if path.is_file() else None
 
     def read(self, frame: int) -> Gaussians:
-        """Read one frame unrepaired, as its file has it but for `orders`. Raises SceneError when the file is broken."""
+        """Read one frame unrepaired, as its file has it but for `orders`.
+
+        Raises FrameError for a number below 0 or past the end, SceneError when the file is broken.
+        """
+        frame = frame_argument(frame, len(self))
         g = self._read_file(frame) if self.held is None else self.held.get(frame, self._read_file)
         g = g.with_degree(self.sh_degree)
         return place_rows(g, self.orders[frame]) if frame in self.orders else g
@@ -172,7 +196,11 @@ class GaussianSequence:
         Frames that take more than HELD_BYTES together are read once to find what must be repaired, and again whenever
         they are asked for. Raises SceneError when a file is broken or no finite row is left.
         """
-        numbers = list(wanted)
+        if not isinstance(wanted, Iterable):
+            raise FrameError(f"frames: expected numbers of frames, got {described(wanted)}")
+        numbers = [frame_argument(number, len(self)) for number in wanted]
+        if not numbers:
+            raise FrameError("frames: expected at least one, got none")
         span = f"frame {numbers[0]}" if len(numbers) == 1 else f"frames {numbers[0]}-{numbers[-1]}"
         where = f"{(self.paths[0] if self.alone else self.folder).name} {span}"
         held = sum(replace(self.headers[n], sh_degree=self.sh_degree).bytes for n in numbers) <= HELD_BYTES
@@ -279,12 +307,24 @@ def sequence_of(
             expected = f"expected SH degree {degree} as in {frames[0][0].name}"
             raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
     own = Settings() if alone else read_settings(folder, len(frames))
+    odd = () if alone else (*oddities_of([path for path, _ in frames]), *_lone_counts(frames))
     rate = own.fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     cameras = tuple(replace(c, background=own.background) for c in read_cameras(cameras_path)) if cameras_path else ()
     paths, headers = zip(*frames, strict=True)
     found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
-    return replace(found, background=own.background, notes=own.notes, alone=alone)
+    return replace(found, background=own.background, notes=(*own.notes, *odd), alone=alone)
+
+
+def _lone_counts(frames: Sequence[tuple[Path, FrameHeader]]) -> list[str]:
+    """A sentence for each frame with another number of rows than those on both sides, where there are few."""
+    counts = [header.count for _, header in frames]
+    lone = [i for i in range(1, len(counts) - 1) if counts[i - 1] == counts[i + 1] != counts[i]]
+    lines = [
+        f"{frames[i][0].name}: {counts[i]} Gaussians, frames beside it have {counts[i - 1]}: is it of another scene?"
+        for i in lone
+    ]
+    return lines if len(lone) <= LONE else []
 
 
 class GrowingFolder:

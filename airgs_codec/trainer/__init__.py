@@ -6,8 +6,9 @@ import importlib.util
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airgs_codec._arguments import argument
+from airgs_codec._arguments import argument, path_argument
 from airgs_codec.errors import ConfigError
+from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.progress import Progress, silent, told
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
@@ -16,6 +17,7 @@ from airgs_codec.trainer.settings import TrainSettings
 if TYPE_CHECKING:  # it imports torch
     from airgs_codec.trainer.record import Model
 
+ENDING = ".gaussians"  # of a model folder, where it has one
 CUDA_VIEWS = 4  # an iteration sees on a GPU, which a single picture does not fill
 
 
@@ -49,7 +51,7 @@ def train(
     views = argument("scene", scene, MultiviewScene, "a multi-view scene or the path of one", _open)
     found = open_renderer(device).device
     chosen = argument("settings", settings or default_settings(found), TrainSettings, "TrainSettings")
-    model = default_model(views.path) if folder is None else Path(folder)
+    model = model_folder(views.path, folder)
     tell = told(progress)
     if views is not scene:
         known = known_offsets(model) if resume else None
@@ -70,10 +72,12 @@ def require_torch() -> None:
         raise ConfigError("training needs torch: pip install 'airgs-codec[train]'")
 
 
-def default_model(scene: Path) -> Path:
-    """The model folder of a scene unless another one is named."""
+def model_folder(scene: Path, folder: str | Path | None = None) -> Path:
+    """The model folder of a scene, SCENE.gaussians unless another one is named. Raises ConfigError."""
     resolved = scene.resolve()  # "." has no name of its own
-    return resolved.with_name(resolved.name + ".gaussians")
+    place = resolved.with_name(resolved.name + ENDING) if folder is None else Path(path_argument("folder", folder))
+    expect_folder_name(place, ENDING)
+    return place
 
 
 def default_settings(device: str) -> TrainSettings:

@@ -68,7 +68,7 @@ def check_pictures(capture: Capture) -> None:
     if unseen := [t for t, shots in enumerate(scene.frames) if all(shot.camera.held_out for shot in shots)]:
         raise SceneError(f"{scene.path}: expected training views of frame {unseen[0]}, got none")
     if reference not in (None, *names):
-        raise ConfigError(f"--reference: expected a training camera of {', '.join(names)}, got {reference}")
+        raise ConfigError(f"reference: expected a training camera of {', '.join(names)}, got {reference}")
     capture.pictures.check()
 
 

@@ -230,7 +230,7 @@ def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
         raise ConfigError(f"{folder}: expected a folder for the model, got a file")
     if (folder / RECORD_NAME).is_file():
         if not resume:
-            raise ConfigError(f"{folder}: there is a training run already; --resume goes on with it")
+            raise ConfigError(f"{folder}: there is a training run already, which resume (--resume) goes on with")
         new = _continued(folder, read_model(folder).record, new)
     elif folder.is_dir() and any(p for p in folder.iterdir() if not p.name.startswith(".")):
         raise ConfigError(f"{folder}: expected a new folder or a training run, got a folder with other files")

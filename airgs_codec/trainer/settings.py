@@ -174,7 +174,7 @@ class TrainSettings:
                 raise ConfigError(f"expected {one.name} {', '.join(known)}, got {value}")
         given = {name: value for name, value in (asdict(self) | asdict(self.temporal)).items() if value is not None}
         for name, good, words in RANGES:
-            if name in given and not good(given[name]):
+            if name in given and not (good(given[name]) and (name == "max_drop_db" or given[name] < math.inf)):
                 raise ConfigError(f"expected {words}, got {given[name]}")
         if self.capacity is not None and self.capacity < (self.budget or 1):
             raise ConfigError(f"expected a capacity of at least the budget, got {self.capacity}")

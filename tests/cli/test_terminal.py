@@ -1,6 +1,19 @@
-"""Progress where nobody looks at a terminal."""
+"""Progress where nobody looks at a terminal, and words that it cannot show."""
+
+import io
+import sys
+
+import pytest
 
 from airgs_codec.cli import terminal
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+def test_what_an_encoding_lacks_is_escaped(encoding, monkeypatch):
+    out = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", out)
+    assert terminal.run_command("name", lambda: terminal.say("\u2192 \u0394E") or 0) == 0
+    assert out.buffer.getvalue() == b"\\u2192 \\u0394E\n"
 
 
 def test_a_log_gets_a_line_of_progress_every_ten_seconds(monkeypatch, capsys):

@@ -134,7 +134,7 @@ def test_two_frames_are_tracked(given, tmp_path):
 
 
 def test_options_that_contradict_are_refused(given, tmp_path):
-    with pytest.raises(ConfigError, match="--rows keep"):
+    with pytest.raises(ConfigError, match=r"rows: expected auto with track, .* got keep"):
         encode(given, tmp_path / "x.airgs", replace(SETTINGS, rows="keep"))
     assert encode_command([str(given.folder), "--track", "--follow"]) == 2
     assert encode_command([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2

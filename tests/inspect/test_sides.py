@@ -93,5 +93,5 @@ def test_held_out_cameras_are_taken_where_there_are_any():
     assert [c.split for c in compared_views([*ring(4, held_out=1), *drawn], None)] == ["test"] + ["region"] * 5
     assert len(compared_views([*ring(4), *drawn], None)) == 9
     assert len(compared_views(ring(4, held_out=1), "train")) == 3
-    with pytest.raises(ConfigError, match="--split: expected one of train"):
+    with pytest.raises(ConfigError, match="split: expected one of train"):
         compared_views(ring(4), "test")

@@ -1,6 +1,7 @@
 """Sound of any file as packets of Opus: as long as the pictures, sample for sample in time."""
 
 import io
+import struct
 from fractions import Fraction
 
 import av
@@ -75,9 +76,18 @@ def test_fragments_are_what_ffmpeg_plays(tmp_path):
 def test_what_has_no_sound_is_refused_in_one_line(tmp_path):
     (tmp_path / "text").write_text("no sound")
     write_movie(tmp_path / "mute.mp4", [np.zeros((32, 32, 3), np.uint8)], Fraction(10))
-    for name, words in (("text", "expected a file with sound"), ("mute.mp4", "without"), ("gone", "No such file")):
+    empty = struct.pack("<4sI8sIHHIIHH4sI", b"RIFF", 136, b"WAVEfmt ", 16, 1, 0, 48_000, 0, 0, 16, b"data", 100)
+    (tmp_path / "empty.wav").write_bytes(empty + bytes(100))
+    write_chirp(tmp_path / "short.wav", 0.1)
+    cases = (
+        ("text", "a file with sound"),
+        ("mute.mp4", "without"),
+        ("gone", "No such file"),
+        ("empty.wav", "channels"),
+    )
+    for name, words in (*cases, ("short.wav", "at most 21600 s")):
         with pytest.raises(SceneError, match=words) as refused:
-            encode_sound(tmp_path / name, Fraction(1))
+            encode_sound(tmp_path / name, Fraction(10**6 if name == "short.wav" else 1))
         assert "\n" not in str(refused.value) and name in str(refused.value)
     with pytest.raises(CodecError, match="cannot be decoded"):
         decode_sound([b"\xff\xff\xff\xff"], 1)

@@ -172,7 +172,7 @@ def test_paper_needs_measured_quality_everywhere():
         ({"decode_frame_s": float("inf")}, "decoding"),
         ({"loops": 0}, "loops"),
         ({"loops": -1}, "loops"),
-        ({"policy": "fixed:3"}, "--policy"),
+        ({"policy": "fixed:3"}, "policy"),
         ({"startup_s": -1.0}, "start-up"),
         ({"resume_s": float("inf")}, "resume"),
     ],

@@ -95,7 +95,7 @@ def test_a_study_repeats_exactly(demo_package):
     [
         (["--compare"], "--traces"),
         (["--compare", "--traces", "none.csv"], "none.csv"),
-        (["--compare", "--traces", "const:1", "--policies", "best"], "--policy"),
+        (["--compare", "--traces", "const:1", "--policies", "best"], "policy: expected"),
         (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
         (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
         ([], "--trace"),

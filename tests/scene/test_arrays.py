@@ -32,16 +32,29 @@ def tensors():
     return {name: torch.tensor(column, requires_grad=True) for name, column in stacked().items()}
 
 
+def as_in_gsplat():
+    means, quats, scales, opacities, dc, rest = stacked().values()
+    return {
+        "means": means,
+        "quats": quats,
+        "scales": scales,
+        "opacities": opacities,
+        "sh0": dc[:, :, None],
+        "shN": rest,
+    }
+
+
 @pytest.mark.parametrize(
     "make",
     [
+        as_in_gsplat,
         lambda: FRAMES,
         lambda: [columns(frame) for frame in FRAMES],
         lambda: {name: column.astype(np.float64) for name, column in stacked().items()},
         tensors,
         lambda: iter(FRAMES),
     ],
-    ids=["Gaussians", "mappings", "time axis", "torch", "iterator"],
+    ids=["gsplat", "Gaussians", "mappings", "time axis", "torch", "iterator"],
 )
 def test_frames_are_those_that_were_given(make):
     sequence = airgs.Sequence.from_arrays(make(), fps=24, cameras=CAMERAS)
@@ -77,6 +90,21 @@ def test_it_is_encoded_like_files(tmp_path):
     assert (tmp_path / "held/airgs.json").read_bytes() == (tmp_path / "filed/airgs.json").read_bytes()
 
 
+@pytest.mark.parametrize("make", [tensors, as_in_gsplat])
+def test_a_frame_of_other_arrays_is_drawn_and_written(make, tmp_path):
+    frame = {name: column[0] for name, column in make().items()}
+    airgs.write(frame, tmp_path / "frame.ply")
+    assert (airgs.read(tmp_path / "frame.ply").means == FRAMES[0].means).all()
+    assert (airgs.draw(frame, CAMERAS[0]).rgb == airgs.draw(FRAMES[0], CAMERAS[0]).rgb).all()
+
+
+def test_gaussians_of_tensors_are_arrays():
+    made = airgs.Gaussians(**{name: column[0] for name, column in tensors().items()})
+    assert all(getattr(made, name).dtype == np.float32 for name in NAMES)
+    with pytest.raises(airgs.AirgsError, match=r"^means: expected an array of numbers"):
+        airgs.Gaussians(**columns(FRAMES[0]) | {"means": np.full((60, 3), "x")})
+
+
 def test_sh_past_dc_may_be_left_out():
     frame = columns(FRAMES[0])
     del frame["sh_rest"]
@@ -106,6 +134,10 @@ def hole(name, value):
         (changed(quaternions=np.zeros((60, 3))), r"frame 1: quaternions: expected .*\(60, 4\), got \(60, 3\)"),
         (changed(sh_rest=np.zeros((60, 0, 3))), "frame 1: sh_rest: expected SH degree 1 as in frame 0, got 0"),
         (hole("log_scales", np.inf), "frame 1: log_scales: expected finite numbers, got inf in row 7"),
+        (
+            as_in_gsplat() | {"scales": np.ones((3, 60, 3)), "opacities": np.ones((3, 60))},
+            "frames: scales, opacities: expected logarithms",
+        ),
         (hole("means", np.nan), "frame 1: means: expected finite numbers, got nan in row 7"),
         ([FRAMES[0].take(slice(0, 0))], "frame 0: expected at least one Gaussian, got none"),
         (columns(FRAMES[0]), r"means: expected an array of shape \(T, N, 3\), got \(60, 3\)"),

@@ -74,4 +74,4 @@ def _fixed_rung(name: str, offers: Offers) -> int:
     if kind == "fixed" and rung.isdigit() and int(rung) < levels:
         return int(rung)
     names = f"{', '.join(NAMES)}, fixed:0 … fixed:{levels - 1} or fixed:{offers.names[-1]}"
-    raise ConfigError(f"--policy: expected {names}, got {name!r}")
+    raise ConfigError(f"policy: expected {names}, got {name!r}")

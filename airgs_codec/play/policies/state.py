@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from airgs_codec._arguments import argument
+from airgs_codec._arguments import argument, brief
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision, Ladder, Option
 from airgs_codec.play.offers import Keys, SegmentOffer
@@ -45,6 +45,8 @@ class PlayerState:
     pipelined: bool  # requests are sent one round trip before the link is free
     shown_quality: float | None  # dB of the segment before it
     history: tuple[Download, ...]  # oldest first
+
+    __repr__ = brief
 
     @property
     def throughput_bps(self) -> float:

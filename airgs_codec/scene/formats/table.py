@@ -8,15 +8,18 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from airgs_codec._arguments import argument, path_argument
+from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
+from airgs_codec.scene.arrays import as_gaussians
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.files import reading
@@ -39,6 +42,7 @@ CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if su
 POINT_CLOUD = "point_cloud"  # of an INRIA model: point_cloud/iteration_7000/point_cloud.ply
 LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels of detail
 INPUT = "input.ply"  # the points that such a model began with
+MOST_WORDS = 120  # characters on names
 _ARCHIVES = (".zip",)  # of a data set rather
 SOG_FOLDER = replace(SOG, name="SOG folder", key="sog-folder", write=write_sog_folder)
 KEYS = tuple(form.key for form in FRAMES)  # the names of formats that can be asked for
@@ -166,6 +170,36 @@ def natural_key(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]
 
 
+def oddities_of(paths: Sequence[Path]) -> Iterator[str]:
+    """What is odd about the names of frames, a sentence each: names of several kinds, numbers missing or there twice.
+
+    Names are of a kind that differ in one number alone; of several numbers the last one that varies counts frames.
+    """
+    alike: dict[tuple[str, ...], list[list[str]]] = {}
+    for path in paths:
+        parts = re.split(r"(\d+)", path.stem)
+        alike.setdefault(tuple(parts[::2]), []).append(parts)
+    kinds: dict[str, list[int]] = {}
+    for same in alike.values():
+        varying = [at for at in range(1, len(same[0]), 2) if len({parts[at] for parts in same}) > 1]
+        counter = max(varying, default=len(same[0]) - 2)
+        for parts in same:
+            kind = "".join("#" if at == counter else part for at, part in enumerate(parts))
+            kinds.setdefault(kind, []).append(int(parts[counter]) if counter > 0 else 0)
+    if len(kinds) > 1 and any("#" in kind for kind in kinds):
+        named = ", ".join(f"{kind} ({len(numbers)})" for kind, numbers in kinds.items())
+        short = named if len(named) < MOST_WORDS else f"{named[:MOST_WORDS]}…"
+        yield f"frames have names of {len(kinds)} kinds, {short}: all are taken as one sequence, in the order of names"
+    for kind, numbers in kinds.items():
+        known = sorted(set(numbers))
+        if len(known) < len(numbers) and "#" in kind:
+            yield f"{kind}: some frames have the same number, such as {max(known, key=numbers.count)}"
+        if gaps := [(a, b) for a, b in pairwise(known) if b > a + 1]:
+            count, (before, after) = sum(b - a - 1 for a, b in gaps), gaps[0]
+            first = f"the first between {before} and {after}: frames are taken as consecutive"
+            yield f"{kind}: {count} number{'s are' if count > 1 else ' is'} missing, {first}"
+
+
 @dataclass(frozen=True, slots=True)
 class Target:
     """A place for frames: a file, a folder of files 000000.spz and on, or one frame that is a folder."""
@@ -244,14 +278,15 @@ def write_frames(
     return losses.lines()
 
 
-def write(gaussians: Gaussians, path: str | Path) -> list[str]:
+def write(gaussians: Gaussians | Mapping[str, Any], path: str | Path) -> list[str]:
     """Write one frame in the format that the ending of `path` tells; returns what is lost, a line for each kind.
 
-    A file there is replaced once the new one is whole. A path without an ending is a folder, for frames of .ply.
-    Raises ConfigError for a path that does not suit, SceneError where no Gaussian is finite.
+    The frame is Gaussians or, as in `Sequence.from_arrays`, a mapping of arrays. A file there is replaced once the new
+    one is whole. A path without an ending is a folder, for frames of .ply.
+    Raises ConfigError for a path that does not suit, SceneError for what is no frame or where no Gaussian is finite.
     """
-    frame = argument("gaussians", gaussians, Gaussians, "Gaussians")
-    return write_frames(choose_target(str(path_argument("path", path)), None, 1), [(0, frame)], DEFAULT_FPS)
+    target = choose_target(str(path_argument("path", path)), None, 1)
+    return write_frames(target, [(0, as_gaussians(gaussians))], DEFAULT_FPS)
 
 
 @contextmanager

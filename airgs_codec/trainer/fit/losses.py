@@ -28,6 +28,7 @@ from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.compare import compare
+from airgs_codec.render.cpu import POOLED
 from airgs_codec.render.cuda import upload
 from airgs_codec.scene.camera import scene_scale
 from airgs_codec.scene.gaussians import Gaussians
@@ -36,6 +37,7 @@ from airgs_codec.trainer.fit import kernels
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, InMotion, Parameters, loading
 from airgs_codec.trainer.settings import Temporal
 
+POOLED.append(kernels)
 LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from airgs_codec.cli.encode import main as encode_command
 from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
@@ -12,7 +13,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.trainer.data.readers import is_multiview
-from tests.support.scenes import moving_frames, random_gaussians
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.splat_files import SUFFIXES, splat_bytes, write_sog_folder
 
 
@@ -25,6 +26,46 @@ def test_a_folder_of_any_format_in_natural_order(tmp_path, names, suffix):
     sequence = open_sequence(tmp_path)
     assert [path.name for path in sequence.paths] == [f"{name}{suffix}" for name in names]
     assert len(sequence.load([0, 2]).frames[1]) == 20 and not is_multiview(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        ("f_1 f_2 f_3", []),
+        ("f_01_lod0 f_02_lod0", []),
+        ("first second", []),
+        (
+            "frame_1 frame_3 frame_10",
+            ["frame_#: 7 numbers are missing, the first between 1 and 3: frames are taken as"],
+        ),
+        (
+            "frame_1 frame_2 take2-frame_3",
+            ["frames have names of 2 kinds, frame_# (2), take2-frame_# (1): all are taken"],
+        ),
+        ("t1_f1 t1_f2 t2_f1", ["frames have names of 2 kinds, t1_f# (2), t2_f# (1)"]),
+        ("f1 f01 f2", ["f#: some frames have the same number, such as 1"]),
+        ("f1 f2 background", ["frames have names of 2 kinds, background (1), f# (2)"]),
+    ],
+)
+def test_odd_names_are_told(tmp_path, names, says):
+    for name in names.split():
+        write_ply(tmp_path / f"{name}.ply", random_gaussians(9))
+    notes = open_sequence(tmp_path).notes
+    assert len(notes) == len(says) and all(note.startswith(words) for note, words in zip(notes, says, strict=True))
+
+
+def test_a_frame_of_another_scene_is_told_before_and_in_the_package(tmp_path, capsys):
+    """By its number of rows where that is another one, else by where its Gaussians lie."""
+    frames = moving_frames(60, 6)
+    frames[2] = random_gaussians(50)
+    frames[4] = frames[4].placed(np.zeros(3), 100)
+    folder = write_sequence(tmp_path / "scene", frames)
+    lone, strange = "000002.ply: 50 Gaussians, frames beside it have 60", "frames 4-5: Gaussians lie elsewhere"
+    options = ["--calibrate", "none", "--measure-pictures", "0", "--x264-preset", "ultrafast"]
+    assert encode_command([str(folder), "-o", str(tmp_path / "x.airgs"), *options]) == 0
+    assert lone in capsys.readouterr().err
+    decisions = open_package(tmp_path / "x.airgs").manifest.decisions
+    assert [sum(line.startswith(words) for line in decisions) for words in (lone, strange)] == [1, 1]
 
 
 def test_folders_of_sog_are_frames_and_one_is_a_scene(tmp_path):
