@@ -55,7 +55,7 @@ def decode(options: Decode) -> int:
         raise ConfigError(f"{target.path}: expected a place outside of packages, got one in the package {folder}")
     with closing(Bar(options.json)) as bar:
         decoded = _decoded(package, (start, stop), (level, quality), bar)
-        lost = write_frames(target, decoded, m.fps, background_of(m.region))
+        lost = write_frames(target, decoded, m.fps, background_of(m.region), package.origin)
     notes = misread(m.world, target.form.name, target.form.axes)
     report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
     report |= {"format": target.form.key, "lost": lost, "notes": notes}

@@ -26,8 +26,10 @@ from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
     draw_views,
+    from_origin,
     up_of,
     with_background,
+    world_at,
     world_from,
     world_words,
 )
@@ -36,7 +38,7 @@ from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
 from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.camera import resized, training_views
+from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -119,8 +121,8 @@ def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan
         sequence,
         settings.decide_pictures,
         margin=settings.margin,
-        region=settings.region,
-        world=settings.world,
+        region=settings.region and from_origin(settings.region, sequence.origin),
+        world=settings.world and world_at(settings.world, sequence.origin),
         renderer=open_renderer(settings.device),
     )
 
@@ -157,10 +159,11 @@ def _given(sequence: GaussianSequence, middle: Gaussians, renderer: Renderer) ->
     path, notes = sequence.cameras_path, []
     sight = see(sequence.cameras, middle, renderer)
     for moves in {place / DATAPARSER for place in (sequence.folder, path.parent if path else sequence.folder)}:
-        if (
-            moves.is_file()
-            and (other := see(in_trained_frame(sequence.cameras, moves), middle, renderer)).share > sight.share
-        ):
+        if not moves.is_file():
+            continue
+        trained = in_trained_frame(cameras_from(np.negative(sequence.origin), sequence.cameras), moves)
+        other = see(cameras_from(sequence.origin, trained), middle, renderer)
+        if other.share > sight.share:
             sight = other
             notes.append(f"cameras are moved to where the Gaussians are, as {moves.name} says")
     if sight.share < SEEN:

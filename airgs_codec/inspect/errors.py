@@ -52,6 +52,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
     if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
         expected = f"{sequence.name_of(sequence.folder)}: expected {m.frames} frames of SH degree {m.sh_degree}"
         raise ConfigError(f"{expected} or more, got {len(sequence)} of {sequence.sh_degree}")
+    sequence = sequence.at_origin(package.origin)
     sequence = restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
     for index, group in enumerate(m.groups):
         frames = [g.with_degree(m.sh_degree) for g in turn_least(sequence.load(range(group.start, group.stop))).frames]

@@ -15,13 +15,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.references import LEAST_SCALE, MOST_SCALE, fault_of
 from airgs_codec.package.tables import Place, Region, World
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
+from airgs_codec.scene.origin import Origin
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
@@ -97,6 +98,16 @@ def before_background(region: Region, cameras: Sequence[Camera]) -> list[Camera]
 def with_background(region: Region, background: Background) -> Region:
     """The region before a colour, which stands in it unless it is black."""
     return replace(region, background=None if background == BLACK else list(background))
+
+
+def from_origin(region: Region, origin: ArrayLike) -> Region:
+    """A region in coordinates from an origin (3,)."""
+
+    def moved(point: list[float]) -> list[float]:
+        return list((np.array(point) - origin).tolist())
+
+    places = [replace(p, position=moved(p.position), focus=moved(p.focus)) for p in region.places]
+    return replace(region, places=places)
 
 
 def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
@@ -192,6 +203,14 @@ def world_from(up: Sequence[float], metres: float | None = None) -> World:
         raise ConfigError(f"scale: expected {LEAST_SCALE:g} to {MOST_SCALE:g} metres a unit, got {scale:g}")
     rows = np.hstack([scale * turn, np.zeros((3, 1))]) + 0.0  # no -0
     return World(rows.ravel().tolist(), metres is not None)
+
+
+def world_at(world: World, origin: Origin) -> World:
+    """A world whose transform is of coordinates from an origin; a transform that shifts nothing stays as it is."""
+    rows = np.array(world.transform).reshape(3, 4)
+    if rows[:, 3].any():
+        rows[:, 3] += rows[:, :3] @ origin
+    return replace(world, transform=rows.ravel().tolist())
 
 
 def up_of(world: World) -> Vector:

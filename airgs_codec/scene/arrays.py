@@ -52,7 +52,7 @@ def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) 
 def _separate(frames: Mapping[str, Any] | Iterable[Frame]) -> Iterator[Frame]:
     """The frames one after another; a mapping has arrays whose first axis is time."""
     if isinstance(frames, Mapping):
-        columns = {name: _array(name, value) for name, value in frames.items()}
+        columns = {name: _array(name, value, name) for name, value in frames.items()}
         shape = columns["means"].shape if "means" in columns else None
         if shape is None or len(shape) != 3:
             raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
@@ -74,7 +74,7 @@ def _checked(frame: Frame, where: str) -> Gaussians:
     if not set(NAMES[:-1]) <= set(frame) <= set(NAMES):
         expected = f"expected {', '.join(NAMES[:-1])} and maybe {NAMES[-1]}"
         raise SceneError(f"{where}: {expected}, got {', '.join(map(str, frame)) or 'none'}")
-    columns = {name: _array(f"{where}: {name}", value) for name, value in frame.items()}
+    columns = {name: _array(f"{where}: {name}", value, name) for name, value in frame.items()}
     columns.setdefault(NAMES[-1], np.zeros((*columns["means"].shape[:1], 0, 3), np.float32))
     try:
         g = Gaussians(**columns)
@@ -83,20 +83,27 @@ def _checked(frame: Frame, where: str) -> Gaussians:
     if not len(g):
         raise SceneError(f"{where}: expected at least one Gaussian, got none")
     for name in NAMES:
-        finite = np.isfinite(getattr(g, name)) | (name == "log_scales") & np.isneginf(getattr(g, name))
+        with np.errstate(over="ignore"):
+            narrow = getattr(g, name).astype(np.float32, copy=False)  # what becomes infinite is refused
+        finite = np.isfinite(narrow) | (name == "log_scales") & np.isneginf(narrow)
         if not finite.all():
             place = tuple(np.argwhere(~finite)[0].tolist())
             raise SceneError(f"{where}: {name}: expected finite numbers, got {columns[name][place]} in row {place[0]}")
     return g
 
 
-def _array(where: str, value: Any) -> NDArray[np.float32]:
-    """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient."""
+def _array(where: str, value: Any, name: str) -> NDArray[Any]:
+    """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient.
+
+    Positions of more bytes are float64.
+    """
     try:
         if hasattr(value, "detach"):
-            value = value.detach().cpu().float().numpy()
+            value = value.detach().cpu()
+            value = (value if value.dtype.itemsize > 4 else value.float()).numpy()
+        wide = name == NAMES[0] and np.asarray(value).dtype.itemsize > 4
         with np.errstate(over="ignore"):  # what becomes infinite is refused
-            return np.asarray(value, np.float32)
+            return np.asarray(value, np.float64 if wide else np.float32)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{where}: expected an array of numbers: {' '.join(str(error).split())[:120]}") from error
 

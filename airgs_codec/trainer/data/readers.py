@@ -38,6 +38,7 @@ from airgs_codec.trainer.data.multiview import (
     Shot,
     Source,
     frames_of,
+    from_own_origin,
     in_frames,
     open_video,
     with_near_planes,
@@ -243,8 +244,8 @@ def read_points3d(model: Path) -> Points | None:
         path = model / name
         if path.is_file():
             with expecting(path, "points of a COLMAP reconstruction"):
-                table = np.array(list(rows(path)), np.float32).reshape(-1, 6)
-            return Points(table[:, :3], table[:, 3:] / np.float32(255))
+                table = np.array(list(rows(path)), np.float64).reshape(-1, 6)
+            return Points(table[:, :3], table[:, 3:].astype(np.float32) / np.float32(255))
     return None
 
 
@@ -340,7 +341,7 @@ def open_scene(
     start, stop = frames_of(scene, frames)
     points = scene.points or (_read_points(folder) if start == 0 else None)
     found = replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
-    return with_near_planes(found)
+    return with_near_planes(from_own_origin(found))
 
 
 def _read(folder: Path) -> MultiviewScene:
@@ -359,7 +360,7 @@ def _read_points(folder: Path) -> Points | None:
         return Points(*read_points(path))
     with expecting(path, "rows of x, y, z [, r, g, b]"), path.open("rb") as file:
         loaded = np.load(file, allow_pickle=False)
-        table = (loaded if isinstance(loaded, np.ndarray) else loaded["data"]).astype(np.float32)
+        table = (loaded if isinstance(loaded, np.ndarray) else loaded["data"]).astype(np.float64)
         if table.ndim != 2 or table.shape[1] < 3:
             raise ValueError(f"got an array of shape {table.shape}")
-        return Points(table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None)
+        return Points(table[:, :3], table[:, 3:6].astype(np.float32) if table.shape[1] >= 6 else None)

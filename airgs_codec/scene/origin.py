@@ -1,0 +1,88 @@
+"""Where the coordinates of a scene begin: far from zero float32 is too coarse for Gaussians, so an origin comes off.
+
+Positions are float64 until then. How coarse is measured against a Gaussian's own size, which is that of its second
+largest axis. N Gaussians.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from airgs_codec.errors import SceneError
+from airgs_codec.scene.gaussians import Gaussians
+
+Origin = tuple[float, float, float]
+ZERO: Origin = (0.0, 0.0, 0.0)
+MOVED = 1 / 256  # of its size: a Gaussian's flank falls by 0.61 a size at most, so no pixel changes by 1/255
+SAID = 0.01  # share of what is opaque that may move further before a line says so
+RUBBLE = 0.5  # share that may move further than its own size before nothing is left to encode
+
+
+def moved_share(g: Gaussians, positions: NDArray[np.floating], by: float = MOVED) -> float:
+    """The opacity-weighted share of finite Gaussians that float32 at some positions may move by more than their size,
+    times a factor.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.spacing(np.abs(positions).max(axis=1).astype(np.float32)) / 2
+        limits = by * np.exp(_sizes(g))
+    alpha = np.nan_to_num(np.where(np.isfinite(steps) & (limits > 0), g.opacities(), 0.0))
+    return float(alpha[steps > limits].sum() / total) if (total := float(alpha.sum())) else 0.0
+
+
+def _sizes(g: Gaussians) -> NDArray[np.float64]:
+    """(N,) logarithms."""
+    return np.sort(g.log_scales.astype(np.float64), axis=1)[:, 1]
+
+
+def choose_origin(g: Gaussians) -> Origin:
+    """Where coordinates are to begin: at zero, unless another origin mends at least half of what float32 moves there.
+
+    It is about the median of the Gaussians, a multiple of a power of two that is not above how far they lie from it.
+    """
+    positions = g.means.astype(np.float64)
+    positions = positions[np.isfinite(positions).all(axis=1)]
+    share = moved_share(g, g.means)
+    if share <= SAID or not len(positions):
+        return ZERO
+    x, y, z = rounded_middle(positions)
+    return (x, y, z) if 2 * moved_share(g, g.means - np.array([x, y, z])) <= share else ZERO
+
+
+def rounded_middle(positions: NDArray[np.float64]) -> Origin:
+    """The median of positions (N, 3), rounded to no more than half of what most of them are away from it."""
+    middle = np.median(positions, axis=0)
+    apart = float(np.median(np.abs(positions - middle).max(axis=1)))
+    x, y, z = (np.round(middle / (step := 2.0 ** np.floor(np.log2(apart)))) * step if apart else middle).tolist()
+    return x, y, z
+
+
+def narrowed(g: Gaussians, origin: NDArray[np.float64], path: Path) -> Gaussians:
+    """The frame of a file with its positions from an origin (3,), in float32.
+
+    Raises SceneError where float32 holds doubles so coarsely that little is left of them.
+    """
+    if g.means.dtype == np.float32 and not origin.any():
+        return g
+    positions = g.means - origin
+    if g.means.dtype != np.float32 and (share := moved_share(g, positions, 1.0)) > RUBBLE:
+        raise SceneError(
+            f"{path}: expected Gaussians near each other, got some so far apart that float32 moves {share:.0%} of what "
+            "is opaque by more than its own size"
+        )
+    with np.errstate(over="ignore"):  # what becomes infinite is repaired or refused later
+        return replace(g, means=positions.astype(np.float32))
+
+
+def origin_notes(g: Gaussians, origin: Origin) -> tuple[str, ...]:
+    """What people should know of the origin that was chosen by a frame as its file has it."""
+    if origin == ZERO:
+        return ()
+    where = ", ".join(f"{value:.15g}" for value in origin)
+    lost = f"float32 would move {moved_share(g, g.means):.0%} of what is opaque by more than 1/256 of its size"
+    if g.means.dtype == np.float32:
+        lost = lost.replace("would move", "in the files has moved") + ", which nothing brings back"
+    return (f"positions are taken from the origin ({where}): {lost}",)
