@@ -241,7 +241,7 @@ def read_world(path: Path) -> World:
     Raises ConfigError for anything else.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
         values = np.array(json.loads(text) if text.lstrip()[:1] == "[" else text.split(), np.float64).ravel()
     except OSError as error:
         raise ConfigError(f"{path}: cannot read a transform: {error.strerror}") from error

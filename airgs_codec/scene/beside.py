@@ -143,4 +143,4 @@ def read_attribution(folder: Path) -> str:
     """Who made a scene: the text of ATTRIBUTION.txt in its folder, empty without the file. Raises SceneError."""
     file = folder / ATTRIBUTION_NAME
     with expecting(file, "UTF-8 text"):
-        return file.read_text(encoding="utf-8").strip() if file.is_file() else ""
+        return file.read_text(encoding="utf-8-sig").strip() if file.is_file() else ""

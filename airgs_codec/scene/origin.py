@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import Gaussians
@@ -75,6 +76,12 @@ def narrowed(g: Gaussians, origin: NDArray[np.float64], path: Path) -> Gaussians
         )
     with np.errstate(over="ignore"):  # what becomes infinite is repaired or refused later
         return replace(g, means=positions.astype(np.float32))
+
+
+def in_world(g: Gaussians, origin: ArrayLike) -> Gaussians:
+    """A frame for a file of doubles: its positions from zero, float64, where they are from an origin (3,)."""
+    positions: NDArray[Any] = g.means + np.asarray(origin, np.float64)
+    return replace(g, means=positions)
 
 
 def origin_notes(g: Gaussians, origin: Origin) -> tuple[str, ...]:

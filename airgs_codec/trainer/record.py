@@ -28,7 +28,7 @@ from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, narrowed
+from airgs_codec.scene.origin import ZERO, in_world, narrowed
 from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.data.pictures import Exposure
 from airgs_codec.trainer.settings import BUDGET, TrainSettings
@@ -146,7 +146,7 @@ class Model:
         """Write the next frame, from which on the run goes on behind it, and return its record."""
         frame, shown = trained.record, trained.gaussians
         if self._origin.any():
-            shown = replace(shown, means=shown.means + self._origin)
+            shown = in_world(shown, self._origin)
         with atomic_path(self._path(frame.frame)) as temporary:
             write_ply(temporary, shown)
         if trained.networks is not None:

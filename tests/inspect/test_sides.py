@@ -7,8 +7,8 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.sides import (
     DRAWS,
-    compared_views,
     comparable,
+    compared_views,
     left_out,
     open_side,
     region_views,

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.files import expecting, reading
+from airgs_codec.scene.files import BOM, expecting, reading
 
 BLOCK = 1 << 14  # rows read at once: some MB
 MAX_HEADER = 1 << 20  # bytes
@@ -83,7 +83,7 @@ def read_header(path: Path) -> Header:
     """
     with reading(path), path.open("rb") as file:
         head = file.read(1 << 12)
-        newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.startswith(b"ply" + end)), b"")
+        newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.removeprefix(BOM).startswith(b"ply" + end)), b"")
         last = newline + HEADER_END + newline
         while newline and last not in head and len(head) < MAX_HEADER and (more := file.read(len(head))):
             head += more

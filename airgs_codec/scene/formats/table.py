@@ -33,7 +33,7 @@ from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
 from airgs_codec.scene.formats.splat import SPLAT
 from airgs_codec.scene.formats.spz import SPZ
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, Origin, choose_origin, narrowed
+from airgs_codec.scene.origin import ZERO, Origin, choose_origin, in_world, narrowed
 
 FRAMES = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
 CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, SPACETIME_PLY)
@@ -243,7 +243,7 @@ def write_frames(
     losses, doubles = Losses(target.form.holds, target.form.name), target.form.holds.doubles
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
     if doubles and origin != ZERO:
-        fitted = ((number, replace(g, means=g.means + np.array(origin))) for number, g in fitted)
+        fitted = ((number, in_world(g, origin)) for number, g in fitted)
     beside = Settings(fps, background=background, origin=ZERO if doubles else origin)
     told = target.folder and target.form is not SOG_FOLDER and not (target.path / SETTINGS_NAME).exists()
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:

@@ -28,7 +28,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import colmap, forms
-from airgs_codec.scene.cameras.posed import Posed
+from airgs_codec.scene.cameras.posed import Posed, as_path
 from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames, natural_key
@@ -84,9 +84,9 @@ def _named_points(folder: Path, name: object) -> Points | None:
     if name is None:
         return None
     with expecting(folder / forms.TRANSFORMS, "the points of ply_file_path"):
-        if not isinstance(name, str) or not (folder / name).is_file():
+        if not isinstance(name, str) or not (folder / as_path(name)).is_file():
             raise ValueError(f"got no file {name}")
-    return Points(*read_points(folder / name))
+    return Points(*read_points(folder / as_path(name)))
 
 
 def _picture_shot(folder: Path, posed: Posed) -> Shot:
@@ -259,7 +259,7 @@ def _rows_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
 
 
 def _rows_of_text(path: Path) -> Iterator[tuple[float, ...]]:
-    with path.open(encoding="utf-8") as file:
+    with path.open(encoding="utf-8-sig") as file:
         for line in file:
             if line.strip() and not line.startswith("#"):
                 x, y, z, red, green, blue = map(float, line.split(maxsplit=7)[1:7])
