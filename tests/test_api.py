@@ -25,6 +25,7 @@ NAMES = {
     "decode_frames",
     "draw",
     "encode",
+    "input_rows",
     "open_package",
     "open_sequence",
     "read",
@@ -34,7 +35,7 @@ NAMES = {
     "write",
 }
 THERE = {"Sequence": "GaussianSequence"}  # names in their modules, where they are others
-MOST_NAMES = 20
+MOST_NAMES = 21
 FUNCTIONS = sorted(name for name in NAMES if name[0].islower())
 HEAVY = ("numpy", "numba", "scipy", "torch", "cv2", "av", "colour", "matplotlib", "tqdm")
 
