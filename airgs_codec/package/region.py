@@ -102,11 +102,8 @@ def with_background(region: Region, background: Background) -> Region:
 
 def from_origin(region: Region, origin: ArrayLike) -> Region:
     """A region in coordinates from an origin (3,)."""
-
-    def moved(point: list[float]) -> list[float]:
-        return list((np.array(point) - origin).tolist())
-
-    places = [replace(p, position=moved(p.position), focus=moved(p.focus)) for p in region.places]
+    ends = [np.subtract([place.position, place.focus], origin).tolist() for place in region.places]
+    places = [replace(place, position=a, focus=b) for place, (a, b) in zip(region.places, ends, strict=True)]
     return replace(region, places=places)
 
 

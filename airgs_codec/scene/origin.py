@@ -24,19 +24,12 @@ RUBBLE = 0.5  # share that may move further than its own size before nothing is 
 
 
 def moved_share(g: Gaussians, positions: NDArray[np.floating], by: float = MOVED) -> float:
-    """The opacity-weighted share of finite Gaussians that float32 at some positions may move by more than their size,
-    times a factor.
-    """
+    """The share of what is opaque that float32 at (N, 3) may move by more than a Gaussian's size, times a factor."""
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.spacing(np.abs(positions).max(axis=1).astype(np.float32)) / 2
-        limits = by * np.exp(_sizes(g))
+        limits = by * np.exp(np.sort(g.log_scales.astype(np.float64), axis=1)[:, 1])
     alpha = np.nan_to_num(np.where(np.isfinite(steps) & (limits > 0), g.opacities(), 0.0))
     return float(alpha[steps > limits].sum() / total) if (total := float(alpha.sum())) else 0.0
-
-
-def _sizes(g: Gaussians) -> NDArray[np.float64]:
-    """(N,) logarithms."""
-    return np.sort(g.log_scales.astype(np.float64), axis=1)[:, 1]
 
 
 def choose_origin(g: Gaussians) -> Origin:
@@ -44,17 +37,17 @@ def choose_origin(g: Gaussians) -> Origin:
 
     It is about the median of the Gaussians, a multiple of a power of two that is not above how far they lie from it.
     """
-    positions = g.means.astype(np.float64)
-    positions = positions[np.isfinite(positions).all(axis=1)]
-    share = moved_share(g, g.means)
-    if share <= SAID or not len(positions):
+    if (share := moved_share(g, g.means)) <= SAID:
         return ZERO
-    x, y, z = rounded_middle(positions)
-    return (x, y, z) if 2 * moved_share(g, g.means - np.array([x, y, z])) <= share else ZERO
+    origin = rounded_middle(g.means)
+    return origin if 2 * moved_share(g, g.means - np.array(origin)) <= share else ZERO
 
 
-def rounded_middle(positions: NDArray[np.float64]) -> Origin:
-    """The median of positions (N, 3), rounded to no more than half of what most of them are away from it."""
+def rounded_middle(positions: NDArray[np.floating]) -> Origin:
+    """The median of finite positions (N, 3), rounded to no more than half of what most are away from it; 0 of none."""
+    positions = positions[np.isfinite(positions).all(axis=1)].astype(np.float64)
+    if not len(positions):
+        return ZERO
     middle = np.median(positions, axis=0)
     apart = float(np.median(np.abs(positions - middle).max(axis=1)))
     x, y, z = (np.round(middle / (step := 2.0 ** np.floor(np.log2(apart)))) * step if apart else middle).tolist()

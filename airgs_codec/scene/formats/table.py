@@ -257,8 +257,8 @@ def write_frames(
                 target.form.write(temporary, *(g for _, g in fitted))
         except SceneError as error:  # of a name that nobody has given
             raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
-    kept = [] if beside.origin == ZERO else [f"{target.form.name} has positions from {origin}: {SETTINGS_NAME} says it"]
-    return losses.lines() + (kept if told else [line.replace(f"{SETTINGS_NAME} says it", "add that") for line in kept])
+    way = f"{SETTINGS_NAME} says it" if told else "add that"
+    return losses.lines() + [f"{target.form.name} has positions from {origin}: {way}"] * (beside.origin != ZERO)
 
 
 def write(gaussians: Gaussians, path: str | Path) -> list[str]:

@@ -161,8 +161,7 @@ def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
     That is zero where it may be.
     """
     places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
-    places = places[np.isfinite(places).all(axis=1)].astype(np.float64)
-    origin = rounded_middle(places) if len(places) else ZERO
+    origin = rounded_middle(places)
     cameras = cameras_from(origin, scene.cameras)
     pixel = rig_scale(cameras, None) / max(camera.fx for camera in cameras)
     if np.spacing(np.float32(np.abs(origin).max())) / 2 > MOVED * pixel:

@@ -120,26 +120,12 @@ def test_the_library_writes_nothing_to_standard_output(tmp_path, capfd):
 
 
 def test_a_splat_row_is_pinned(tmp_path):
-    row = struct.pack("<6f8B", 1, 2, 3, 1, 0, np.e, 255, 0, 51, 255, 255, 128, 128, 0)
+    row = struct.pack("<6f8B", 1, 2, 3, -1, 0, np.e, 255, 0, 51, 255, 255, 128, 128, 0)
     (tmp_path / "a.splat").write_bytes(row)
     g = read_frame(tmp_path / "a.splat")
     assert g.means.tolist() == [[1, 2, 3]] and g.quaternions.tolist() == [[127 / 128, 0, 0, -1]]
-    np.testing.assert_allclose(g.log_scales[0], [0, -np.inf, 1], atol=1e-6)
+    np.testing.assert_allclose(g.log_scales[0], [np.nan, -np.inf, 1], atol=1e-6)
     np.testing.assert_allclose(g.sh_dc[0] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
-
-
-def test_a_size_that_is_none_is_not_made_one(tmp_path):
-    rows = np.frombuffer(splat_bytes(small(4, 0), ".splat"), np.uint8).reshape(4, 32).copy()
-    rows[:, 12:16] = np.array([[1.0], [-1.0], [0.0], [1e-20]], "<f4").view(np.uint8)
-    rows.tofile(tmp_path / "a.splat")
-    glb = edited_glb(lambda d: None)
-    sizes = np.exp(small(3, 0).log_scales).tobytes()
-    assert sizes in glb
-    (tmp_path / "a.glb").write_bytes(glb.replace(sizes, np.full((3, 3), -1, "<f4").tobytes()))
-    np.testing.assert_allclose(
-        read_frame(tmp_path / "a.splat").log_scales[:, 0], [0, np.nan, -np.inf, np.log(1e-20)], rtol=1e-6
-    )
-    assert np.isnan(read_frame(tmp_path / "a.glb").log_scales).all()
 
 
 def test_a_node_moves_turns_and_scales_its_splats(tmp_path):
