@@ -26,7 +26,6 @@ from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
     draw_views,
-    from_origin,
     up_of,
     with_background,
     world_at,
@@ -121,7 +120,7 @@ def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan
         sequence,
         settings.decide_pictures,
         margin=settings.margin,
-        region=settings.region and from_origin(settings.region, sequence.origin),
+        region=settings.region,
         world=settings.world and world_at(settings.world, sequence.origin),
         renderer=open_renderer(settings.device),
     )

@@ -25,9 +25,11 @@ RUBBLE = 0.5  # share that may move further than its own size before nothing is 
 
 def moved_share(g: Gaussians, positions: NDArray[np.floating], by: float = MOVED) -> float:
     """The share of what is opaque that float32 at (N, 3) may move by more than a Gaussian's size, times a factor."""
+    a, b, c = g.log_scales.T
+    x, y, z = np.abs(positions.T)
     with np.errstate(over="ignore", invalid="ignore"):
-        steps = np.spacing(np.abs(positions).max(axis=1).astype(np.float32)) / 2
-        limits = by * np.exp(np.sort(g.log_scales.astype(np.float64), axis=1)[:, 1])
+        steps = np.spacing(np.maximum(np.maximum(x, y), z).astype(np.float32)) / 2
+        limits = np.float32(by) * np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c)))
     alpha = np.nan_to_num(np.where(np.isfinite(steps) & (limits > 0), g.opacities(), 0.0))
     return float(alpha[steps > limits].sum() / total) if (total := float(alpha.sum())) else 0.0
 
