@@ -114,7 +114,7 @@ def read(path: str | Path) -> Gaussians:
         raise SceneError(f"{path}: expected one frame, got {len(found.paths)}")
     g = read_frame(found.paths[0])
     if g.means.dtype != np.float32 and choose_origin(g) != ZERO:
-        raise SceneError(f"{path}: expected positions that float32 holds, got some that need an origin: open_sequence")
+        raise SceneError(f"{path}: expected positions near zero, got some that float32 cannot hold: open_sequence can")
     return narrowed(g, np.zeros(3), found.paths[0])
 
 
