@@ -305,6 +305,7 @@ def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequenc
         settings,
         views.region,
         views.world,
+        prepared.sequence.origin,
         Views(views.decided + CHECKED, 0, "original" if settings.measure_pictures else "none"),
         prepared.attribution,
         decisions,

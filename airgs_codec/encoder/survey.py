@@ -28,6 +28,7 @@ from airgs_codec.package.region import (
     draw_views,
     up_of,
     with_background,
+    world_at,
     world_from,
     world_words,
 )
@@ -36,7 +37,7 @@ from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
 from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.camera import resized, training_views
+from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -120,7 +121,7 @@ def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan
         settings.decide_pictures,
         margin=settings.margin,
         region=settings.region,
-        world=settings.world,
+        world=settings.world and world_at(settings.world, sequence.origin),
         renderer=open_renderer(settings.device),
     )
 
@@ -157,10 +158,11 @@ def _given(sequence: GaussianSequence, middle: Gaussians, renderer: Renderer) ->
     path, notes = sequence.cameras_path, []
     sight = see(sequence.cameras, middle, renderer)
     for moves in {place / DATAPARSER for place in (sequence.folder, path.parent if path else sequence.folder)}:
-        if (
-            moves.is_file()
-            and (other := see(in_trained_frame(sequence.cameras, moves), middle, renderer)).share > sight.share
-        ):
+        if not moves.is_file():
+            continue
+        trained = in_trained_frame(cameras_from(np.negative(sequence.origin), sequence.cameras), moves)
+        other = see(cameras_from(sequence.origin, trained), middle, renderer)
+        if other.share > sight.share:
             sight = other
             notes.append(f"cameras are moved to where the Gaussians are, as {moves.name} says")
     if sight.share < SEEN:

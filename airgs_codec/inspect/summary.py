@@ -93,6 +93,7 @@ class Summary:
     package_bytes: int
     region: RegionSummary
     world: World | None
+    origin: tuple[float, ...]  # (3,) in the world; empty: zero
     background: tuple[float, ...]  # r, g, b of [0, 1]; empty: black
     views: Views
     groups: tuple[GroupSummary, ...]
@@ -121,6 +122,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         package_bytes=manifest_bytes + m.media_bytes(),
         region=RegionSummary.of(m.region),
         world=m.world,
+        origin=tuple(m.origin or ()),
         background=tuple(m.region.background or ()),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
@@ -333,6 +335,7 @@ def _head(s: Summary) -> list[str]:
         f"viewing region {s.region.words}",
         f"views of {s.region.views}",
         world_words(s.world),
+        *([f"origin: positions are from ({', '.join(f'{value:.15g}' for value in s.origin)})"] if s.origin else []),
         *([f"sound: Opus, {s.sound.form}, {s.sound.mean_bps / 1e3:.0f} kbit/s"] if s.sound else []),
         *([f"background: {', '.join(f'{value:g}' for value in s.background)}"] if s.background else []),
         f"decided on {v.decided} pictures of each group; "

@@ -20,6 +20,7 @@ from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
+from airgs_codec.scene.origin import ZERO, Origin
 
 if TYPE_CHECKING:  # decoding needs no cameras
     from airgs_codec.scene.camera import Camera
@@ -42,6 +43,12 @@ class Package:
     @property
     def manifest_bytes(self) -> int:
         return self.root_bytes + self.mpd_bytes + self.manifest.bytes_of(self.manifest.table_files())
+
+    @property
+    def origin(self) -> Origin:
+        """Where positions of Gaussians and cameras are from, in the world of the scene that was encoded."""
+        x, y, z = self.manifest.origin or ZERO
+        return x, y, z
 
     @property
     def cameras(self) -> tuple[Camera, ...]:

@@ -385,6 +385,7 @@ class Header:
     state_gain: Gain  # luma levels a step in state atlases
     region: Region
     world: World | None  # None, and no such field in airgs.json: nobody told which way is up
+    origin: Point | None  # where positions are from in the world; None, and no such field in airgs.json: from zero
     poster: FileEntry | None  # None, and no such field in airgs.json: there is none
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]

@@ -6,7 +6,7 @@ scene that comes without any.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -205,6 +205,12 @@ def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArr
         view[:3, :3] = view[:3, :3] @ turn.T
     view[:3, 3] = scale * (view[:3, 3] - view[:3, :3] @ shift)
     return replace(camera, world_to_camera=view, near=scale * camera.near)
+
+
+def cameras_from(origin: ArrayLike, cameras: Iterable[Camera]) -> tuple[Camera, ...]:
+    """The cameras in coordinates from an origin (3,)."""
+    shift = -np.asarray(origin, np.float64)
+    return tuple(placed(camera, shift, 1.0) for camera in cameras) if shift.any() else tuple(cameras)
 
 
 def with_near_planes(cameras: Sequence[Camera], gaussians: Gaussians) -> list[Camera]:

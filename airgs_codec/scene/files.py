@@ -17,6 +17,8 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 
+BOM = b"\xef\xbb\xbf"  # that Windows puts before UTF-8
+
 _BROKEN = (
     *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RuntimeError),
     *(struct.error, zlib.error, zipfile.BadZipFile),  # zipfile raises RuntimeError, too

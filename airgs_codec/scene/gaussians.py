@@ -117,16 +117,20 @@ class Gaussians:
         return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * self.opacities()
 
 
-def as_floats(where: str, value: Any) -> NDArray[np.float32]:
+def as_floats(where: str, value: Any, wide: bool = False) -> NDArray[Any]:
     """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient.
 
-    Raises SceneError, which begins with `where`, for what is no array of real numbers.
+    Where `wide`, numbers of more bytes become float64. Raises SceneError, which begins with `where`, for what is no
+    array of real numbers.
     """
     try:
         if hasattr(value, "detach"):
-            value = value.detach().cpu().float().numpy()
+            value = value.detach().cpu()
+            value = (value if value.dtype.itemsize > 4 else value.float()).numpy()
+        value = np.asarray(value)
+        kind = np.float64 if wide and value.dtype.itemsize > 4 else np.float32
         with np.errstate(over="ignore"):  # what becomes infinite is refused
-            return np.asarray(value).astype(np.float32, casting="same_kind", copy=False)
+            return value.astype(kind, casting="same_kind", copy=False)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{where}: expected an array of numbers: {' '.join(str(error).split())[:120]}") from error
 

@@ -112,6 +112,7 @@ def tiny_manifest(
         state_gain=6.0,
         region=region(),
         world=None,
+        origin=None,
         poster=None,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],

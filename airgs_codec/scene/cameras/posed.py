@@ -16,6 +16,11 @@ from airgs_codec.scene.camera import Camera, check_camera
 MOST_LETTERS = 255  # of a name in any file system
 
 
+def as_path(text: object) -> str:
+    """A path as a file has it, with the separators of every system as "/"."""
+    return str(text).replace("\\", "/")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
     """A camera as a file describes it, and the picture that it belongs to.

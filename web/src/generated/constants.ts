@@ -83,7 +83,7 @@ export const BRIGHTEST = 235;
 export const PSNR_CAP = 100.0;
 
 // airgs_codec.render.cpu
-export const FAR = 10000000000.0;
+export const FAR = 1e+18;
 export const DILATION = 0.3;
 
 // airgs_codec.render.cpu_kernels
