@@ -121,7 +121,7 @@ def encode(
         argument("goal", goal, Goal, "a Goal")
     working = temporary_work(told(progress)) if work is None else nullcontext(work)
     with staged_package(place_at(path)) as stage, working as at:
-        report = _encode(sequence, Folder(stage), settings, goal, at)
+        report = _encode(sequence, Folder(stage, alone=True), settings, goal, at)
         _read_back(stage)
         return report
 

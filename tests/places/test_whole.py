@@ -78,8 +78,9 @@ with atomic_path(Path({str(tmp_path)!r}) / "a.bin") as temporary:
 """
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
     assert (tmp_path / "a.bin").read_bytes() == b"old"
+    assert len(list(tmp_path.iterdir())) == 2
     whole.write_bytes(tmp_path / "a.bin", b"new")
-    assert (tmp_path / "a.bin").read_bytes() == b"new"
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.bin", b"new")]
 
 
 @pytest.mark.parametrize("there", [True, False], ids=["folder", "dangling"])
