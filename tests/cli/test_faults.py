@@ -24,7 +24,6 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package.package import open_package
 from airgs_codec.package.publish import staged_package
 from airgs_codec.places.place import Folder
-from airgs_codec.places.whole import _MARK, _MARK_NAME
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX, FOX_VIEWS, VALID
@@ -78,11 +77,6 @@ def test_a_full_disk_leaves_the_old_package(scene, target, tmp_path):
 def test_a_target_that_cannot_be_written(scene, target):
     done = command("encode", scene, "-o", target, *ENCODE)
     assert done.returncode == 2 and done.stderr.startswith("airgs-encode: ") and done.stderr.count("\n") == 1
-
-
-def test_a_full_disk_while_decoding(tmp_path):
-    done = command("decode", MOVING, "-o", tmp_path / "frames", limit=1000)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and f" {tmp_path}/frames" in done.stderr
 
 
 @pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
@@ -151,17 +145,6 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
         assert done.returncode == 2 and "got another run that is making this package" in done.stderr
         assert len(list(tmp_path.glob(".out.airgs.airgs-*"))) == 1  # its folder stays, that of the killed run is gone
     assert not list(tmp_path.glob(".out.airgs.*"))
-
-
-def test_a_package_that_was_moved_aside_comes_back(scene, target, tmp_path):
-    """Killed between the two renames that put a new package in the place of an old one."""
-    work = tmp_path / f".out.airgs.airgs-{'0' * 16}"
-    work.mkdir()
-    (work / _MARK_NAME).write_bytes(_MARK)
-    target.rename(work / "old")
-    done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)  # and the disk is full
-    assert done.returncode == 2 and validate(target) == []
-    assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]
 
 
 @pytest.mark.parametrize("option", ["--report", "--video", "--plot"])
