@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -43,6 +43,7 @@ from airgs_codec.package.package import root_of, write_file
 from airgs_codec.package.publish import GrowingPackage, staged_package
 from airgs_codec.package.tables import Group
 from airgs_codec.places.place import Folder, Place, place_at
+from airgs_codec.places.whole import written_alone
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder
 
@@ -149,6 +150,7 @@ def follow(
     """
     place = place_at(path)
     publisher: _Publisher | None = None
+    owner = ExitStack()  # holds the package, in which nobody else may write until it is closed
     try:
         for whole, first, last in _whole_groups(folder, settings.group_frames, more):
             with closing(hold_frames(whole)) as held:
@@ -156,14 +158,15 @@ def follow(
                 notes = rows.notes
                 for start, stop in _parts(rows, first, last):
                     if publisher is None:
-                        publisher = _begin(rows.sequence, stop, place, settings, attribution, progress)
+                        publisher = _begin(rows.sequence, stop, place, settings, attribution, progress, owner)
                     else:
                         publisher.publish(rows.sequence, start, stop)
                     yield _published(publisher.package.manifest, whole, notes)
                     notes = []
     finally:
-        if publisher is not None:
-            publisher.package.close()
+        with owner:
+            if publisher is not None:
+                publisher.package.close()
 
 
 def _whole_groups(
@@ -203,6 +206,7 @@ def _begin(
     settings: EncodeSettings,
     attribution: str | None,
     progress: Progress,
+    owner: ExitStack,
 ) -> _Publisher:
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
@@ -210,6 +214,7 @@ def _begin(
     credit = sequence.attribution if attribution is None else attribution
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with temporary_work(progress) as work, staged_package(place) as stage:
+        owner.enter_context(written_alone(stage))
         names = look_at_frames(part, work)[0]
         original = PreparedSequence(part, names, [(0, stop)], views, (), credit)
         found = calibrate_sequence(original, settings, work)
@@ -218,12 +223,12 @@ def _begin(
         if settings.measure_pictures:
             manifest = measure_encoded(encoded, original, settings.measure_pictures).manifest
         manifest = replace(manifest, live=True, decisions=[*manifest.decisions, *found.decisions, *repairs])
-        write_package(Folder(stage), encoded, manifest, LiveClock(available, datetime.now(UTC)))
+        write_package(Folder(stage, alone=True), encoded, manifest, LiveClock(available, datetime.now(UTC)))
         base = encoded.base_key(), encoded.group(0)
         needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, chosen))
         shared = chosen.keys == KEPT and not any(frame in sequence.orders for frame in range(stop))
         first = [tuple(work.result(job) for job in needed)] if shared else []
-    package = GrowingPackage(place, manifest, available)
+    package = GrowingPackage(replace(place, alone=True) if isinstance(place, Folder) else place, manifest, available)
     sh_degree = found.prepared.sequence.sh_degree
     return _Publisher(package, chosen, views, sh_degree, manifest.views.measured, [base], first)
 

@@ -36,6 +36,7 @@ from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
 from airgs_codec.package.package import Package, manifest_of
 from airgs_codec.package.tables import MAX_POSTER_BYTES, Group, Root
 from airgs_codec.places.place import Memory
+from airgs_codec.places.whole import naming
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.camera import with_pixels
@@ -144,7 +145,7 @@ def code_group(sequence: GaussianSequence, key: CodedKey, settings: EncodeSettin
     """
     layout = key.layout
     frames = turn_least(sequence.load(range(layout.span.start, layout.span.stop))).frames
-    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
+    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch, naming(Path(scratch)):
         clock = Clock.of(sequence.fps)
         states = code_states(layout, key.decoded, frames, settings, clock, Path(scratch))
         pictures = encode_states(layout, states, clock, settings)

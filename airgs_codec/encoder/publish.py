@@ -126,7 +126,7 @@ def encode(
     expect_folder_name(path_argument("path", path), ENDING)
     working = temporary_work(told(progress)) if work is None else nullcontext(work)
     with staged_package(place_at(path)) as stage, working as at:
-        report = _encode(sequence, Folder(stage), settings, goal, at)
+        report = _encode(sequence, Folder(stage, alone=True), settings, goal, at)
         _read_back(stage)
         return report
 

@@ -16,13 +16,14 @@ from airgs_codec.decoder.sound import decode_group
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.h264 import BRIGHTEST, DARKEST, in_range, open_segment
-from airgs_codec.package.layout import JSON_NAME, MPD_NAME, group_path
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME, belongs, group_path
 from airgs_codec.package.mpd import still_files
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import Package, find_file, open_files, read_file
 from airgs_codec.package.parse import MAX_TABLE_BYTES
 from airgs_codec.package.tables import Atlas, file_entry
 from airgs_codec.places.place import Place, place_at
+from airgs_codec.places.whole import finished_path
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -121,17 +122,20 @@ def _check_files(package: Package) -> Iterator[Finding]:
         yield from _attempt(relative, partial(read_file, package.files, relative, file_entry(data)))
     for relative in package.files.paths():
         if relative not in listed | stills.keys() | {JSON_NAME, MPD_NAME}:
-            yield _check_stranger(package, relative)
+            yield from _check_stranger(package, relative)
 
 
-def _check_stranger(package: Package, relative: str) -> Finding:
-    """A file that is not listed, or a link, or what is neither."""
+def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
+    """A file that is not listed, or a link, or what is neither; but not what a run that was killed may leave."""
     try:
-        package.files.open(relative)
+        found = package.files.open(relative)
     except FormatError as error:
-        if error.reason == "unsafe_path":
-            return _finding(error)
-    return Finding("foreign_file", relative, "not listed in the tables")
+        yield _finding(error)
+        return
+    finished = finished_path(relative)
+    left = finished == POSTER_NAME or (finished != relative and belongs(finished))
+    if found is None or not left:
+        yield Finding("foreign_file", relative, "not listed in the tables")
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:

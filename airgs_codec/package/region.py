@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.references import LEAST_SCALE, MOST_SCALE, fault_of
 from airgs_codec.package.tables import Place, Region, World
+from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.origin import Origin
@@ -240,6 +241,7 @@ def read_world(path: Path) -> World:
     Raises ConfigError for anything else.
     """
     try:
+        expect_plain(path)
         text = path.read_text(encoding="utf-8-sig")
         values = np.array(json.loads(text) if text.lstrip()[:1] == "[" else text.split(), np.float64).ravel()
     except OSError as error:

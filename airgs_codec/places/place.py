@@ -88,6 +88,7 @@ class Folder(Place):
 
     path: Path
     lasting: bool = True  # files are on the disk (fsync) before they have their names
+    alone: bool = False  # nobody else writes there, and no killed run has: nothing is looked for that it left
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -111,7 +112,7 @@ class Folder(Place):
         """Also raises FormatError (unsafe_path) below a link."""
         file = self._file(path)
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(file, data, self.lasting)
+        write_bytes(file, data, self.lasting, self.alone)
 
     def delete(self, paths: Iterable[str]) -> None:
         for path in paths:

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.places.whole import PART_SUFFIX, atomic_path, to_json, write_json
-from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, save_usage, write_settings
+from airgs_codec.places.whole import atomic_path, remove_leftovers, to_json, write_json
+from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, exact_number, frame_rate, save_usage, write_settings
 from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera, cameras_from
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
@@ -217,8 +217,7 @@ class Model:
         return self.record.complete and (self.folder / USAGE_NAME).is_file()
 
     def remove_leftovers(self) -> None:
-        for leftover in self.folder.glob(f".*{PART_SUFFIX}"):
-            leftover.unlink()
+        remove_leftovers(self.folder)
         for stray in sorted(self.folder.glob("*.ply"))[len(self.record.frames) :]:  # written, but not recorded
             stray.unlink()
         if not self.record.complete:
@@ -260,6 +259,7 @@ def read_model(folder: Path) -> Model:
         version = data.pop("version")
         if version != VERSION:
             raise ValueError(f"version {version} instead of {VERSION}")
+        frame_rate(str(path), exact_number(data["fps"]))
         data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
         return Model(folder, Record(**data))
 
