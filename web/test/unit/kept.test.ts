@@ -25,7 +25,7 @@ for (const { name, data, columns } of readVectors("columns").cases) {
   });
 }
 
-const GRID = { origin: [0, 0, 0], step: 1, bits: 4, finest: 0 };
+const GRID = { origin: [0, 0, 0], step: 1, finest: 0 };
 const readDepths = (data: Uint8Array, count: number) => readSidecar(data, { count, placed: 0 }, GRID, 0, "file");
 
 test("a sidecar of a difference has depths alone", () => {
@@ -136,7 +136,7 @@ test("what differs is added to the base: scales, alpha and colours by sum, rotat
   const whole = Int16Array.from([1, 0, 0, 0, 1, 0, 0, 0, 1], (number) => 32767 * number);
   const group = {
     key_steps: { log_scales: 1, quaternions: Math.PI / 2, opacity: 0.5, sh_dc: 5, sh_rest: 1 },
-    grid: { origin: [0, 0, 0], step: 1, bits: 4, finest: 0 },
+    grid: { origin: [0, 0, 0], step: 1, finest: 0 },
     colour_transform: Buffer.from(whole.buffer).toString("base64"),
   } as unknown as Group;
   const rows = (numbers: number[]) => [0, 1, 2].map((row) => numbers.map((number) => row * number));
