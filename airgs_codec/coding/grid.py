@@ -38,7 +38,8 @@ def grid_codes(
     `grid_means` is at most half a cell off on an axis.
     """
     away = means.astype(np.float64) / grid.step - _middle(grid)
-    wider = np.maximum(np.frexp(np.abs(away).max(axis=1) / HALF)[1], 0).astype(np.int16)
+    steps = np.floor(away)
+    wider = np.maximum(np.frexp(np.maximum(steps, -1 - steps).max(axis=1) / HALF)[1], 0).astype(np.int16)
     index = np.floor(np.ldexp(away, -wider[:, None].astype(np.int32))).astype(np.int64) + HALF
     bits = cell_bits(classes - wider, grid)[:, None]
     return morton_encode(index >> bits << bits), wider
@@ -79,6 +80,6 @@ def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float
     box = reach * 2 / HALF, float(np.abs(middle).max()) / 2.0**EXACT
     finest = max([int(classes.min()), *(math.ceil(math.log2(least / cell)) for least in box if least)])
     step = cell * 2.0**finest
-    low = means[apart <= step * HALF / 2].min(axis=0)
+    low = means[apart <= step * HALF / 2].min(axis=0).astype(np.float64)
     origin = np.floor(low / step / ORIGIN_STEPS).astype(np.int64) * ORIGIN_STEPS
     return Grid(origin.tolist(), step, finest)
