@@ -84,6 +84,7 @@ class Subject:
         layout, settings = self.layout, self.settings
         segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
         index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
+        index = index[layout.wider[index] == 0]  # what is far from all else tells nothing of it
         sample = CalibrationSample(
             index=index,
             key=layout.key.take(index),

@@ -99,7 +99,7 @@ test("a base must be there, keep none itself and be laid out alike, whichever is
   await assert.rejects(tables.addGroup(1, packed(alone)), refused); // channels of differences to nobody
   await assert.rejects(tables.addGroup(0, packed({ ...first, keeps: 1 })), refused); // of itself
   const changed: Record<string, (table: Group) => void> = {
-    grid: (table) => Object.assign(table.grid, { bits: 3 }),
+    grid: (table) => Object.assign(table.grid, { finest: 3 }),
     key_steps: (table) => Object.assign(table.key_steps, { opacity: 0.5 }),
     colour_transform: (table) => Object.assign(table, { colour_transform: "" }),
     factor: (table) => Object.assign(table.tiers[1]!, { factor: 2.5 }),
