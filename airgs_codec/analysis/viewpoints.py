@@ -240,7 +240,8 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
     """Find where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
 
     At most 1 + COUNT square cameras; the same frames give the same cameras. `up` (3,) points up where somebody told it;
-    else it is guessed (`analysis.up`). A frame need not be repaired; frames need not share rows. What is far from all else decides nothing.
+    else it is guessed (`analysis.up`). A frame need not be repaired; frames need not share rows.
+    What is far from all else decides nothing.
 
     Raises SceneError when a frame has no finite row.
     """

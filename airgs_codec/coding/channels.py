@@ -322,8 +322,9 @@ def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] =
     """The KLT (C, C) of (N, C) colours in units of their steps: row k is what the k-th strongest direction adds.
 
     It is orthonormal, and the entry of a row that is largest by size positive, so that equal scenes give equal
-    packages. Colours that are further from the median than OUTLYING times the others count as that far. `weights` (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length
-    matter alike, with what undoes them after it.
+    packages. Colours that are further from the median than OUTLYING times the others count as that far. `weights`
+    (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length matter alike, with
+    what undoes them after it.
     """
     centred = scaled - np.median(scaled, axis=0)
     sizes = np.linalg.norm(centred, axis=1, keepdims=True)

@@ -1,7 +1,7 @@
 """The grid of canonical means: nested cubic cells, finer where pictures depend on them more (FORMAT.md §3). N rows.
 
-It spans a box about nearly all rows. A row outside lies in a wider grid about the same middle, whose steps are 2^e times
-as wide, so that it decides nothing for the others. What cells know of a row is its motion class less e: `cells` (N,).
+It spans a box about nearly all rows. A row outside lies in a wider grid about the same middle, whose steps are 2^e
+times as wide, so that it decides nothing for the others. What cells know of a row is its motion class less e: `cells`.
 """
 
 from __future__ import annotations

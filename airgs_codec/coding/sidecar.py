@@ -72,7 +72,8 @@ def unpack_key_sidecar(
         raise FormatError("bad_sidecar", where, f"expected classes up to {MOST_CLASS} and depths up to {STATIC}")
     if not ((wider >= 0) & (wider <= MOST_WIDER)).all():
         raise FormatError("bad_sidecar", where, f"expected rows in a grid 2^0 to 2^{MOST_WIDER} times as wide")
-    shared = KeySidecar(gaps, *(column.astype(np.int16) for column in (classes, wider)), (carried - 1).astype(np.uint8))
+    depths = (carried - 1).astype(np.uint8)
+    shared = KeySidecar(gaps.astype(np.uint64), classes.astype(np.int16), wider.astype(np.int16), depths)
     codes = sum_gaps(gaps, 3 * cell_bits(shared.cells, grid, coarsest), 3 * GRID_BITS)
     if codes is None:
         raise FormatError("bad_sidecar", where, f"Morton codes leave {3 * GRID_BITS} bits")

@@ -128,8 +128,8 @@ def _mean(grid: Grid, cell: Sequence[int], width: int, e: int) -> list[float]:
 def _sidecar(
     codes: Sequence[int], classes: Sequence[int], depths: Sequence[int], wider: Sequence[int] = ()
 ) -> KeySidecar:
-    positions = (np.array(values, np.int16) for values in (classes, wider))
-    return KeySidecar(np.array(codes, np.uint64), *positions, np.array(depths, np.uint8))
+    own, e = (np.array(values, np.int16) for values in (classes, wider))
+    return KeySidecar(np.array(codes, np.uint64), own, e, np.array(depths, np.uint8))
 
 
 def _refused() -> list[dict[str, Any]]:

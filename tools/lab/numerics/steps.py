@@ -209,7 +209,7 @@ def klt_error(decades: float, invert: bool) -> Judged:
 
 
 def judge_classes(decades: float) -> Judged:
-    """Whether motion units follow row sensitivities that range over so many decades; the steps of the grid that the rows span."""
+    """Whether motion units follow row sensitivities that range over so many decades; the grid steps they span."""
     sensitivity: NDArray[np.float64] = np.geomspace(10.0**-decades, 1.0, ROWS)
     classes = motion_classes(sensitivity, FLOOR * float(np.median(sensitivity)))
     wanted, unit = sensitivity**-0.25, motion_units(classes).astype(np.float64)
