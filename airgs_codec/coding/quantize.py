@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -59,9 +60,13 @@ def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
 
 
 def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettings:
-    """These steps times a factor on each of some, to four digits."""
+    """These steps times a factor on each of some, to a power of 2^(1/8): what is measured is no better.
+
+    So scenes that differ by little, or by their unit, mostly have equal steps.
+    """
     for name, factor in factors.items():
-        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
+        wanted = get_step(steps, name) * 2.0 ** (round(8 * math.log2(factor)) / 8)
+        steps = with_step(steps, name, float(f"{wanted:.9g}"))
     return steps
 
 

@@ -84,6 +84,7 @@ class Subject:
         layout, settings = self.layout, self.settings
         segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
         index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
+        index = index[layout.wider[index] == 0]  # what is far from all else tells nothing of it
         sample = CalibrationSample(
             index=index,
             key=layout.key.take(index),
@@ -281,7 +282,7 @@ def choose_shares(
 def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """`rank_updates` of all N rows; `frames` are the canonical one and those that are ranked."""
     layout, settings = subject.layout, subject.settings
-    channels = key_channels(frames[0], layout.transform, layout.key_steps).astype(np.float32)
+    channels = key_channels(frames[0], layout.transform, layout.key_steps, layout.grid.unit).astype(np.float32)
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
     steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
     score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)

@@ -84,7 +84,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
         base = decode_canonical(package, index, 0)
         rows, sure = _match(package, index, group, base, frames)
         originals = [g.take(rows) for g in frames]
-        yield from _keys(package, index, group, base, mean_frame(originals), sure)
+        yield from _keys(package, index, group, base, mean_frame(frames).take(rows), sure)
         yield from _states(package, index, base, originals, sure)
 
 
@@ -189,7 +189,7 @@ def _keys(
     layout, keeps, known = key_layout(group), m.base_of(index), sure
     for q, quality in enumerate(m.qualities):
         if keeps is None:
-            values = key_channels(original, base.transform, group.key_steps)
+            values = key_channels(original, base.transform, group.key_steps, group.grid.unit)
         else:
             kept = decode_canonical(package, keeps, q)
             values, drawn = frame_channels(original, kept, group.difference_steps)

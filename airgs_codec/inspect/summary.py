@@ -37,7 +37,6 @@ class GroupSummary:
     static: int  # rows that no level carries
     unused: int  # Gaussians that no view uses: not written
     segments: int
-    grid_bits: int
     keeps: int | None  # the earlier group, from 1, that its key is a difference to
 
 
@@ -145,7 +144,7 @@ def _sound(m: Manifest) -> SoundSummary | None:
 
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
-    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, g.keeps)
+    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.keeps)
 
 
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:

@@ -158,7 +158,8 @@ def test_canonical_means_are_within_half_a_cell(fox):
         layout = laid_out(sequence, g, group)
         for q, quality in enumerate(fox.manifest.qualities):
             error = np.abs(decode_canonical(fox, g, q).means - layout.key.means).max(axis=1)
-            side = group.grid.step * 2.0 ** cell_bits(layout.classes, group.grid, quality.coarser)
+            cells = layout.classes - layout.wider
+            side = group.grid.step * 2.0 ** (layout.wider + cell_bits(cells, group.grid, quality.coarser))
             assert (error <= side / 2 * (1 + 1e-6)).all()
             assert len(np.unique(side)) > 2
 

@@ -86,7 +86,7 @@ def tiny_manifest(
             count=10 * tiers,
             static=0,
             unused=0,
-            grid=mf.Grid([0.0, 0.0, 0.0], 0.01, 8, 0),
+            grid=mf.Grid([0, 0, 0], 0.01, 0),
             key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
             state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
             colour_transform="",

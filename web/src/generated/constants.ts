@@ -8,6 +8,7 @@ export const BLOCK = 16;
 export const STATIC = 255;
 export const LEAST_CLASS = -128;
 export const MOST_CLASS = 127;
+export const MOST_WIDER = 255;
 export const TRANSFORM_UNITS = 32767;
 export const LIMITS = {"bits": 21, "side": 4096, "macroblocks": 36864, "pages": 128} as const;
 export const MIN_PICTURE_SIDE = 64;
