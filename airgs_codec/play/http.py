@@ -256,7 +256,7 @@ class _Answer:
         busy, words = status in BUSY, status_words(status)
         if not busy and status < 500:
             return FormatError("missing_file", self.path, words)
-        after_s = int(after) if busy and after.isdecimal() else 0
+        after_s = int(after[:9]) if busy and after.isdecimal() else 0
         return _PassingError(self.path, words + (f", to be asked again in {after_s} s" if after_s else ""), busy, after_s)
 
     def _unzip(self, data: bytes) -> bytes:

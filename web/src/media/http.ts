@@ -17,6 +17,7 @@ import {
 import { untilOnline } from "./bell.ts";
 import { TransportError } from "./errors.ts";
 
+const MOST_AFTER_S = 3600; // a server that wants more is asked before
 const TO_ASK_AGAIN: readonly Reason[] = GARBLED;
 
 export interface Retry {
@@ -183,7 +184,8 @@ async function receive(
 
 function refusal(path: string, { status, headers }: Response): FormatError {
   const words = `expected a file, got status ${status}`;
-  if (BUSY.includes(status)) return new PassingError(path, words, "busy", Number(headers.get("Retry-After")) || 0);
+  if (BUSY.includes(status))
+    return new PassingError(path, words, "busy", Math.min(Number(headers.get("Retry-After")) || 0, MOST_AFTER_S));
   return status >= 500 ? new PassingError(path, words) : new FormatError("missing_file", path, words);
 }
 
