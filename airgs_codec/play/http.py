@@ -257,7 +257,8 @@ class _Answer:
         if not busy and status < 500:
             return FormatError("missing_file", self.path, words)
         after_s = int(after[:9]) if busy and after.isdecimal() else 0
-        return _PassingError(self.path, words + (f", to be asked again in {after_s} s" if after_s else ""), busy, after_s)
+        words += f", to be asked again in {after_s} s" if after_s else ""
+        return _PassingError(self.path, words, busy, after_s)
 
     def _unzip(self, data: bytes) -> bytes:
         inflate = zlib.decompressobj(ZIPPED)

@@ -78,7 +78,7 @@ async def serve(app: ASGIApp, listening: socket.socket, settings: ServerSettings
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report what went wrong outside of all handlers; a connection that breaks, asks too much or is ended is no news."""
+    """Report what went wrong outside of all handlers; a connection that breaks or asks too much is no news."""
     error = context.get("exception")
     if not error or BaseExceptionGroup("", [error]).split((OSError, PriorityError, asyncio.CancelledError))[1]:
         loop.default_exception_handler(context)

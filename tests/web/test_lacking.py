@@ -69,8 +69,6 @@ SERVERS = {  # the file that is answered otherwise, how, and what is said
         Answer(status=403),
         "group/1.json.gz: expected a file, got status 403. Its server refuses",
     ),
-    "404": ("airgs.json", Answer(status=404), "airgs.json is missing"),
-    "503": ("airgs.json", Answer(status=503), "server is busy"),
     "page": ("airgs.json", Answer(b"<!doctype html>"), "A web page is there"),
     "silent": ("airgs.json", Answer(b"{{", wait_s=60), "airgs.json: the server is silent"),
 }

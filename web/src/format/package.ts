@@ -76,10 +76,8 @@ export class Tables {
     return this.#groups.set(number, table);
   }
 
-  /** Takes in a page or the table of a group, whose digest it checks; other paths are left alone.
-   *
-   * A server may have unpacked the table of a group, or had the browser do so: then its first byte tells it, since of
-   * the text no digest is known, and the digests in it lead to the rest.
+  /** Takes in a page or the table of a group, whose digest it checks, unless a server had it unpacked, as its first byte
+   * tells; other paths are left alone.
    */
   async add(path: string, bytes: Uint8Array): Promise<void> {
     const found = locate(path);
