@@ -11,7 +11,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, SceneError
@@ -100,9 +100,22 @@ def _samples(picture: Image.Image) -> NDArray[np.uint8]:
 
 def decode_webp(data: bytes) -> NDArray[np.uint8]:
     """(H, W, 4) samples of lossless WebP exactly as they are stored. Raises ValueError for what is broken."""
+    return _decode(data, "WEBP")
+
+
+def decode_jpeg(data: bytes, most: int) -> NDArray[np.uint8]:
+    """(H, W, 4) samples of a JPEG of up to `most` pixels a side. Raises ValueError for what is broken, or larger."""
+    return _decode(data, "JPEG", most)
+
+
+def _decode(data: bytes, form: str, most: float = np.inf) -> NDArray[np.uint8]:
     try:
-        with Image.open(io.BytesIO(data), formats=("WEBP",)) as picture:
+        with Image.open(io.BytesIO(data), formats=(form,)) as picture:
+            if max(picture.size) > most:
+                raise ValueError(f"at most {most} pixels a side, got {picture.size[0]}x{picture.size[1]}")
             return np.asarray(picture.convert("RGBA"))
+    except UnidentifiedImageError as error:
+        raise ValueError("got something else") from error
     except Exception as error:  # whatever a decoder comes upon in a broken file
         raise ValueError(" ".join(str(error).split())[:200]) from error
 
