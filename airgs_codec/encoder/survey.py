@@ -24,6 +24,7 @@ from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.coding.quantize import UncodableError
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.package.parse import check_written
 from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
@@ -180,8 +181,10 @@ def _draw(
 ) -> ViewPlan:
     """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead.
 
-    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are.
+    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are, FormatError for a
+    region that no reader would take.
     """
+    check_written(region)
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
     deciding, measuring = (

@@ -319,7 +319,7 @@ def check_segment(media: bytes, where: str, start: int, ticks: int, pages: int, 
         begins = [*range(pages * slopes), *range(pages * slopes, len(coded), frames)]
         if [place for place, picture in enumerate(coded) if picture.idr] != begins:
             raise CodecError(f"expected IDR pictures as the samples {begins[:8]} alone")
-        own, *fragment = (whole for _, whole in read_boxes(media))
+        _, *fragment = (whole for _, whole in read_boxes(media))
         check_boxes(media_segment(coded, start, ticks, pages * slopes), b"".join(fragment))
     except CodecError as error:
         raise FormatError("bad_picture", where, str(error)) from error

@@ -14,7 +14,8 @@ from airgs_codec.package.mpd import CONTENT, DASH, ID, MIN_BUFFER_S, SOUND, Repr
 _XLINK = "{http://www.w3.org/1999/xlink}"
 _LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
 _ATTRIBUTES = {  # that this format uses, of each element
-    "MPD": "type profiles minBufferTime mediaPresentationDuration availabilityStartTime publishTime minimumUpdatePeriod",
+    "MPD": "type profiles minBufferTime mediaPresentationDuration "
+    "availabilityStartTime publishTime minimumUpdatePeriod",
     "UTCTiming": "schemeIdUri value",
     "Period": "id start duration",
     "AdaptationSet": "id selectionPriority contentType mimeType codecs segmentAlignment startWithSAP",

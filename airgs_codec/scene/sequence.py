@@ -31,9 +31,10 @@ from airgs_codec.scene.beside import (
     read_settings,
 )
 from airgs_codec.scene.camera import BLACK, Background, Camera
+from airgs_codec.scene.cameras.posed import distinct, told_of_lenses
 from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
-from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
+from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras, read_posed
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
 from airgs_codec.scene.formats.table import (
@@ -281,10 +282,11 @@ def sequence_of(
     own = Settings() if alone else read_settings(folder, len(frames))
     rate = own.fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
-    cameras = tuple(replace(c, background=own.background) for c in read_cameras(cameras_path)) if cameras_path else ()
+    posed = read_posed(cameras_path) if cameras_path else []
+    cameras = tuple(replace(c, background=own.background) for c in distinct(posed))
     paths, headers = zip(*frames, strict=True)
     found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
-    return replace(found, background=own.background, notes=own.notes, alone=alone)
+    return replace(found, background=own.background, notes=(*own.notes, *told_of_lenses(posed)), alone=alone)
 
 
 class GrowingFolder:
