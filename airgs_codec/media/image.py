@@ -185,7 +185,7 @@ class Lens:
         given = self.matrix - TO_CENTRES, self.coefficients, np.eye(3), scale @ self.pinhole - TO_CENTRES
         make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
         x, y = make(*given, size, cv2.CV_32FC1)
-        return x, y
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
 
     def sees(self) -> bool:
         """Whether the taken picture has each pixel of the undistorted one, as its neighbours' neighbour, and shows
@@ -195,7 +195,7 @@ class Lens:
         (down_x, along_x), (down_y, along_y) = np.gradient(x), np.gradient(y)
         areas = (along_x * down_y - down_x * along_y) * LOOKED_AT**2 / (width * height)
         inside = (np.abs(x / width - 0.5) <= 0.5 + SLACK) & (np.abs(y / height - 0.5) <= 0.5 + SLACK)
-        middle = areas[LOOKED_AT // 2, LOOKED_AT // 2]
+        middle = areas.ravel()[areas.size // 2 + LOOKED_AT // 2]
         return bool(inside.all() and (areas > 0).all() and middle >= LEAST_USED**2)
 
 
