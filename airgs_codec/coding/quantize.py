@@ -17,6 +17,10 @@ CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre 
 STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
 
 
+class UncodableError(SceneError):
+    """A value that no code holds."""
+
+
 @dataclass(frozen=True, slots=True)
 class StepSettings:
     """Quantiser steps at quality factor 1; lengths are in motion units (see `motion`) times the scale of the scene.
@@ -73,8 +77,8 @@ def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettin
 def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:
     """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
 
-    `first` is the number of the first channel, for errors. Raises SceneError for a value 2^30 codes or more from 0,
-    since nothing is clipped, and for a step that is not within STEP_LIMITS.
+    `first` is the number of the first channel, for errors. Raises UncodableError for a value 2^30 codes or more from 0,
+    since nothing is clipped, SceneError for a step that is not within STEP_LIMITS.
     """
     low, high = STEP_LIMITS
     if not ((steps >= low) & (steps <= high)).all():
@@ -86,7 +90,7 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
         channel = int(np.unravel_index(np.abs(codes).argmax(), codes.shape)[1])
         largest = float(np.abs(values[:, channel]).max())
         got = f"value {largest:g} at step {steps[channel]:g}"
-        raise SceneError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
+        raise UncodableError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
     return codes.astype(np.int32)
 
 

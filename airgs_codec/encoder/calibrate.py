@@ -31,7 +31,7 @@ from airgs_codec.encoder.plan import (
 )
 from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
-from airgs_codec.encoder.survey import Survey
+from airgs_codec.encoder.survey import Survey, naming_farthest
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
@@ -320,7 +320,13 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     """Calibrate on the group of `survey`, starting at `settings.steps`, at quality 1.
 
     Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
+    Raises SceneError for a group that cannot be coded.
     """
+    with naming_farthest(sequence, survey.span):
+        return _calibrate(sequence, survey, settings)
+
+
+def _calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Calibration:
     tiers = TIERS if settings.calibrate == "ladder" else settings.tiers
     ladder = replace(settings, quality=1.0, calibrate="none", tiers=tiers)
     subject = Subject.of(sequence, survey, ladder)

@@ -17,6 +17,7 @@ from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import calibrate_sequence, measure_encoded
 from airgs_codec.encoder.measure import pictures_of, with_errors
 from airgs_codec.encoder.pipeline import (
@@ -32,17 +33,17 @@ from airgs_codec.encoder.pipeline import (
     with_rows_of_others,
 )
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
-from airgs_codec.encoder.publish import write_package
+from airgs_codec.encoder.publish import held_to_readers, write_package
 from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, join_surveys, plan_views
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import root_of, write_file
+from airgs_codec.package.package import Package, root_of, write_file
 from airgs_codec.package.publish import GrowingPackage, staged_package
 from airgs_codec.package.tables import Group
-from airgs_codec.places.place import Folder, Place, place_at
+from airgs_codec.places.place import Folder, Memory, Place, place_at
 from airgs_codec.places.whole import written_alone
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder
@@ -97,9 +98,13 @@ class _Publisher:
         group = STATES.do(known)
         if difference is None:
             self.bases[:] = [(known["coded"], group)]
-        for path, data in group.files.items():
-            write_file(self.package.files, path, data)
-        self.package.add(self._measured(sequence, known, base_files if difference else None))
+        table = self._measured(sequence, known, base_files if difference else None)
+        with held_to_readers():
+            whole = Memory("group", {**base_files.files, **group.files})
+            decode(Package(whole, self.package.expect(table), 0), stop - 1)
+            for path, data in group.files.items():
+                write_file(self.package.files, path, data)
+            self.package.add(table)
 
     def _remember(self, known: dict[str, Any]) -> NDArray[np.intp] | None:
         """The rows of a key of this group by itself: its own, and those that groups before it needed (`seen`).

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -20,8 +21,10 @@ from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.analysis.sight import DATAPARSER, SEEN, in_trained_frame, see, seeing
 from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.coding.quantize import UncodableError
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.package.parse import check_written
 from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
@@ -47,6 +50,8 @@ SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many dec
 LOOKED_AT = 3  # frames, where no camera is given
 DISTANCE = 3.0  # world units, from which scenes of scale 1 are mostly looked at
 DRAWS = 240  # views that are drawn; groups and segments take them in turn
+
+UNBOUNDED = ("means", "log_scales", "sh_dc", "sh_rest")  # attributes whose numbers may be of any size
 
 Pictures = list[View]  # a frame is its place in its group, or its number in the sequence
 
@@ -178,8 +183,10 @@ def _draw(
 ) -> ViewPlan:
     """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead.
 
-    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are.
+    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are, FormatError for a
+    region that no reader would take.
     """
+    check_written(region)
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
     deciding, measuring = (seeing(draw_views(region, DRAWS, seed), middle, renderer) for seed in (DECIDING, MEASURING))
@@ -214,6 +221,26 @@ class GroupSpan:
     def middle(self) -> int:
         """Number of the frame in its middle."""
         return self.start + (self.stop - self.start) // 2
+
+
+@contextmanager
+def naming_farthest(sequence: GaussianSequence, span: GroupSpan) -> Iterator[None]:
+    """Nothing; where the block finds a value of a group that no code holds, the error names the most extreme number."""
+    try:
+        yield
+    except UncodableError as error:
+        numbers = [_farthest(sequence, frame, name) for frame in range(span.start, span.stop) for name in UNBOUNDED]
+        away, where = max(numbers)
+        raise SceneError(f"{where} is {away:g} from the others: {error}") from error
+
+
+def _farthest(sequence: GaussianSequence, frame: int, attribute: str) -> tuple[float, str]:
+    """How far the number of an attribute that is farthest from the others is from them, and where it stands."""
+    rows = getattr(replace(sequence, orders={}).read(frame), attribute).astype(np.float64)
+    rows = np.where(np.isfinite(rows), rows, 0).reshape(len(rows), -1)
+    away = np.abs(rows - np.median(rows, axis=0)).max(axis=1, initial=0)
+    row = int(away.argmax())
+    return float(away[row]), f"frame {frame} ({sequence.paths[frame].name}): {attribute} of row {row}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

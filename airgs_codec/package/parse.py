@@ -87,6 +87,11 @@ def read_region(path: Path) -> Region:
     return dataclasses.replace(region, source="file")
 
 
+def check_written(region: Region) -> None:
+    """Raise FormatError for a region that no reader would take."""
+    check_region(_parse(Region, json.loads(_text(region)), "region"), "region")
+
+
 def _refuse_constant(name: str) -> float:
     raise ValueError(f"{name} is not a JSON number")
 

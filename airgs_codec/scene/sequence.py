@@ -31,9 +31,10 @@ from airgs_codec.scene.beside import (
     read_settings,
 )
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
+from airgs_codec.scene.cameras.posed import distinct, told_of_lenses
 from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
-from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
+from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras, read_posed
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
 from airgs_codec.scene.formats.table import (
@@ -326,10 +327,13 @@ def sequence_of(
     odd = () if alone else (*oddities_of([path for path, _ in frames]), *_lone_counts(frames))
     rate = own.fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
-    cameras = tuple(replace(c, background=own.background) for c in read_cameras(cameras_path)) if cameras_path else ()
+    posed = read_posed(cameras_path) if cameras_path else []
+    cameras = tuple(replace(c, background=own.background) for c in distinct(posed))
     paths, headers = zip(*frames, strict=True)
     found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
-    found = replace(found, background=own.background, notes=(*own.notes, *odd), alone=alone, clip=clip)
+    found = replace(
+        found, background=own.background, notes=(*own.notes, *odd, *told_of_lenses(posed)), alone=alone, clip=clip
+    )
     found = replace(found, origin=own.origin, stored_at=own.origin, cameras=cameras_from(own.origin, cameras))
     return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
