@@ -145,13 +145,14 @@ class RowPruning:
 
         `middle` where none tell. Rows that nobody sees do not count.
         """
-        known = {count - self._unused: math.log(e / error) for count, e in self._errors.items() if e > 0}
+        unused = self._unused
+        known = {count - unused: math.log(e / error) for count, e in self._errors.items() if count > unused and e > 0}
         a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (0, 0)
         if a == b or known[a] == known[b]:
             return middle
         share = known[a] / (known[a] - known[b])
-        most = len(self._order) - self._unused
-        return self._unused + round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(most))))
+        most = len(self._order) - unused
+        return unused + round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(most))))
 
     def with_details(self, written: WrittenRows, allowed: float) -> WrittenRows:
         """Add those of the rows left out `within` an error that matter where pictures without them are plainly others.
