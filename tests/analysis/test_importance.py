@@ -104,31 +104,19 @@ def test_a_row_is_as_important_as_it_is_seen_and_as_its_alpha_counts():
 
 
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
+    """No more are drawn of what is sure to be beyond: the first two of four suffice for the root of 0.25 / 4, 0.25."""
     assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
-    assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4
+    assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
+    for allowed, drawn, rest in ((0.28, True, []), (0.249, False, [0.1, 0.2])):
+        errors = iter([0.3, 0.4, 0.1, 0.2])
+        assert (pooled_within(errors, 4, allowed) < math.inf) == drawn and list(errors) == rest
 
 
-def test_no_more_pictures_are_drawn_of_what_is_sure_to_be_beyond():
-    """The root of (0.3^2 + 0.4^2) / 4 is 0.25: the first two of four are enough to know that it is more than less."""
-    errors = iter([0.3, 0.4, 0.1, 0.2])
-    assert pooled_within(errors, 4, 0.28) < math.inf and list(errors) == []
-    errors = iter([0.3, 0.4, 0.1, 0.2])
-    assert pooled_within(errors, 4, 0.249) == math.inf and list(errors) == [0.1, 0.2]
-    assert pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
-
-
-def test_where_no_line_tells_the_number_of_rows_it_is_halved(monkeypatch):
-    """Nothing is lost by 436 rows of 1000, and everything by one more: found to one per cent of the rows."""
-    pruning, looked = RowPruning([], np.ones(1000), {}), []
-
-    def error(count):
-        looked.append(count)
-        return pruning._errors.setdefault(count, float(count > 436))
-
-    monkeypatch.setattr(pruning, "_error", error)
-    assert len(pruning.within(0.5).rows) == 1000 - 436
-    assert looked == [999, 499, 249, 374, 436, 467, 451, 443]
-    assert len(pruning.within(0.5).rows) == 1000 - 436 and len(looked) == 8  # nothing is drawn again
+def test_where_no_line_tells_the_number_of_rows_it_is_found_to_one_per_cent(monkeypatch):
+    """Nothing is lost by 436 rows of 1000, and everything by one more."""
+    pruning = RowPruning([], np.ones(1000), {})
+    monkeypatch.setattr(pruning, "_error", lambda count: pruning._errors.setdefault(count, float(count > 436)))
+    assert len(pruning.within(0.5).rows) == 1000 - 436 and len(pruning._errors) <= 10
     assert len(pruning.within(2.0).rows) == 1
 
 
@@ -156,25 +144,21 @@ def test_things_go_as_long_as_they_pay():
         assert most == 0.5 * sizes[chosen].sum()
         return float(errors[chosen].sum())
 
+    def chosen(guesses, error):
+        return select_omissions(sizes, guesses, error, 1.0)[0].tolist()
+
     assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
-    assert select_omissions(sizes, errors, error, 1.0)[0].tolist() == [True, False, True]
-    # guesses that are too low: fewer are left out
-    assert select_omissions(sizes, np.zeros(3), error, 1.0)[0].tolist() == [True, False, False]
-    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 1e9, 1.0)[0].tolist() == [False] * 3
-    # at half of what their bytes are worth, and no dearer
-    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 4.9 * chosen.sum(), 1.0)[0].tolist() == [True] * 3
-    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 5.1 * chosen.sum(), 1.0)[0].tolist() == [False] * 3
+    assert chosen(errors, error) == [True, False, True]
+    assert chosen(np.zeros(3), error) == [True, False, False]  # guesses that are too low: fewer are left out
+    assert chosen(sizes, lambda some, _: 0.0) == [False] * 3  # a guess that is no less than the price
+    for price, kept in ((1e9, False), (5.0, True), (5.1, False)):  # at half of what their bytes are worth, no dearer
+        assert chosen(np.zeros(3), lambda some, _, price=price: price * some.sum()) == [kept] * 3
 
 
 def test_what_pays_most_goes_first_and_the_half_of_it_where_all_is_too_dear():
     sizes, guesses = np.array([100.0, 10.0]), np.array([40.0, 5.0])
     chosen, cost = select_omissions(sizes, guesses, lambda chosen, _: 60.0 if chosen.all() else 40.0, 1.0)
     assert (chosen.tolist(), cost) == ([True, False], 40.0) and chosen.dtype == bool
-    four = np.full(4, 10.0)
-    chosen, _ = select_omissions(four, np.arange(4.0), lambda chosen, _: 5.0 * 2 if chosen.sum() <= 2 else 1e9, 1.0)
-    assert chosen.tolist() == [True, True, False, False]  # at exactly half the price of their bytes
-    nothing, cost = select_omissions(four, four, lambda chosen, _: 0.0, 1.0)  # a guess that is no less than the price
-    assert (nothing.tolist(), nothing.dtype, cost) == ([False] * 4, bool, 0.0)
     alike = select_omissions(np.ones(64), np.zeros(64), lambda chosen, _: 0.0 if chosen.sum() < 40 else 1e9, 1.0)[0]
     assert alike.tolist() == [True] * 32 + [False] * 32  # the first of equals
 

@@ -110,19 +110,6 @@ def test_views_and_frames_are_averaged(scene):
     assert replace(once).take(np.array([2, 0])).opacity.tolist() == [once.opacity[2], once.opacity[0]]
 
 
-def test_usage_and_sensitivity_of_one_pass_are_those_of_two(scene):
-    frame, cameras, _ = scene
-    moved = replace_means(frame, frame.means + np.float32(0.01))
-    pictures = [(frame, cameras[0]), (frame, cameras[1]), (moved, cameras[0]), (moved, cameras[1])]
-    usage, s = measure_views(pictures)
-    alone, apart = measure_usage([frame, moved], cameras[:2]), measure_sensitivity([frame, moved], cameras[:2])
-    np.testing.assert_allclose(usage.total, alone.total, rtol=1e-6)
-    np.testing.assert_array_equal(usage.peak, alone.peak)
-    np.testing.assert_array_equal(usage.hits, alone.hits)
-    for name in s.__slots__:
-        np.testing.assert_array_equal(getattr(s, name), getattr(apart, name))
-
-
 def test_every_picture_has_a_frame_and_a_camera_of_its_own(scene):
     """A row counts in the frames in which it is seen, by the camera that was paired with them."""
     frame, cameras, _ = scene

@@ -20,7 +20,6 @@ from airgs_codec.render.cpu import (
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.reference import blending_weights, render_reference
 from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.scene.gaussians import Gaussians
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 
@@ -236,26 +235,6 @@ def test_the_embedded_scene_equals_the_reference():
     rgb, _ = render_reference(RasterInputs(*(torch.tensor(getattr(a, n)).double() for n in NAMES)), small)
     error = np.abs(render(g, small).rgb - rgb.numpy())
     assert error.mean() <= MEAN_ERROR and error.max() <= MAX_ERROR
-
-
-def test_camera_convention_on_a_known_projection():
-    """A point 2 right, 1 down and 4 ahead of an OpenGL camera at the origin lands at x / z in the picture."""
-    view = read_cameras(FOX / "transforms.json")[0]
-    centre = view.position
-    ahead = view.world_to_camera[2, :3]
-    g = random_gaussians(1)
-    point = Gaussians(
-        (centre + 4 * ahead + 0.5 * view.world_to_camera[0, :3])[None].astype(np.float32),
-        g.quaternions,
-        np.full((1, 3), -4.0, np.float32),
-        np.full(1, 5.0, np.float32),
-        np.ones((1, 3), np.float32),
-        g.sh_rest,
-    )
-    picture = render(point, view).rgb.sum(axis=2)
-    y, x = np.unravel_index(picture.argmax(), picture.shape)
-    assert x + 0.5 == pytest.approx(view.cx + view.fx * 0.5 / 4, abs=1.0)
-    assert y + 0.5 == pytest.approx(view.cy, abs=1.0)
 
 
 def test_only_some_tiles_are_drawn_again():

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
+from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.cli.encode import main as encode_main
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import ConfigError, SceneError, TrainingError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.scene.sequence import open_sequence
@@ -19,7 +21,7 @@ from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.trainer import Trainer
 from airgs_codec.trainer.settings import Temporal
 from tests.support.training import APPEARS, SETTINGS
-from tests.support.views import ring
+from tests.support.views import measure_usage, ring
 
 COLUMNS = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc")
 
@@ -32,6 +34,9 @@ def test_a_keyframe_is_found_where_something_appears(run):
     counts = [f.gaussians for f in run.record.frames]
     assert len(set(counts[:APPEARS])) == len(set(counts[APPEARS:])) == 1
     assert max(counts) <= SETTINGS.capacity
+    for f in run.record.frames:
+        assert f.psnr > 20 and 0 < f.held_out_ssim <= 1 and f.held_out_psnr > 15
+    assert run.record.warnings() == []
 
 
 def test_rows_go_on_over_the_keyframe(run):
@@ -41,9 +46,17 @@ def test_rows_go_on_over_the_keyframe(run):
     assert np.median(still) < 0.05 * np.median(unrelated)
 
 
-def test_the_record_says_what_moved_and_how_good_it_is(run):
-    for f in run.record.frames:
-        assert f.psnr > 20 and 0 < f.held_out_ssim <= 1 and f.held_out_psnr > 15
+def test_usage_is_of_all_frames_and_the_encoder_takes_it(run):
+    sequence = open_sequence(run.folder)
+    training = [c for c in sequence.cameras if c.split == "train"]
+    (start, stop) = plan_groups(sequence).spans[0]
+    saved = sequence.usage(start, stop)
+    measured = measure_usage([sequence.read(t) for t in range(start, stop)], training)
+    np.testing.assert_allclose(saved.total, measured.total)
+    np.testing.assert_array_equal(saved.hits, measured.hits)
+    survey = survey_group(sequence, GroupSpan(0, start, stop), ViewPlan.of(sequence, 24))
+    assert survey.usage.total.tolist() == saved.total.tolist()
+    assert sequence.usage(0, 2) is None  # another group: measured anew
 
 
 def test_a_model_is_a_sequence_that_encodes(run, tmp_path):
@@ -165,10 +178,6 @@ def test_a_keyframe_that_is_no_better_is_not_kept(blobs, tmp_path, monkeypatch):
     assert [f.added for f in model.record.frames] == [0, 0, 0]
     assert len({f.gaussians for f in model.record.frames}) == 1
     assert all(f.rejected_psnr <= f.psnr for f in model.record.frames[1:])
-
-
-def test_a_run_that_reaches_its_psnr_has_no_warnings(run):
-    assert run.record.warnings() == []
 
 
 def test_what_rests_is_the_same_bit_for_bit_over_frames_and_keyframes(run):

@@ -8,7 +8,7 @@ import torch
 
 from airgs_codec.render import render
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.fit.losses import codec_steps, mean_psnr
+from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import Adam, from_gaussians, to_gaussians
 from airgs_codec.trainer.fit.variables import PerGaussian
@@ -61,14 +61,6 @@ def test_long_and_short_quaternions_are_drawn_as_unit_ones(norm: float) -> None:
     np.testing.assert_allclose(shown[1], shown[0], atol=1e-4)
 
 
-def test_a_quaternion_that_is_not_finite_is_not_drawn() -> None:
-    g = stretched(3.0)
-    for value in (np.inf, np.nan):
-        broken = g.quaternions.copy()
-        broken[:, 2] = value
-        assert render(replace(g, quaternions=broken), CAMERAS[0]).rgb.max() == 0
-
-
 def test_what_is_too_faint_to_be_drawn_stays_as_it_is() -> None:
     g = coloured_cloud(6)
     after, _ = fitted(replace(g, opacity_logits=np.full(6, -14.0, np.float32)), g)
@@ -86,23 +78,29 @@ def test_rows_in_one_place_part() -> None:
     assert np.abs(after.sh_dc[:4] - after.sh_dc[4:]).max() > 0.01
 
 
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("opacity_logits", [100, -100, 20, -20, 0, 50, -50, 5, -5, 1]),
+        ("log_scales", -30),
+        ("log_scales", 8),
+        ("quaternions", 0),
+    ],
+)
+def test_extreme_rows_stay_finite_in_a_fit(column: str, value: object) -> None:
+    g = coloured_cloud(40)
+    extreme = getattr(g, column).copy()
+    extreme[:10] = value
+    assert fitted(replace(g, **{column: extreme}), g)[0].log_scales.max() <= np.log(5.0) + 1e-5
+
+
 def test_the_size_of_gradients_does_not_matter_to_steps() -> None:
     """Down to 1e-10, far below those of pictures; with the usual epsilon of 1e-8 such rows would hardly move."""
-    moved = {}
+    moved = []
     for size in (1e-2, 1e-10):
-        for epsilon in (1e-12, 1e-8):
-            adam = Adam({"means": torch.zeros(1)}, {"means": 0.1}, epsilon)
-            for _ in range(5):
-                adam.parameters["means"].grad = torch.tensor([size])
-                adam.step()
-            moved[size, epsilon] = float(-adam.parameters["means"].detach())
-    assert moved[1e-10, 1e-12] == pytest.approx(moved[1e-2, 1e-12], rel=0.02)
-    assert moved[1e-10, 1e-8] < 0.02 * moved[1e-2, 1e-8]
-
-
-def test_steps_of_long_quaternions_are_as_long() -> None:
-    g = stretched(3.0)
-    short, long = (
-        codec_steps(replace(g, quaternions=g.quaternions * np.float32(n)), CAMERAS)["quaternions"] for n in (1, 1e20)
-    )
-    torch.testing.assert_close(long / 1e20, short, rtol=1e-5, atol=0)
+        adam = Adam({"means": torch.zeros(1)}, {"means": 0.1})
+        for _ in range(5):
+            adam.parameters["means"].grad = torch.tensor([size])
+            adam.step()
+        moved.append(float(-adam.parameters["means"].detach()))
+    assert moved[1] == pytest.approx(moved[0], rel=0.02)

@@ -43,14 +43,6 @@ def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     assert 0 < spread < 6 * p["log_scales"][-1].max().exp()
 
 
-def test_small_rows_are_cloned_in_place():
-    p = random_parameters(5)
-    parents = torch.tensor([False, True, False, False, False])
-    keep, added = split_or_clone(p, parents, torch.zeros(5, dtype=torch.bool), fixed=0, rng=np.random.default_rng(0))
-    assert keep.all()
-    assert all(torch.equal(added[name][0], value[1]) for name, value in p.items())
-
-
 def test_rows_without_a_gradient_are_never_parents():
     assert not strongest(torch.zeros(9), 5).any()
     assert strongest(torch.tensor([0.0, 2.0, 1.0]), 5).tolist() == [False, True, True]

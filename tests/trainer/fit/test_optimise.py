@@ -11,7 +11,6 @@ from airgs_codec.errors import TrainingError
 from airgs_codec.render import cpu, look_at
 from airgs_codec.render.cpu import Redraw
 from airgs_codec.scene.camera import with_pixels
-from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Pictures, Target, View
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.losses import photometric
@@ -24,7 +23,7 @@ from airgs_codec.trainer.fit.optimise import (
     halve,
     optimise,
 )
-from airgs_codec.trainer.fit.parameters import InMotion, from_gaussians, render, to_gaussians, with_motion
+from airgs_codec.trainer.fit.parameters import InMotion, from_gaussians, render, with_motion
 from airgs_codec.trainer.fit.variables import PerGaussian
 from tests.support.views import coloured_cloud, moved, ring, views_of
 
@@ -36,26 +35,6 @@ def test_a_loss_that_is_not_finite_ends_the_fit_with_the_view():
     variables = PerGaussian(from_gaussians(g), 5.0)
     with pytest.raises(TrainingError, match="iteration 1 in view cam0"):
         optimise(variables, views, Schedule("fit", 5, lambda done: 0), np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("extreme", ["opaque", "tiny", "huge", "zero quaternion"])
-def test_extreme_rows_stay_finite_in_a_fit(extreme):
-    g = coloured_cloud(40)
-    columns = {n: getattr(g, n).copy() for n in g.__slots__}
-    if extreme == "opaque":
-        columns["opacity_logits"][:10] = [100, -100, 20, -20, 0, 50, -50, 5, -5, 1]
-    elif extreme == "tiny":
-        columns["log_scales"][:10] = -30
-    elif extreme == "huge":
-        columns["log_scales"][:5] = 8
-    else:
-        columns["quaternions"][:10] = 0
-    views = views_of(g, ring(4))
-    variables = PerGaussian(from_gaussians(Gaussians(**columns)), 5.0)
-    optimise(variables, views, Schedule("fit", 30, lambda done: 0), np.random.default_rng(0))
-    after = to_gaussians(variables.detached())
-    assert all(np.isfinite(getattr(after, n)).all() for n in g.__slots__)
-    assert after.log_scales.max() <= math.log(5.0) + 1e-5
 
 
 def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
@@ -70,24 +49,12 @@ def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
     assert all(torch.equal(fitted[0][name], fitted[1][name]) for name in fitted[0])
 
 
-def test_progress_counts_every_iteration():
-    said = []
-    g = coloured_cloud(20)
-    schedule = Schedule("fit", 3, lambda done: 0)
-    variables, rng = PerGaussian(from_gaussians(g), 5.0), np.random.default_rng(0)
-    optimise(variables, views_of(g, ring(2)), schedule, rng, progress=lambda *what: said.append(what))
-    assert said == [("fit", 1, 3), ("fit", 2, 3), ("fit", 3, 3)]
-
-
 def test_a_deck_deals_every_view_before_any_comes_again():
     deck = Deck(7, np.random.default_rng(0))
     dealt = []
     for _ in range(14):
         dealt += deck.take(3)
     assert [sorted(dealt[i : i + 7]) for i in range(0, 42, 7)] == [list(range(7))] * 6
-    rng, alone = np.random.default_rng(0), Deck(5, np.random.default_rng(0))
-    orders = [rng.permutation(5).tolist()[::-1] for _ in range(2)]
-    assert [alone.take(1)[0] for _ in range(10)] == [i for order in orders for i in order]
 
 
 def test_losses_that_are_looked_at_seldom_still_name_the_first_fault():
@@ -128,26 +95,15 @@ def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
 CAMERA = look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), size=75, fov_y=0.9, name="odd")
 
 
-@pytest.fixture
-def scene() -> Gaussians:
-    rng = np.random.default_rng(3)
-    n = 60
-    return Gaussians(
-        means=rng.uniform(-1, 1, (n, 3)).astype(np.float32),
-        quaternions=np.tile(np.array([1, 0, 0, 0], np.float32), (n, 1)),
-        log_scales=np.full((n, 3), np.log(0.25), np.float32),
-        opacity_logits=np.full(n, 1.0, np.float32),
-        sh_dc=rng.normal(0, 1, (n, 3)).astype(np.float32),
-        sh_rest=np.zeros((n, 0, 3), np.float32),
-    )
+SCENE = replace(coloured_cloud(60), log_scales=np.full((60, 3), np.log(0.25), np.float32))
 
 
-def test_a_halved_camera_sees_what_its_halved_picture_shows(scene: Gaussians) -> None:
-    seen = cpu.render(scene, CAMERA).rgb
+def test_a_halved_camera_sees_what_its_halved_picture_shows() -> None:
+    seen = cpu.render(SCENE, CAMERA).rgb
     half = halve(View(CAMERA, Target(seen, np.zeros(seen.shape[:2], np.float32))))
     assert half.target.rgb.shape == (38, 38, 3)
     assert half.target.clear is not None and half.target.clear.shape == (38, 38)
-    drawn = cpu.render(scene, half.camera).rgb
+    drawn = cpu.render(SCENE, half.camera).rgb
     error, beside = (np.abs(picture - half.target.rgb).mean() for picture in (drawn, np.roll(drawn, 1, axis=1)))
     assert error < 0.2 * beside
 
@@ -159,11 +115,11 @@ def test_pictures_that_are_small_on_either_side_are_not_halved() -> None:
     assert can_be_halved(views[:1]) and not can_be_halved(views)
 
 
-def test_tiles_are_drawn_again_where_one_of_four_was(scene: Gaussians) -> None:
-    whole = cpu.render(scene, CAMERA)
+def test_tiles_are_drawn_again_where_one_of_four_was() -> None:
+    whole = cpu.render(SCENE, CAMERA)
     tiles = np.zeros((5, 5), np.bool_)
     tiles[1, 4] = tiles[4, 0] = True
-    redraw = Redraw(tiles, lambda: whole, np.ones(len(scene.means), np.bool_))
+    redraw = Redraw(tiles, lambda: whole, np.ones(len(SCENE), np.bool_))
     half = halve(View(CAMERA, Target(whole.rgb), redraw)).redraw
     assert half is not None
     assert np.argwhere(half.tiles).tolist() == [[0, 2], [2, 0]]

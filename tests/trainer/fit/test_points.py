@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
 from airgs_codec.render import Camera, cpu, read_cameras
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import Pictures
@@ -35,11 +34,6 @@ def test_points_that_are_not_finite_are_left_out():
     views = views_of(coloured_cloud(), ring(4))
     points = initial_points(Points(positions, None), views, 100, np.random.default_rng(0))
     assert len(points.positions) == 199
-
-
-def test_one_view_without_points_is_refused():
-    with pytest.raises(SceneError, match="at least two training views"):
-        initial_points(None, views_of(coloured_cloud(), ring(1)), 100, np.random.default_rng(0))
 
 
 def test_a_scene_is_as_wide_as_its_rig_or_as_far_as_what_a_narrow_rig_sees():
