@@ -1,12 +1,17 @@
 """The public way in: one frame of a package, level and key quality by id or by index."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
+from airgs_codec.coding import atlas, kernels, rangecoder
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.package import open_package
-from tests.support.paths import VALID
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.tables import NO_FILE
+from tests.support.paths import GOLDEN, VALID
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +60,55 @@ def test_what_the_package_does_not_have_is_refused_in_one_line(package, choice, 
 def test_frames_that_the_package_does_not_have_are_refused_in_one_line(package, frames):
     with pytest.raises(ConfigError, match=f"^frames: expected a range inside 0:4, got {frames[0]}:{frames[1]}$"):
         next(decode_frames(package, *frames))
+
+
+ROOM = open_package(GOLDEN / "room")
+
+
+def test_a_tier_without_rows_decodes_to_none():
+    """Its tables are emptied."""
+    m = ROOM.manifest
+    emptied = Package(ROOM.files, replace(m, groups=Groups.of([_without_first(group) for group in m.groups])), 0)
+    alone = list(decode_frames(emptied, 0, m.frames, tiers=1))
+    assert [len(frame.gaussians) for frame in alone] == [0] * m.frames
+    both, second = decode_canonical(emptied, 0, 0, 2), decode_canonical(ROOM, 0, 0)
+    assert both.means.tolist() == second.means[m.groups[0].tiers[0].count :].tolist()
+
+
+def _without_first(group):
+    first, second = group.tiers
+    empty = replace(first, count=0, sidecar=NO_FILE, pictures=[NO_FILE] * len(first.pictures))
+    return replace(group, count=second.count, tiers=[empty, second])
+
+
+@pytest.mark.parametrize("tiers", [-1, 0, 3])
+def test_tiers_that_a_package_does_not_have_are_refused(tiers):
+    with pytest.raises(ConfigError, match=rf"tiers: expected 1\.\.2, got {tiers}"):
+        decode_canonical(ROOM, 0, 0, tiers)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_how_many_rows_are_decoded_together_changes_nothing(monkeypatch, level):
+    package, frames = open_package(GOLDEN / "fox"), []
+    for most in (kernels.LEAST, 1 << 24):
+        monkeypatch.setattr(kernels, "CHUNK", 1)
+        monkeypatch.setattr(kernels, "LEAST", most)
+        frames.append([frame.gaussians for frame in decode_frames(package, 0, 4, level=level)])
+    assert len(frames[0][0]) > 2 * 256
+    for a, b in zip(*frames, strict=True):
+        for f in fields(a):
+            np.testing.assert_array_equal(getattr(a, f.name), getattr(b, f.name))
+
+
+@pytest.mark.parametrize("case", sorted(path.stem for path in GOLDEN.glob("*.json")))
+def test_compiled_loops_give_the_bits_that_numpy_gives(monkeypatch, case):
+    frames = []
+    for compiled in (lambda loop, numbers: None, lambda loop, numbers: rangecoder._compiled(loop)):
+        for module in (atlas, kernels):
+            monkeypatch.setattr(module, "worth_compiling", compiled)
+        package = open_package(GOLDEN / case)
+        levels = range(len(package.manifest.levels))
+        stop = package.manifest.frames
+        frames.append([f.gaussians for level in levels for f in decode_frames(package, 0, stop, level=level)])
+    for a, b in zip(*frames, strict=True):
+        assert all(getattr(a, f.name).tobytes() == getattr(b, f.name).tobytes() for f in fields(a))

@@ -1,12 +1,15 @@
 """The CPU renderer against its plain float64 definition: pictures, gradients, statistics, extremes."""
 
+import importlib.machinery
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
+from airgs_codec.errors import ConfigError
+from airgs_codec.render import Camera, backend, measure_contribution, read_cameras, render, render_views
 from airgs_codec.render.cpu import (
     RasterInputs,
     Redraw,
@@ -259,3 +262,18 @@ def test_only_some_tiles_are_drawn_again():
         assert not x[~wanted].any()
     assert relative(parts.absolute[wanted], wholes.absolute[wanted]) < 1e-6
     assert len(part.projected.slots) < 0.7 * len(whole.projected.slots)
+
+
+def test_a_device_that_cannot_run_is_refused_and_auto_takes_the_cpu(monkeypatch):
+    monkeypatch.setattr(backend, "find_spec", lambda name: None if name == "gsplat" else importlib.machinery)
+    assert backend.open_renderer("auto") is backend.open_renderer("cpu") is backend.CPU
+    with pytest.raises(ConfigError, match="--device cuda: gsplat is not installed: pip install"):
+        backend.open_renderer("cuda")
+    with pytest.raises(ConfigError, match="expected auto, cpu, cuda, got gpu"):
+        backend.open_renderer("gpu")
+
+
+def test_auto_takes_cuda_where_gsplat_runs(monkeypatch):
+    monkeypatch.setattr(backend, "_missing", lambda: None)
+    assert backend.open_renderer("auto").device == backend.open_renderer("cuda").device == "cuda"
+    assert "gsplat" not in sys.modules

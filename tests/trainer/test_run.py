@@ -1,8 +1,10 @@
 """Whole training runs: groups, keyframes, exposure."""
 
 import itertools
+import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -14,14 +16,17 @@ from airgs_codec.cli.encode import main as encode_main
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
 from airgs_codec.errors import ConfigError, SceneError, TrainingError
 from airgs_codec.inspect.validate import validate
+from airgs_codec.places.whole import to_json
+from airgs_codec.render.backend import CPU
 from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.trainer import train
 from airgs_codec.trainer.data.multiview import with_held_out
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.trainer import Trainer
-from airgs_codec.trainer.settings import Temporal
+from airgs_codec.trainer.frames import is_known
+from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
 from tests.support.training import APPEARS, SETTINGS
-from tests.support.views import measure_usage, ring
+from tests.support.views import coloured_cloud, measure_usage, ring
 
 COLUMNS = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc")
 
@@ -217,3 +222,47 @@ def test_keyframes_may_have_half_as_many_more_than_the_first_frame(blobs, tmp_pa
     model = train(open_scene(blobs), tmp_path / "n", replace(few, budget=None))
     counts = [frame.gaussians for frame in model.record.frames]
     assert counts[0] < counts[-1] <= 1.5 * counts[0]
+
+
+@pytest.mark.parametrize(("spread", "noise"), [(True, True), (False, False)], ids=["everywhere", "in a corner"])
+def test_noise_is_spread_and_lost_motion_is_not(spread, noise):
+    g, rng = coloured_cloud(), np.random.default_rng(0)
+    views = []
+    for camera in ring(3):
+        drawn = CPU.load(g).draw(camera).rgb
+        error = 0.05 * rng.normal(size=drawn.shape)
+        if not spread:
+            error[drawn.shape[0] // 2 :] *= 1e-3
+            error[:, drawn.shape[1] // 4 :] *= 1e-3
+        target = (drawn + error * (np.abs(drawn) > 0.01)).astype(np.float32)
+        views.append(SimpleNamespace(camera=camera, target=SimpleNamespace(rgb=target)))
+    assert is_known(SimpleNamespace(renderer=CPU), g, views) == noise
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"budget": 0},
+        {"budget": 6, "capacity": 5},
+        {"sh_degree": 4},
+        {"deltas": "x"},
+        {"densify": "x"},
+        {"max_drop_db": 0.0},
+        {"temporal": Temporal(until=0.0)},
+    ],
+)
+def test_settings_that_cannot_work_are_refused(wrong):
+    with pytest.raises(ConfigError, match="expected"):
+        TrainSettings(**wrong)
+
+
+@pytest.mark.parametrize("name", ["default", "paper"])
+def test_settings_come_back_from_their_table(name):
+    settings = preset(name, TrainSettings(seed=3, max_size=64))
+    assert settings_from_table(json.loads(to_json(settings.table()))) == settings
+
+
+@pytest.mark.parametrize(("views", "expected"), [(16, 2500), (84, 5040)])
+def test_a_first_frame_sees_every_view_often(views, expected):
+    assert TrainSettings().iterations_from_scratch(views) == expected
+    assert TrainSettings(first_iterations=7).iterations_from_scratch(views) == 7

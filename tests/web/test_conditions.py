@@ -124,25 +124,37 @@ def test_over_a_link_that_falls_and_rises_again_rungs_follow(fox):
     assert seen[0][1] and max(q for at, q in seen if at < 5) == best == seen[-1][1]
 
 
-def test_a_download_that_an_outage_cuts_is_given_up(fox):
-    report = look(fox(8), "once", Moods(outage("key/T0/6.bin", 3, SILENT)), buffer=3)
+def wrong_once(path, number):
+    return WRONG if number == 1 and path != "airgs.json" else None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fault", "buffer", "then"),
+    [
+        (8, outage("key/T0/6.bin", 3, SILENT), 3, lambda report: report["given"] > 0),
+        (6, outage("key/T0/4.bin", 3, 503), 1.5, lambda report: {"stall", "resume"} <= set(report["events"])),
+        (
+            6,
+            lambda path, _: 404 if path.startswith("key/T0/Q0/") else None,
+            None,
+            lambda report: all(name.startswith("Q1") for name in report["rungs"]),
+        ),
+        (4, wrong_once, None, lambda report: report["asked"] >= {2}),
+    ],
+    ids=["an outage: given up", "busy: waited for", "no keys of a quality: not played", "wrong bytes: asked for again"],
+)
+def test_whatever_a_server_does_all_is_shown(fox, seconds, fault, buffer, then):
+    moods = Moods(fault)
+    report = look(fox(seconds), "once", moods, known=AWAY, **({"buffer": buffer} if buffer else {}))
     assert report["problems"] == []
-    check_whole_pass(report, 8 * FPS)
-    assert report["given"] > 0
+    check_whole_pass(report, seconds * FPS)
+    assert then(report | {"asked": set(moods.asked.values())})
 
 
 def test_a_server_that_is_away_is_waited_for(fox):
     report = look(fox(6), "away", known=AWAY)
-    assert report["problems"] == []
+    assert report["problems"] == [] and {"stall", "resume"} <= set(report["events"])
     check_whole_pass(report, 6 * FPS)
-    assert "stall" in report["events"] and "resume" in report["events"]
-
-
-def test_a_server_that_is_busy_is_waited_for(fox):
-    report = look(fox(6), "once", Moods(outage("key/T0/4.bin", 3, 503)), buffer=1.5, known=AWAY)
-    assert report["problems"] == []
-    check_whole_pass(report, 6 * FPS)
-    assert "stall" in report["events"] and "resume" in report["events"]
 
 
 def test_a_state_that_stays_corrupt_is_lost_or_shown_in_another_rung(fox):
@@ -151,21 +163,6 @@ def test_a_state_that_stays_corrupt_is_lost_or_shown_in_another_rung(fox):
     stats = report["stats"]
     assert report["events"][-1] == "ended"
     assert stats["framesShown"] <= 8 * FPS <= stats["framesShown"] + stats["framesDropped"]
-
-
-def test_a_quality_whose_keys_are_not_there_is_not_played(fox):
-    report = look(fox(6), "once", Moods(lambda path, _: 404 if path.startswith("key/T0/Q0/") else None), known=AWAY)
-    assert report["problems"] == []
-    check_whole_pass(report, 6 * FPS)
-    assert all(name.startswith("Q1") for name in report["rungs"])
-
-
-def test_wrong_bytes_that_come_once_are_asked_for_again(fox):
-    moods = Moods(lambda path, number: WRONG if number == 1 and path != "airgs.json" else None)
-    report = look(fox(4), "once", moods)
-    assert report["problems"] == []
-    check_whole_pass(report, 4 * FPS)
-    assert set(moods.asked.values()) >= {2}
 
 
 def test_speed_and_loop_may_change_at_any_time(fox):

@@ -7,7 +7,8 @@ import pytest
 
 from airgs_codec.render import render
 from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.fit.first import fit_first
+from airgs_codec.trainer.fit import first
+from airgs_codec.trainer.fit.first import fit_first, usual_budget
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.parameters import InMotion
 from airgs_codec.trainer.fit.points import scene_extent
@@ -168,3 +169,16 @@ def test_a_frame_of_cameras_out_of_step_is_as_sharp_as_in_step(deltas):
     late = [replace(view, after=0.0) for view in early]
     quality, expected, wrong = (mean_psnr(fitted(t, views), in_step) for views in (early, in_step, late))
     assert quality > expected - 2 and quality > wrong + 3
+
+
+@pytest.mark.parametrize(("size", "budget"), [(100, 8000), (400, 11429), (700, 35000), (2000, 64000)])
+def test_larger_pictures_have_more_gaussians_within_bounds(size, budget):
+    assert usual_budget(ring(8, size=size)) == budget
+
+
+def test_a_first_frame_has_what_its_pictures_can_tell(monkeypatch):
+    monkeypatch.setattr(first, "LEAST_BUDGET", 60)
+    truth = coloured_cloud(400)
+    trainer = Trainer(TrainSettings(sh_degree=0, first_iterations=150), scene_extent(ring()))
+    found = fit_first(trainer, FrameViews(0, views_of(truth, ring(8, size=48))), Points(truth.means, None))
+    assert 60 < len(found.gaussians) <= 48 * 48 / first.GAUSSIAN_PIXELS
