@@ -133,8 +133,7 @@ def interrupt(rounds: int, chance: random.Random, scene: Path, folder: Path) -> 
             judge(process.returncode, said, (0, 130, -sent), into, beside),
         )
         process = begin(scene, into)
-        beside = [path for path in target.parent.iterdir() if path.suffix != ".airgs"]
-        yield "once more", judge(process.wait(), process.communicate()[1], (0,), into, beside)
+        yield "once more", judge(process.wait(), process.communicate()[1], (0,), into)
 
 
 def kill_trainings(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:

@@ -129,23 +129,28 @@ def wrong_once(path, number):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "fault", "buffer", "then"),
+    ("seconds", "fault", "more", "then"),
     [
-        (8, outage("key/T0/6.bin", 3, SILENT), 3, lambda report: report["given"] > 0),
-        (6, outage("key/T0/4.bin", 3, 503), 1.5, lambda report: {"stall", "resume"} <= set(report["events"])),
+        (8, outage("key/T0/6.bin", 3, SILENT), {"buffer": 3}, lambda report: report["given"] > 0),
+        (
+            6,
+            outage("key/T0/4.bin", 3, 503),
+            {"buffer": 1.5, "known": AWAY},
+            lambda report: {"stall", "resume"} <= set(report["events"]),
+        ),
         (
             6,
             lambda path, _: 404 if path.startswith("key/T0/Q0/") else None,
-            None,
+            {"known": AWAY},
             lambda report: all(name.startswith("Q1") for name in report["rungs"]),
         ),
-        (4, wrong_once, None, lambda report: report["asked"] >= {2}),
+        (4, wrong_once, {}, lambda report: report["asked"] >= {2}),
     ],
     ids=["an outage: given up", "busy: waited for", "no keys of a quality: not played", "wrong bytes: asked for again"],
 )
-def test_whatever_a_server_does_all_is_shown(fox, seconds, fault, buffer, then):
+def test_whatever_a_server_does_all_is_shown(fox, seconds, fault, more, then):
     moods = Moods(fault)
-    report = look(fox(seconds), "once", moods, known=AWAY, **({"buffer": buffer} if buffer else {}))
+    report = look(fox(seconds), "once", moods, **more)
     assert report["problems"] == []
     check_whole_pass(report, seconds * FPS)
     assert then(report | {"asked": set(moods.asked.values())})
