@@ -10,23 +10,15 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.package.region import place_view
 from airgs_codec.package.tables import MAX_PLACES
 from airgs_codec.scene.camera import look_at
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.fit.points import from_points
 from tests.support.views import joined, ring
 
 
-def wall(z, *, side=3.0, opacity=6.0):
+def wall(z, *, side=3.0):
     """Opaque blobs in a square of the plane at `z`, where cameras at z = 0 look."""
     x, y = np.meshgrid(np.linspace(-side, side, 40), np.linspace(-side, side, 40))
-    count = x.size
-    means = np.stack([x.ravel(), y.ravel(), np.full(count, z)], axis=1).astype(np.float32)
-    return Gaussians(
-        means,
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full((count, 3), np.log(side / 20), np.float32),
-        np.full(count, opacity, np.float32),
-        np.zeros((count, 3), np.float32),
-        np.zeros((count, 0, 3), np.float32),
-    )
+    means = np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1).astype(np.float32)
+    return from_points(means, np.zeros_like(means), 0, 0.9975, side / 20)
 
 
 def row(*xs, size=32):
@@ -122,7 +114,7 @@ def test_a_camera_that_sees_nothing_and_a_scene_far_from_the_origin_give_directi
     matrix = camera.world_to_camera.copy()
     matrix[:3, 3] -= matrix[:3, :3] @ far
     g = wall(4.0)
-    moved = Gaussians((g.means + far).astype(np.float32), *(getattr(g, n) for n in g.__slots__[1:]))
+    moved = replace(g, means=(g.means + far).astype(np.float32))
     (place,) = region_around([replace(camera, world_to_camera=matrix)], moved).places
     assert place.position == pytest.approx([1e6, 0, 0], abs=1e-4) and place.focus[2] == pytest.approx(4, abs=0.2)
 

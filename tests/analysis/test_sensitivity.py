@@ -62,13 +62,9 @@ def test_errors_of_the_size_of_a_step_make_the_error_that_was_predicted(scene, n
 
 def test_rows_that_no_view_shows_have_none(scene):
     frame, cameras, _ = scene
-    away = replace_means(frame, frame.means + np.float32(1e5))
+    away = replace(frame, means=frame.means + np.float32(1e5))
     s = measure_sensitivity([away], cameras)
     assert all(not getattr(s, name).any() for name in s.__slots__)
-
-
-def replace_means(g: Gaussians, means) -> Gaussians:
-    return Gaussians(means, *(getattr(g, n) for n in g.__slots__[1:]))
 
 
 def test_the_cost_of_withholding_is_the_rendered_one(scene):
@@ -113,7 +109,7 @@ def test_views_and_frames_are_averaged(scene):
 def test_every_picture_has_a_frame_and_a_camera_of_its_own(scene):
     """A row counts in the frames in which it is seen, by the camera that was paired with them."""
     frame, cameras, _ = scene
-    away = replace_means(frame, frame.means + np.float32(1e5))
+    away = replace(frame, means=frame.means + np.float32(1e5))
     seen, unseen = measure_usage([frame], cameras[:1]), measure_usage([frame], cameras[1:2])
     usage, s = measure_views([(frame, cameras[0]), (away, cameras[1])])
     np.testing.assert_array_equal(usage.hits, seen.hits)

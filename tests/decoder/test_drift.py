@@ -3,6 +3,7 @@
 import random
 import shutil
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -74,33 +75,28 @@ class Viewer:
 
     def __init__(self, package):
         self.package = package
-        self.tiers = {}  # (group, quality) -> how many of its tiers are decoded, from the first on
-
-    def fetch_keys(self, group, quality, wanted):
-        have = self.tiers.get((group, quality), 0)
-        while have < wanted:
-            try:
-                decode_key(self.package, group, have, quality)
-            except FormatError as error:
-                assert error.reason == "missing_file"
-                break
-            have += 1
-        self.tiers[group, quality] = have
-        return have
+        self.tiers = Counter()  # (group, quality) -> how many of its tiers are decoded, from the first on
 
     def show(self, index, quality, level):
         """Frames of a segment, or None where a file is missing without which nothing can be shown."""
         m = self.package.manifest
-        segment = m.segments[index]
-        have = self.fetch_keys(m.group_of(index), quality, m.levels[level].tiers)
-        if not have:
-            return None
-        base = decode_canonical(self.package, m.group_of(index), quality, have)
-        try:
-            return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
-        except FormatError as error:
-            assert error.reason == "missing_file"
-            return None
+        segment, group, wanted = m.segments[index], m.group_of(index), m.levels[level].tiers
+        with may_be_missing():
+            for tier in range(self.tiers[group, quality], wanted):
+                decode_key(self.package, group, tier, quality)
+                self.tiers[group, quality] += 1
+        with may_be_missing():
+            if have := self.tiers[group, quality]:
+                base = decode_canonical(self.package, group, quality, have)
+                return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
+
+
+@contextmanager
+def may_be_missing():
+    try:
+        yield
+    except FormatError as error:
+        assert error.reason == "missing_file"
 
 
 def expected(package, index, quality, level, have):

@@ -82,14 +82,19 @@ def test_runs_of_one_seed_are_alike_and_of_another_are_not(blobs, tmp_path):
     assert first == same and first != other
 
 
+def exposed(blobs, folder, camera, gain):
+    """The scene with brighter or darker pictures of one camera."""
+    scene = shutil.copytree(blobs, folder / "scene")
+    for path in (scene / "images" / camera).glob("*.png"):
+        cv2.imwrite(str(path), np.clip(cv2.imread(str(path)) * gain, 0, 255).astype(np.uint8))
+    return scene
+
+
 @pytest.mark.parametrize("match", ["on", "auto"])
 def test_exposure_is_found(blobs, tmp_path, match):
     """One camera that is 20 % brighter gets that gain, and pictures of the run are corrected by it."""
-    shutil.copytree(blobs, tmp_path / "scene")
-    for path in (tmp_path / "scene" / "images" / "cam01").glob("*.png"):
-        cv2.imwrite(str(path), np.clip(cv2.imread(str(path)) * 1.2, 0, 255).astype(np.uint8))
     settings = replace(SETTINGS, match_exposure=match, first_iterations=500)
-    model = train(open_scene(tmp_path / "scene", frames=(0, 2)), tmp_path / "m", settings)
+    model = train(open_scene(exposed(blobs, tmp_path, "cam01", 1.2), frames=(0, 2)), tmp_path / "m", settings)
     gains = {name: np.mean(values[:3]) for name, values in model.record.exposure.items()}
     assert gains["cam01"] - np.mean([g for n, g in gains.items() if n != "cam01"]) == pytest.approx(0.2, abs=0.08)
     assert np.mean(list(gains.values())) == pytest.approx(1.0, abs=0.01)
@@ -101,13 +106,11 @@ def test_cameras_that_are_alike_are_left_as_they_are(blobs, tmp_path):
 
 
 def test_held_out_views_are_judged_as_they_are_and_with_their_exposure_matched(blobs, tmp_path):
-    shutil.copytree(blobs, tmp_path / "scene")
-    scene = open_scene(tmp_path / "scene", frames=(0, 1))
+    scene = open_scene(blobs, frames=(0, 1))
     [held_out] = [camera.name for camera in scene.cameras if camera.held_out]
     alike = train(scene, tmp_path / "alike", SETTINGS).record.frames[0]
-    for path in (tmp_path / "scene" / "images" / held_out).glob("*.png"):
-        cv2.imwrite(str(path), np.clip(cv2.imread(str(path)) * 0.7, 0, 255).astype(np.uint8))
-    darker = train(open_scene(tmp_path / "scene", frames=(0, 1)), tmp_path / "darker", SETTINGS).record.frames[0]
+    scene = open_scene(exposed(blobs, tmp_path, held_out, 0.7), frames=(0, 1))
+    darker = train(scene, tmp_path / "darker", SETTINGS).record.frames[0]
     assert darker.held_out_matched > darker.held_out_psnr + 1
     assert alike.held_out_matched >= alike.held_out_psnr and darker.psnr == alike.psnr
     error = 10 ** (-darker.held_out_matched / 20) / 10 ** (-alike.held_out_matched / 20)

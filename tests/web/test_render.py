@@ -167,48 +167,26 @@ def test_what_cannot_be_drawn_is_said(levels):
     ]
 
 
-@pytest.fixture(scope="module")
-def far(tmp_path_factory):
-    """Rows that move so far for their steps that bases jump."""
-    folder = tmp_path_factory.mktemp("far")
-    frames = swaying(700, 1, 3.0, frames=8)
-    package = encoded(folder, frames, replace(QUICK, quality=0.05, levels=(LevelSettings(0.0),)))
-    cameras = four_cameras(frames[0])
-    write_decoded(package, folder / "scene", [Rung(0, 0)], cameras)
-    write_decoded(package, folder / "paged", [Rung(0, 0)], cameras, pages=3)
-    return folder
-
-
-def jumping(folder):
-    """Frames of the segments in which a base changes, counted from the start of each."""
-    table = json.loads((folder / "scene.json").read_text())
-    segments = [s for group in table["rungs"][0]["groups"] for s in group["segments"]]
-    return {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]}
-
-
-@pytest.mark.parametrize("every", [1, 3])
-def test_bases_jump_in_frames_that_are_shown_and_in_dropped_ones(far, every):
-    assert jumping(far) >= {1, 2}
-    assert_near(look(far, "pictures", every=every), 1, range(every - 1, 8, every), f"far{every}")
-
-
-def test_an_atlas_of_several_pages_shows_the_same(far):
-    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["levels"][0]
-    whole = json.loads((far / "scene.json").read_text())["groups"][0]["levels"][0]
-    assert atlas["height"] < whole["height"] / 2
-    assert_near(look(far, "pictures", data="/data/paged"), 1, range(8), "paged")
-
-
-@pytest.mark.parametrize("every", [1, 3])
-def test_a_line_in_time_is_drawn_in_any_frame_of_its_segment(tmp_path, every):
-    first, rng = random_gaussians(700), np.random.default_rng(0)
-    way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
-    frames = [frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]
-    package = encoded(tmp_path, frames, replace(QUICK, segment_s=1.0, levels=(LevelSettings(0.0),)))
-    assert all(segment.levels[0].line for segment in package.manifest.segments)
+@pytest.mark.parametrize("every", [1, 3], ids=["every frame", "one in three"])
+@pytest.mark.parametrize("lined", [False, True], ids=["bases that jump", "a line in time"])
+def test_segments_are_drawn_from_atlases_of_one_page_and_of_several(tmp_path, lined, every):
+    if lined:
+        first, rng = random_gaussians(700), np.random.default_rng(0)
+        way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
+        frames = [frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]
+        settings = replace(QUICK, segment_s=1.0, levels=(LevelSettings(0.0),))
+    else:  # rows that move so far for their steps that bases jump
+        frames, settings = swaying(700, 1, 3.0, frames=8), replace(QUICK, quality=0.05, levels=(LevelSettings(0.0),))
+    package, heights = encoded(tmp_path, frames, settings), []
     for pages in (1, 3):
-        shown, name = range(every - 1, 8, every), f"lined{every}-{pages}"
+        shown, name = range(every - 1, 8, every), f"lined{lined}-{every}-{pages}"
         check_package(tmp_path, package, [Rung(0, 0)], four_cameras(frames[0]), shown, name, pages=pages, every=every)
+        table = json.loads((tmp_path / "scene.json").read_text())
+        heights.append(table["groups"][0]["levels"][0]["height"])
+    segments = [s for group in table["rungs"][0]["groups"] for s in group["segments"]]
+    jumping = {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]}
+    assert heights[1] < heights[0] / 2
+    assert all(s.levels[0].line for s in package.manifest.segments) if lined else jumping >= {1, 2}
 
 
 def blushing(gaussians, times):

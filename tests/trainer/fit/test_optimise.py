@@ -15,15 +15,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Pictures, Target, View
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.losses import mean_psnr, photometric
-from airgs_codec.trainer.fit.optimise import (
-    Deck,
-    Losses,
-    Schedule,
-    can_be_halved,
-    drawn,
-    halve,
-    optimise,
-)
+from airgs_codec.trainer.fit.optimise import Deck, Losses, Schedule, can_be_halved, drawn, halve, optimise
 from airgs_codec.trainer.fit.parameters import Adam, InMotion, from_gaussians, render, to_gaussians, with_motion
 from airgs_codec.trainer.fit.variables import PerGaussian
 from tests.support.views import coloured_cloud, moved, ring, views_of
