@@ -21,7 +21,7 @@ from airgs_codec.analysis.importance import (
     pooled_within,
     select_omissions,
 )
-from airgs_codec.analysis.sensitivity import CODING_VARIANCE, MAX_VIEWS, measure_sensitivity
+from airgs_codec.analysis.sensitivity import CODING_VARIANCE, measure_sensitivity
 from airgs_codec.media.metrics import mse
 from airgs_codec.render import render
 from airgs_codec.scene.camera import training_views
@@ -118,23 +118,6 @@ def test_where_no_line_tells_the_number_of_rows_it_is_found_to_one_per_cent(monk
     monkeypatch.setattr(pruning, "_error", lambda count: pruning._errors.setdefault(count, float(count > 436)))
     assert len(pruning.within(0.5).rows) == 1000 - 436 and len(pruning._errors) <= 10
     assert len(pruning.within(2.0).rows) == 1
-
-
-def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):
-    """A picture is linear in an alpha; what is left is the chance in the signs of `measure_sensitivity`."""
-    training, (_, frame, _) = scene
-    s = measure_sensitivity([frame], training)
-    expected = s.opacity * frame.opacities().astype(np.float64) ** 2
-    seen = np.argsort(-measure_usage([frame], training).total)[:40]
-    cameras = [training[i] for i in evenly_spaced(len(training), MAX_VIEWS)]
-    full = [render(frame, c).rgb for c in cameras]
-    rendered = []
-    for row in seen:
-        without = frame.take(np.delete(np.arange(len(frame)), row))
-        rendered.append(
-            np.mean([np.mean((render(without, c).rgb - a) ** 2) for c, a in zip(cameras, full, strict=True)])
-        )
-    assert expected[seen].sum() == pytest.approx(sum(rendered), rel=0.25)
 
 
 def test_things_go_as_long_as_they_pay():
