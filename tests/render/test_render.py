@@ -82,19 +82,14 @@ def shuffled(sizes):
     return np.stack([rng.permutation(sizes) for _ in range(200)])
 
 
+LENGTHS = np.repeat([1e-10, 0.0, 1.0, 5.0], 50)[:, None]
 EXTREMES = {
     "needles, ratio 1e4": ({"scales": shuffled([1.0, 1e-4, 1e-4])}, 4.0),
     "needles of 30 x 3e-3": ({"scales": np.tile([30.0, 3e-3, 3e-3], (200, 1))}, 4.0),
     "scales over six decades": ({"scales": np.exp(np.random.default_rng(0).normal(size=(200, 3)) * 3 - 4)}, 4.0),
     "opacity 0 and 1": ({"opacities": np.repeat([1.0, 0.0], 100)}, 4.0),
     "opacity above the clamp": ({"opacities": np.full(200, 0.9995)}, 4.0),
-    "tiny and zero quaternions": (
-        {
-            "quaternions": np.random.default_rng(1).normal(size=(200, 4))
-            * np.repeat([1e-10, 0.0, 1.0, 5.0], 50)[:, None]
-        },
-        4.0,
-    ),
+    "tiny and zero quaternions": ({"quaternions": np.random.default_rng(1).normal(size=(200, 4)) * LENGTHS}, 4.0),
     "camera inside the scene": ({}, 0.3),
 }
 

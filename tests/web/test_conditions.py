@@ -1,22 +1,105 @@
 """The player on a page under conditions as people have them: links, servers, growing packages, undecided viewers."""
 
+import asyncio
+import contextlib
 import time
-from contextlib import nullcontext
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack, contextmanager, nullcontext
+from dataclasses import dataclass, field, replace
 from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+from starlette.datastructures import MutableHeaders
+from starlette.responses import Response
 
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_json
 from airgs_codec.play.trace import Trace
 from tests.support.browser import WEB, build_pages, missing, serve, visit
-from tests.support.moods import SILENT, WRONG, Moods, moodily_serving, outage
 from tests.support.paths import GOLDEN
 from tests.support.repeated import write_repeated
+from tests.support.servers import serving
 from tools.lab.relay import shaped
+
+WRONG = 0  # in the place of a status: the file with a wrong byte
+SILENT = 1  # its headers, and no byte for as long as the answer to the next question is the same
+LOOK_S = 0.02
+Fault = Callable[[str, int], int | None]  # path below the package, number of the request -> status or one of these
+
+
+def outage(trigger, seconds, status):
+    """A fault of all answers for a while, from the first request for a file on."""
+    begun = []
+
+    def fault(path, _):
+        if path == trigger and not begun:
+            begun.append(time.monotonic())
+        return status if begun and time.monotonic() < begun[0] + seconds else None
+
+    return fault
+
+
+@dataclass
+class Moods:
+    """What a server does with requests, none of whose answers a browser keeps."""
+
+    fault: Fault = lambda path, number: None
+    asked: Counter[str] = field(default_factory=Counter)  # paths below the package
+
+    def around(self, app):
+        async def moody(scope, receive, send):
+            if scope["type"] != "http":
+                await app(scope, receive, send)
+                return
+            path = scope["path"].split("/", 2)[-1]
+            self.asked[path] += 1
+            fault = self.fault(path, self.asked[path])
+            if fault not in (None, WRONG, SILENT):
+                await Response("sorry", fault, {"Access-Control-Allow-Origin": "*"})(scope, receive, send)
+                return
+
+            async def send_on(message):
+                if message["type"] == "http.response.start":
+                    MutableHeaders(scope=message)["Cache-Control"] = "no-store"
+                elif fault == WRONG and message.get("body"):
+                    message["body"] = bytes([message["body"][0] ^ 1]) + message["body"][1:]
+                while message["type"] == "http.response.body" and self.fault(path, self.asked[path]) == SILENT:
+                    await asyncio.sleep(LOOK_S)
+                await send(message)
+
+            await app(scope, receive, send_on)
+
+        return moody
+
+
+class Switch:
+    """A server that can be away and come back at the same port."""
+
+    def __init__(self, folder, moods):
+        self._folder, self._moods = folder, moods
+        self._up = ExitStack()
+        self.port = 0
+        self.begin()
+
+    def begin(self):
+        around = serving(self._folder, port=self.port, around=self._moods.around)
+        self.port = self._up.enter_context(around)
+        return b"begun"
+
+    def end(self):
+        self._up.close()
+        return b"ended"
+
+
+@contextmanager
+def moodily_serving(folder, moods):
+    switch = Switch(folder, moods)
+    with contextlib.closing(switch._up):
+        yield switch
+
 
 PAGE = (
     b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/conditions.js"></script>'

@@ -86,8 +86,6 @@ def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
 
 
 CAMERA = look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), size=75, fov_y=0.9, name="odd")
-
-
 SCENE = replace(coloured_cloud(60), log_scales=np.full((60, 3), np.log(0.25), np.float32))
 
 
@@ -102,9 +100,8 @@ def test_a_halved_camera_sees_what_its_halved_picture_shows():
 
 
 def test_pictures_that_are_small_on_either_side_are_not_halved():
-    views = [
-        View(with_pixels(CAMERA, *size), Target(np.zeros((1, 1, 3), np.float32))) for size in ((160, 200), (159, 400))
-    ]
+    target = Target(np.zeros((1, 1, 3), np.float32))
+    views = [View(with_pixels(CAMERA, *size), target) for size in ((160, 200), (159, 400))]
     assert can_be_halved(views[:1]) and not can_be_halved(views)
 
 
