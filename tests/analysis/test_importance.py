@@ -57,7 +57,6 @@ def test_removed_rows_cost_what_was_allowed(scene):
 
 
 def test_rows_that_no_ranking_picture_showed_stay_if_others_show_them(scene):
-    """Rows of importance 0 go first, but not past what pictures that did not rank allow."""
     cameras, frames = scene
     views = [(frames[0], camera) for camera in cameras[:3]]
     shown = np.flatnonzero(measure_usage([frames[0]], cameras[:3]).total > 0)

@@ -19,7 +19,6 @@ def shuffled(frames, which):
 
 
 def noisy(frames):
-    """Frames as if each had been made by itself."""
     return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
 
 

@@ -10,7 +10,6 @@ import pytest
 import airgs_codec
 from airgs_codec.coding import escapes
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.decoder.decode import decode_canonical
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import open_package
 from tests.support.paths import GOLDEN
@@ -70,34 +69,27 @@ def test_importing_the_package_loads_nothing():
     assert run_bare("import airgs_codec; print(sorted({'numpy', 'av'} & sys.modules.keys()))").strip() == "[]"
 
 
-def test_a_decoded_frame_may_be_written_to_and_the_next_is_as_if_it_had_not_been():
-    package = open_package(GOLDEN / "fox")
-    first = airgs_codec.decode(package, 0)
-    for name in first.__slots__:
-        getattr(first, name)[:] = np.nan
-    again, fresh = (airgs_codec.decode(p, 0) for p in (package, open_package(GOLDEN / "fox")))
-    for name in first.__slots__:
-        np.testing.assert_array_equal(getattr(again, name), getattr(fresh, name))
+@pytest.mark.parametrize(
+    ("case", "asked", "segments"),
+    [
+        ("fox", [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (-1, 0, 1), (0, 0, 1), (0, 0, 0)], None),
+        # A segment has two frames: its escapes are read whenever the segment or the level changes.
+        ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
+    ],
+)
+def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypatch, case, asked, segments):
+    """`asked`: frame, level and key quality. Frames may be written to, and escapes are read as seldom as can be."""
 
+    def decode(package, frame, level, quality):
+        return airgs_codec.decode(package, frame % package.manifest.frames, level=level, key_quality=quality)
 
-def test_other_groups_and_qualities_are_not_mistaken_for_the_last_one():
-    package = open_package(GOLDEN / "fox")
-    last = package.manifest.frames - 1
-    for frame, quality in ((0, 0), (last, 0), (last, 1), (0, 1), (0, 0)):
-        fresh = airgs_codec.decode(open_package(GOLDEN / "fox"), frame, key_quality=quality)
-        got = airgs_codec.decode(package, frame, key_quality=quality)
-        np.testing.assert_array_equal(got.opacity_logits, fresh.opacity_logits)
-    assert len(decode_canonical(package, 0, 0).means) == len(got)
-
-
-def test_escapes_are_read_once_while_frames_are_of_one_segment_and_level(monkeypatch):
-    asked = ((0, 0), (1, 0), (0, 1), (2, 0), (3, 0), (1, 0))  # frame and level; a segment has two frames
-    fresh = [airgs_codec.decode(open_package(GOLDEN / "room"), frame, level=level) for frame, level in asked]
-    package, read, unpack = open_package(GOLDEN / "room"), [], escapes.unpack_segment
+    fresh = [decode(open_package(GOLDEN / case), *which) for which in asked]
+    package, read, unpack = open_package(GOLDEN / case), [], escapes.unpack_segment
     monkeypatch.setattr(escapes, "unpack_segment", lambda *arguments: read.append(arguments[-1]) or unpack(*arguments))
-    for (frame, level), expected in zip(asked, fresh, strict=True):
-        got = airgs_codec.decode(package, frame, level=level)
+    for which, expected in zip(asked, fresh, strict=True):
+        got = decode(package, *which)
         for name in got.__slots__:
             np.testing.assert_array_equal(getattr(got, name), getattr(expected, name))
-    segments = ((0, 0), (0, 1), (1, 0), (0, 0))  # segment and level, whenever they change
-    assert read == [file for which in segments for file in package.manifest.state_files(*which)]
+            getattr(got, name)[:] = np.nan
+    if segments:
+        assert read == [file for which in segments for file in package.manifest.state_files(*which)]

@@ -66,7 +66,6 @@ ROOM = open_package(GOLDEN / "room")
 
 
 def test_a_tier_without_rows_decodes_to_none():
-    """Its tables are emptied."""
     m = ROOM.manifest
     emptied = Package(ROOM.files, replace(m, groups=Groups.of([_without_first(group) for group in m.groups])), 0)
     alone = list(decode_frames(emptied, 0, m.frames, tiers=1))

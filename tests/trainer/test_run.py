@@ -171,7 +171,6 @@ def test_a_first_fit_that_fails_leaves_nothing(blobs, tmp_path, monkeypatch):
 
 
 def test_a_keyframe_that_is_no_better_is_not_kept(blobs, tmp_path, monkeypatch):
-    """The fit stays in its group, and nothing is added."""
     monkeypatch.setattr(Trainer, "fit_keyframe", lambda self, target, before, steps, progress: before.gaussians)
     settings = replace(SETTINGS, min_psnr_db=99.0, first_iterations=60)
     model = train(open_scene(blobs, frames=(0, 3)), tmp_path / "m", settings)

@@ -95,7 +95,6 @@ def ends(package):
 @pytest.mark.parametrize("target", LEAST_DB)
 @pytest.mark.parametrize("tiers", [None, 1], ids=["whole", "one tier"])
 def test_the_fox_looks_as_the_cpu_renderer_draws_it(tmp_path, target, tiers):
-    """With as many tiers as the levels ask for, and with fewer."""
     package = open_package(GOLDEN / "fox")
     rungs = [replace(rung, tiers=tiers) for rung in ends(package)]
     cameras = four_cameras(decode(package, 0))
@@ -103,7 +102,6 @@ def test_the_fox_looks_as_the_cpu_renderer_draws_it(tmp_path, target, tiers):
 
 
 def two_groups(folder, degree):
-    """A package of two groups of two frames and two levels, and its cameras."""
     frames = swaying(900, degree, 0.2)
     settings = replace(QUICK, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))
     return encoded(folder, frames, settings, keyframes=[0, 2]), four_cameras(frames[0])
@@ -197,7 +195,6 @@ def blushing(gaussians, times):
 
 
 def test_keys_that_are_differences_are_added_to_those_of_the_base(tmp_path):
-    """Three groups of a room, of which the second and third blush."""
     frames = [blushing(frame, t // 2) for t, frame in enumerate(room_frames(600, 6, 1))]
     package = encoded(tmp_path, frames, QUICK, keyframes=[0, 2, 4])
     groups = package.manifest.groups

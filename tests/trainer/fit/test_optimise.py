@@ -62,7 +62,6 @@ def test_losses_that_are_looked_at_seldom_still_name_the_first_fault():
 
 
 def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
-    """One step over all views is the step of the averaged gradients, whatever their order."""
     g = coloured_cloud(30)
     views = views_of(moved(g, slice(0, 10), (0.1, 0, 0)), ring(3))
     together, by_hand = (PerGaussian(from_gaussians(g), 5.0) for _ in range(2))

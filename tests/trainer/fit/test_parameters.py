@@ -34,7 +34,6 @@ def test_adam_follows_torch():
 
 
 def test_rows_keep_their_moments_when_others_come_and_go():
-    """The kept row goes on exactly as it would have alone."""
     rates = dict.fromkeys(ATTRIBUTES, 0.01)
     whole, alone = Adam(random_parameters(4), rates), Adam({n: p[2:3] for n, p in random_parameters(4).items()}, rates)
     for step in range(6):
@@ -67,7 +66,6 @@ def test_shrinking_ends_at_the_minimum_of_the_l1_problem():
 
 
 def test_other_values_begin_without_moments():
-    """A replaced parameter goes on as in an optimiser that has only just begun, but for the count of steps."""
     rates = dict.fromkeys(ATTRIBUTES, 0.01)
     adam = Adam(random_parameters(3), rates)
     push(adam, 1.0)
@@ -79,7 +77,6 @@ def test_other_values_begin_without_moments():
 
 
 def push(adam: Adam, gradient: float) -> None:
-    """One step along a gradient that is the same everywhere."""
     for p in adam.parameters.values():
         p.grad = torch.full_like(p, gradient)
     adam.step()

@@ -115,18 +115,20 @@ def inside(count=8):
 GIVEN = Points(np.random.default_rng(1).normal(0, 0.2, (500, 3)).astype(np.float32), None)
 
 
+def on_the_walls(rng, count):
+    places = rng.normal(size=(count, 3))
+    return places * RADIUS / np.linalg.norm(places, axis=1, keepdims=True)
+
+
 @pytest.fixture(scope="module")
 def room() -> Gaussians:
     """A round room with waves on its walls, and a red thing in the middle."""
     rng = np.random.default_rng(3)
-    places = rng.normal(size=(6000, 3))
-    places *= RADIUS / np.linalg.norm(places, axis=1, keepdims=True)
+    places = on_the_walls(rng, 6000)
     colours = 0.6 + 0.09 * np.sin(8 * places)
     walls = from_points(places.astype(np.float32), colours.astype(np.float32), 0, 0.99, 0.2)
-    thing = coloured_cloud(200)
-    colour = np.tile(np.array([1.5, -1.5, -1.5], np.float32), (200, 1))
-    thing = replace(thing, means=0.5 * thing.means, log_scales=thing.log_scales - 0.5, sh_dc=colour)
-    return joined(walls, thing)
+    thing, red = coloured_cloud(200), np.tile(np.array([1.5, -1.5, -1.5], np.float32), (200, 1))
+    return joined(walls, replace(thing, means=0.5 * thing.means, log_scales=thing.log_scales - 0.5, sh_dc=red))
 
 
 @pytest.fixture(scope="module")
@@ -164,8 +166,7 @@ def test_cameras_that_stand_close_together_are_no_sparse_rig(room):
 
 def test_points_that_tell_the_scene_are_left_alone_and_so_is_what_was_cut_out(views):
     rng = np.random.default_rng(0)
-    walls = rng.normal(size=(3000, 3))
-    walls *= RADIUS / np.linalg.norm(walls, axis=1, keepdims=True)
-    assert sparse_cloud(Points(walls.astype(np.float32), None), views, 4000, rng) is None
+    walls = Points(on_the_walls(rng, 3000).astype(np.float32), None)
+    assert sparse_cloud(walls, views, 4000, rng) is None
     assert sparse_cloud(GIVEN, views_of(coloured_cloud(), ring(8)), 4000, rng) is None
     assert sparse_cloud(None, views, 4000, rng) is None, "nobody tells what stands within the walls"

@@ -35,13 +35,11 @@ def shifted(by, rows=slice(0, 20)):
 
 
 def fitted(t, views, velocity=None, moving=None):
-    """A frame after the truth, in a group of its own."""
     before = InMotion(TRUTH) if velocity is None else InMotion(TRUTH, velocity)
     return t.fit_frame(FrameViews(1, views, moving), before, t.start_group(TRUTH, views))
 
 
 def keyed(t, views, moving=None):
-    """A keyframe after the truth."""
     return t.fit_keyframe(FrameViews(1, views, moving), InMotion(TRUTH), t.steps(TRUTH, views)).gaussians
 
 
