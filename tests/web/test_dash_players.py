@@ -41,10 +41,7 @@ def package(request):
 
 
 def look(folder, player, mpd=None, **query):
-    """What a player reports of the MPD in a folder, or of what `mpd` makes at each request.
-
-    The player must have found every file and complained of nothing.
-    """
+    """What a player that finds every file reports of the MPD in a folder, or of what `mpd` makes at each request."""
     path = f"/package/{MPD_NAME}"
     with serve({"web": WEB, "package": folder}, {path: mpd} if mpd else {}) as site:
         seen = visit(f"{site.url}/web/test/{player}.html?{urlencode({'mpd': path, **query})}")

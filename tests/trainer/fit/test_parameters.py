@@ -97,39 +97,30 @@ def test_rows_are_left_out_of_pictures_alone_and_the_more_the_longer_a_fit_goes_
     assert not (variables.detached()["opacity_logits"] == HIDDEN).any()
 
 
-@pytest.mark.parametrize("shape", [(16, 16), (7, 33), (40, 5), (1, 1)])
-def test_the_fused_loss_and_its_gradient_equal_the_definition(shape):
+@pytest.mark.parametrize(
+    ("loss_of", "shape", "tolerance"),
+    [
+        *((photometric, shape, 1e-5) for shape in ((16, 16), (7, 33), (40, 5), (1, 1))),
+        (_on_cuda, (20, 30), 1e-4),  # on tensors of the CPU: the same arithmetic
+    ],
+)
+def test_losses_and_their_gradients_equal_the_definition(loss_of, shape, tolerance):
     rng = np.random.default_rng(0)
     picture, truth = (rng.uniform(-0.1, 1.1, (*shape, 3)).astype(np.float32) for _ in range(2))
-    x = torch.from_numpy(picture).requires_grad_()
-    fused = photometric(x, Target(truth))
+    x, target = torch.from_numpy(picture).requires_grad_(), Target(truth)
+    fused = loss_of(x, target, LAMBDA)
     fused.backward()
     y = torch.from_numpy(picture).double().requires_grad_()
     t = torch.from_numpy(truth).double()
     similarity = windowed_ssim(y, t)
     loss = 0.8 * (y - t).abs().mean() + 0.2 * (1 - similarity)
     loss.backward()
-    assert fused.item() == pytest.approx(loss.item(), rel=1e-5)
-    assert 1 - photometric(x, Target(truth), 1.0).item() == pytest.approx(similarity.item(), abs=1e-5)
-    assert photometric(x, Target(truth), 0.0).item() == pytest.approx((y - t).abs().mean().item(), rel=1e-5)
-    assert (x.grad - y.grad).norm() <= 1e-5 * y.grad.norm()
-
-
-def test_what_is_computed_on_cuda_is_the_fused_loss_and_the_picture_is_taken_there_once():
-    """On tensors of the CPU: the same arithmetic."""
-    rng = np.random.default_rng(1)
-    picture, truth = (rng.uniform(size=(20, 30, 3)).astype(np.float32) for _ in range(2))
-    target = Target(truth)
-    x, y = (torch.from_numpy(picture).requires_grad_() for _ in range(2))
-    fused, other = photometric(x, target), _on_cuda(y, target, LAMBDA)
-    fused.backward()
-    other.backward()
-    for weight in (0.0, LAMBDA, 1.0):
-        assert _on_cuda(y, target, weight).item() == pytest.approx(photometric(x, target, weight).item(), rel=1e-4)
-    assert (x.grad - y.grad).norm() <= 1e-4 * x.grad.norm()
+    assert fused.item() == pytest.approx(loss.item(), rel=tolerance)
+    assert 1 - loss_of(x, target, 1.0).item() == pytest.approx(similarity.item(), abs=tolerance)
+    assert (x.grad - y.grad).norm() <= tolerance * y.grad.norm()
     there = target.on_device
-    _on_cuda(y, target, LAMBDA)
-    assert target.on_device is there
+    assert loss_of(x, target, 0.0).item() == pytest.approx((y - t).abs().mean().item(), rel=tolerance)
+    assert target.on_device is there  # the picture is taken there once
 
 
 def test_equal_pictures_have_no_loss_and_black_ones_a_finite_gradient():
