@@ -11,7 +11,7 @@ import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.package import open_package
@@ -23,7 +23,7 @@ from airgs_codec.play.trace import Link, Trace
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.manifests import missing, with_segments
-from tests.support.regions import region
+from tests.support.regions import QUICK
 from tests.support.scenes import moving_frames, write_sequence
 
 
@@ -34,18 +34,7 @@ def package(tmp_path_factory):
     turn = [*range(40), *range(38, 0, -1)]
     scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(600)])
     levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
-    settings = EncodeSettings(
-        calibrate="none",
-        region=region(),
-        decide_pictures=2,
-        measure_pictures=0,
-        group_frames=30,
-        keys="apart",
-        preset="ultrafast",
-        keep_all=True,
-        levels=levels,
-        threads=2,
-    )
+    settings = replace(QUICK, preset="ultrafast", group_frames=30, keys="apart", levels=levels, threads=2)
     encode(open_sequence(scene), folder / "out", settings)
     return open_package(folder / "out"), open_sequence(scene)
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.errors import ConfigError
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.trainer import train
 from airgs_codec.trainer.data.multiview import Points
@@ -172,6 +171,4 @@ def test_what_the_preset_sets():
     assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.knows_rest, s.coarse))
     assert (s.densify, s.iteration_views, s.seed, s.max_size) == ("threshold", 1, 4, 96)
     assert preset("default", s) is s
-    with pytest.raises(ConfigError, match="expected densify budget, threshold"):
-        replace(s, densify="all")
     assert s.capacity >= 1_000_000  # only the inflation loss holds Gaussians back
