@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from airgs_codec.encoder.settings import EncodeSettings
     from airgs_codec.errors import AirgsError
     from airgs_codec.inspect.compare import compare
+    from airgs_codec.inspect.errors import input_rows
     from airgs_codec.inspect.validate import validate
     from airgs_codec.package.package import Package, open_package
     from airgs_codec.play.ladder import Decision
@@ -61,6 +62,7 @@ __all__ = [
     "decode_frames",
     "draw",
     "encode",
+    "input_rows",
     "open_package",
     "open_sequence",
     "read",
@@ -88,6 +90,7 @@ _HOMES = {
     "decode_frames": "decoder.decode",
     "draw": "render.backend",
     "encode": "encoder.publish",
+    "input_rows": "inspect.errors",
     "open_package": "package.package",
     "open_sequence": "scene.sequence",
     "read": "scene.formats.table",

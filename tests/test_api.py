@@ -32,6 +32,7 @@ NAMES = {
     "decode_frames",
     "draw",
     "encode",
+    "input_rows",
     "open_package",
     "open_sequence",
     "read",
@@ -41,7 +42,7 @@ NAMES = {
     "write",
 }
 THERE = {"Sequence": "GaussianSequence"}  # names in their modules, where they are others
-MOST_NAMES = 24
+MOST_NAMES = 25
 FUNCTIONS = sorted(name for name in NAMES if name[0].islower())
 HEAVY = ("numpy", "numba", "scipy", "torch", "cv2", "av", "colour", "matplotlib", "tqdm")
 

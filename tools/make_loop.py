@@ -78,7 +78,7 @@ def make_loop(sequence: GaussianSequence, folder: Path, span: tuple[int, int | N
         write_ply(folder / f"{place:06d}.ply", mixed)
         bar("frames", place + 1, stop - start)
     bar.close()
-    write_settings(folder, Settings(sequence.fps, (0,)))
+    write_settings(folder, Settings(sequence.fps, (0,), origin=sequence.origin))
     if credit := read_attribution(sequence.folder):
         (folder / ATTRIBUTION_NAME).write_text(credit + "\n", encoding="utf-8")
 

@@ -52,10 +52,19 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
     """The name and the value of each constant in TypeScript, by the module that has it."""
     return {
         tables: _same(
-            tables, "VERSION", "PAGE", "DIGEST", "BLOCK", "STATIC", "LEAST_CLASS", "MOST_CLASS", "TRANSFORM_UNITS"
+            tables,
+            "VERSION",
+            "PAGE",
+            "DIGEST",
+            "BLOCK",
+            "STATIC",
+            "LEAST_CLASS",
+            "MOST_CLASS",
+            "MOST_WIDER",
+            "TRANSFORM_UNITS",
         )
         | {
-            "LIMITS": {"bits": tables.MAX_BITS, "side": tables.MAX_PICTURE_SIDE, "macroblocks": tables.MAX_MACROBLOCKS}
+            "LIMITS": {"bits": tables.GRID_BITS, "side": tables.MAX_PICTURE_SIDE, "macroblocks": tables.MAX_MACROBLOCKS}
             | {"pages": tables.MAX_PAGES}
         }
         | _same(tables, "MIN_PICTURE_SIDE", "MAX_POSTER_BYTES", "PACKETS"),

@@ -123,10 +123,10 @@ class RowPruning:
     def within(self, allowed: float) -> WrittenRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
-        Their number is found to PRECISION of the rows, or to CLOSE of the allowed squared error, beginning with the
+        Their number is found to PRECISION of the rows that are seen, or to CLOSE of the allowed squared error, beginning with the
         rows of importance 0 and with all but one.
         """
-        most, least = allowed**2, max(1, math.ceil(PRECISION * len(self._order)))
+        most, least = allowed**2, max(1, math.ceil(PRECISION * (len(self._order) - self._unused)))
         self.error_of(len(self._order) - self._unused)
         self.error_of(1)
         for guesses in itertools.count():
@@ -143,14 +143,15 @@ class RowPruning:
     def _guess(self, middle: int, error: float) -> int:
         """The count with such an error, by the line through the two known ones next to it, in logarithms of both.
 
-        `middle` where none tell.
+        `middle` where none tell. Rows that nobody sees do not count.
         """
-        known = {count: math.log(e / error) for count, e in self._errors.items() if e > 0}
-        a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (middle, middle)
+        known = {count - self._unused: math.log(e / error) for count, e in self._errors.items() if e > 0}
+        a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (0, 0)
         if a == b or known[a] == known[b]:
             return middle
         share = known[a] / (known[a] - known[b])
-        return round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(len(self._order)))))
+        most = len(self._order) - self._unused
+        return self._unused + round(math.exp(min(math.log(a) + share * math.log(b / a), math.log(most))))
 
     def with_details(self, written: WrittenRows, allowed: float) -> WrittenRows:
         """Add those of the rows left out `within` an error that matter where pictures without them are plainly others.

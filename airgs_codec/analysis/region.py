@@ -87,12 +87,12 @@ def _place(look: _Look, margin: float) -> Place:
     focus = position + look.distance * rotation[2]
     reach = min(margin, CLEARANCE_SHARE * look.clearance)
     ends = _rounded(position, look.distance), _rounded(focus, look.distance)
-    return Place(*ends, _rounded(-rotation[1], 1.0), float(f"{reach:.4g}"))
+    return Place(*ends, _rounded(-rotation[1], 1.0), float(f"{reach:.7g}"))
 
 
 def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
-    """To a hundred-thousandth of `size`: nobody stands more exactly, and every viewer fetches them."""
-    return [round(float(v), 5 - int(np.floor(np.log10(size)))) for v in vector]
+    """To a ten-millionth of `size`: nobody stands more exactly, and every viewer fetches them."""
+    return [round(float(v), 7 - int(np.floor(np.log10(size)))) for v in vector]
 
 
 def _look(camera: Camera, g: Gaussians) -> _Look:

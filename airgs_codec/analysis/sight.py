@@ -16,7 +16,7 @@ from airgs_codec.scene.gaussians import Gaussians
 
 SIDE = 64  # pixels, the longest of pictures that are looked at
 LIT = 1e-3  # of the pixels of a picture, from which it shows something
-OPAQUE = 0.1  # of a pixel, from which it is lit
+OPAQUE = 0.01  # of a pixel, from which it is lit: a faint scene is one, too
 SEEN = 0.02  # of the opacity of all rows, from which cameras are of a scene
 DATAPARSER = "dataparser_transforms.json"  # how nerfstudio turns and scales a scene before it trains it
 

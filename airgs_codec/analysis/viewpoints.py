@@ -33,7 +33,7 @@ from airgs_codec.scene.camera import (
     side_view,
 )
 from airgs_codec.scene.frames import repair
-from airgs_codec.scene.gaussians import LARGEST, SH_C0, Gaussians, from_rotation_vector, to_matrices
+from airgs_codec.scene.gaussians import LARGEST, SH_C0, Gaussians, from_rotation_vector, remoteness_in, to_matrices
 
 Floats = NDArray[np.float32]
 Vector = NDArray[np.float64]
@@ -245,10 +245,12 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
 
     At most 1 + COUNT square cameras; the same frames give the same cameras. `up` (3,) points up where somebody told it;
     else it is guessed (`analysis.up`). A frame need not be repaired; frames need not share rows.
+    What is far from all else decides nothing.
 
     Raises SceneError when a frame has no finite row.
     """
-    frames = [repair([frame], "views").frames[0] for frame in frames]
+    whole = [repair([frame], "views").frames[0] for frame in frames]
+    frames = [frame.take(remoteness_in(frame)(frame) <= 1) for frame in whole]
     middle = frames[len(frames) // 2]
     origin, size = extent_of(middle.means.astype(np.float64), middle.opacities().astype(np.float64))
     found = _find([frame.placed(-origin, 1 / size) for frame in frames], up)

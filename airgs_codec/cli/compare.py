@@ -38,9 +38,9 @@ from airgs_codec.inspect.compare import (
 from airgs_codec.inspect.sides import (
     Side,
     before_both,
+    comparable,
     compared_views,
     described,
-    expect_same_rate,
     is_package,
     left_out,
     open_side,
@@ -55,7 +55,7 @@ from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
 from airgs_codec.places.whole import atomic_path, expect_folder_name
 from airgs_codec.render import Camera, read_cameras
-from airgs_codec.scene.camera import UP, orbit_views, with_near_planes
+from airgs_codec.scene.camera import UP, cameras_from, orbit_views, with_near_planes
 from airgs_codec.scene.formats.table import is_clip
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -89,7 +89,9 @@ def compare(options: Compare) -> int:
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
     if options.views:
-        words, cameras = described(compared_views(read_cameras(options.views), None), str(options.views))
+        words, cameras = described(
+            compared_views(cameras_from(a.origin, read_cameras(options.views)), None), str(options.views)
+        )
     else:
         words, cameras = shared_views(a, b)
     cameras = before_both(a, b, cameras)
@@ -118,8 +120,7 @@ def _open_both(options: Compare) -> tuple[Side, Side]:
     untold = BakingOptions()
     b = open_side(options.b, options.rung if packages[1] else None, **baked.get(options.b, untold).baking())
     a = open_side(options.a, None if packages[1] else options.rung, **baked.get(options.a, untold).baking())
-    expect_same_rate(a, b)
-    return a, b
+    return comparable(a, b)
 
 
 def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[Path]:
@@ -152,6 +153,7 @@ def rungs(options: Rungs) -> int:
     """Measure PSNR, SSIM and CIEDE2000 of every rung against the original."""
     package = open_package(options.package)
     original = open_frames(options.original, quiet=options.json, **options.clip.baking())
+    original = original.at_origin(package.origin)
     if len(original) != package.manifest.frames:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
     _expect_least(every=(options.every, 1), draws=(options.draws, 0), seed=(options.seed, 0))
@@ -173,7 +175,7 @@ def rungs(options: Rungs) -> int:
 
 
 def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) -> list[Camera]:
-    cameras = list(read_cameras(options.views) if options.views else original.cameras)
+    cameras = list(cameras_from(package.origin, read_cameras(options.views)) if options.views else original.cameras)
     region = package.manifest.region
     cameras += region_views(region, options.draws, options.seed)
     middle = original.load([len(original) // 2]).frames[0]

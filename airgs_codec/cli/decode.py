@@ -7,16 +7,23 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import as_json, frames, package, parse_range
+from airgs_codec.cli.common import as_json, frames, open_frames, package, parse_range
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
+from airgs_codec.inspect.errors import input_rows
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import background_of, misread
+from airgs_codec.places.whole import atomic_path
 from airgs_codec.scene.formats.table import KEYS, Numbered, choose_target, write_frames
+
+ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +41,9 @@ class Decode:
     level: str = setting("L0", "state level: L0, L1, … or its number")
     key_quality: str = setting("Q0", "key quality: Q0, Q1, … or its number")
     frames: str = frames()
+    against: str | None = setting(
+        None, f"the original: write which of its rows every row is to {ROWS_NAME} beside the frames", metavar="SEQUENCE"
+    )
     json: bool = as_json()
 
 
@@ -53,9 +63,16 @@ def decode(options: Decode) -> int:
     folder = target.path if target.folder else target.path.parent
     if (folder / JSON_NAME).is_file():
         raise ConfigError(f"{target.path}: expected a place outside of packages, got one in the package {folder}")
+    rows: dict[str, NDArray[np.int32]] = {}
+    if options.against:
+        found = input_rows(package, open_frames(options.against, quiet=options.json), start, stop, level=level)
+        rows = dict(zip(map(str, range(start, stop)), found, strict=True))
     with closing(Bar(options.json)) as bar:
         decoded = _decoded(package, (start, stop), (level, quality), bar)
-        lost = write_frames(target, decoded, m.fps, background_of(m.region))
+        lost = write_frames(target, decoded, m.fps, background_of(m.region), package.origin)
+    if options.against:
+        with atomic_path(folder / ROWS_NAME) as temporary, temporary.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, **rows)
     notes = misread(m.world, target.form.name, target.form.axes)
     report = {"frames": [start, stop], "level": level, "key_quality": quality, "output": options.output}
     report |= {"format": target.form.key, "lost": lost, "notes": notes}

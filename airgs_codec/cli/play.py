@@ -22,7 +22,7 @@ from airgs_codec.cli.common import (
     report,
 )
 from airgs_codec.cli.options import nested, run_program, takes
-from airgs_codec.cli.terminal import Bar, say
+from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.places.place import Folder
@@ -116,7 +116,7 @@ def _over_http(options: Play) -> int:
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
         keep = Folder(folder).write if options.video else None
-        downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep))
+        downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep, _told))
         settings = _settings(None, options)
         offers = downloader.open()
         log = play_over(offers, downloader, options.policy, settings)
@@ -124,6 +124,10 @@ def _over_http(options: Play) -> int:
             fetch_beside(log, downloader)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
     return 0
+
+
+def _told(line: str) -> None:
+    warn(f"airgs-play: {line}")
 
 
 def _settings(package: Package | None, options: Play) -> SessionSettings:

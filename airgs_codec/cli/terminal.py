@@ -10,9 +10,11 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec.errors import AirgsError
+from airgs_codec.places.whole import naming
 from airgs_codec.progress import about, name_of
 
 if TYPE_CHECKING:
@@ -59,7 +61,8 @@ def run_command(name: str, work: Callable[[], int]) -> int:
 
 def say(text: str, end: str = "\n") -> None:
     """Print a command's answer; what stands in files that came over a network may not act on a terminal."""
-    print(_plain(text), end=end, flush=True)
+    with naming(Path("standard output")):
+        print(_plain(text), end=end, flush=True)
 
 
 def warn(text: str, end: str = "\n") -> None:

@@ -10,6 +10,7 @@ their steps.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 
@@ -27,6 +28,8 @@ from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid,
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
 _CHANGING = ("means", "quaternions", "log_scales", "opacity", "colours")
+FURTHEST = float(1 << 26)  # steps that a row moves from its canonical mean, so that codes stay below 2^30
+OUTLYING = 10.0
 WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
 LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
 # Decoded opacities stay inside [2^-20, 1 - 2^-20]: outside, the logit of a stored .ply is infinite.
@@ -79,11 +82,11 @@ def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -
     return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
 
 
-def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps) -> NDArray[np.float64]:
-    """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored."""
+def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps, unit: float) -> NDArray[np.float64]:
+    """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored, `unit` that of the grid."""
     colour = colours(g.sh_dc, g.sh_rest).astype(np.float64)
     parts = {
-        "log_scales": g.log_scales.astype(np.float64),
+        "log_scales": g.log_scales - math.log(unit),
         "quaternions": to_rotation_vector(g.quaternions.astype(np.float64)),
         "opacity": to_opacity(g.opacity_logits.astype(np.float64))[:, None],
         COLOUR: to_klt(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]), transform),
@@ -117,15 +120,15 @@ def dequantise_parts(
     """The same canonical space, of channels that `read` gives for some of the rows at a time, on several threads."""
     count, width = len(sidecar.codes), len(transform)
     of = transform.astype(np.float32), colour_steps(steps.sh_dc, steps.sh_rest, width).astype(np.float32)
-    means, units = np.empty((count, 3)), np.empty(count, np.float32)
+    size, means, units = np.float32(math.log(grid.unit)), np.empty((count, 3)), np.empty(count, np.float32)
     quaternions, log_scales = np.empty((count, 4), np.float32), np.empty((count, 3), np.float32)
     opacity, colour = np.empty(count, np.float32), np.empty((count, width), np.float32)
 
     def fill(rows: slice) -> None:
         channels, classes = read(rows), sidecar.classes[rows]
-        means[rows] = grid_means(sidecar.codes[rows], classes, grid, coarser)
+        means[rows] = grid_means(sidecar.codes[rows], classes, sidecar.wider[rows], grid, coarser)
         units[rows] = motion_units(classes)
-        log_scales[rows] = channels[KEY.slice("log_scales")].T
+        log_scales[rows] = channels[KEY.slice("log_scales")].T + size
         quaternions[rows] = to_quaternions(channels[KEY.slice("quaternions")])
         opacity[rows] = channels[KEY.slice("opacity")][0]
         colour[rows] = klt_colours(channels[KEY.slice(COLOUR)], *of).T
@@ -173,13 +176,18 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
 
 
 def frame_channels(g: Gaussians, base: Canonical, steps: StateSteps) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """(10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn."""
+    """(10 + C, N) channels of one frame as it is, and (N,) whether a row is drawn.
+
+    A row that moves further than codes reach is nearer, on the same line, and as much smaller: it looks alike.
+    """
     scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
     inverse = conjugate(base.quaternions.astype(np.float64))
     opacity = to_opacity(g.opacity_logits.astype(np.float64))
     out = np.empty((STATE.width(base.colours.shape[1]), len(base.means)))
-    out[_MEANS] = ((g.means - base.means) / base.motion_units[:, None]).T
-    out[_SCALES] = (g.log_scales.astype(np.float64) - base.log_scales).T
+    moves = (g.means - base.means) / base.motion_units[:, None]
+    nearer = np.maximum(np.abs(moves).max(axis=1, keepdims=True) / (FURTHEST * steps.means), 1)
+    out[_MEANS] = (moves / nearer).T
+    out[_SCALES] = (g.log_scales.astype(np.float64) - base.log_scales - np.log(nearer)).T
     out[_ROTATION] = to_rotation_vector(multiply(g.quaternions.astype(np.float64), inverse)).T
     out[_OPACITY] = opacity - base.opacity
     colour = (colours(g.sh_dc, g.sh_rest) - base.colours.astype(np.float64)) / scale
@@ -314,10 +322,14 @@ def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] =
     """The KLT (C, C) of (N, C) colours in units of their steps: row k is what the k-th strongest direction adds.
 
     It is orthonormal, and the entry of a row that is largest by size positive, so that equal scenes give equal
-    packages. `weights` (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length
-    matter alike, with what undoes them after it.
+    packages. Colours that are further from the median than OUTLYING times the others count as that far. `weights`
+    (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length matter alike, with
+    what undoes them after it.
     """
-    centred = scaled - scaled.mean(axis=0)
+    centred = scaled - np.median(scaled, axis=0)
+    sizes = np.linalg.norm(centred, axis=1, keepdims=True)
+    most = OUTLYING * (float(np.median(sizes)) or float(sizes.max()))
+    centred = centred * np.divide(most, sizes, out=np.ones_like(sizes), where=sizes > most)
     mixed = np.kron(np.eye(scaled.shape[1] // 3), np.reshape(weights or np.eye(3), (3, 3)))
     _, vectors = np.linalg.eigh(mixed.T @ centred.T @ centred @ mixed if weights else centred.T @ centred)
     rows = vectors.T[::-1]

@@ -19,6 +19,7 @@ from airgs_codec.package.layout import COLOUR, STATE
 from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, STATE_ATTRIBUTES, StateSteps
 from airgs_codec.scene.gaussians import Gaussians
 
+LEAVES = 1e4  # steps
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
 
 
@@ -55,7 +56,8 @@ def share_class(
     """(N,) motion classes, or one for all rows where their displacements take fewer bits with it.
 
     `classes` and `sensitivity` (N,) are those of rows in file order, `displacements` (3, N) of some frames, in world
-    units, `step` that of means. With one class equal steps err about as much in pictures.
+    units, `step` that of means. With one class equal steps err about as much in pictures. Rows that move further than
+    LEAVES steps tell nothing of others.
     """
     total = float(sensitivity.sum())
     if total == 0:
@@ -64,6 +66,7 @@ def share_class(
     shared = math.sqrt(float(sensitivity @ np.square(units)) / total)
     apart, together = 0.0, 0.0
     for moved in displacements:
+        moved = np.where(np.abs(moved).max(axis=0) > LEAVES * step * shared, 0, moved)
         apart += _transform_bits(moved / (step * units))
         together += _transform_bits(moved / (step * shared))
     return np.full_like(classes, round(math.log2(shared))) if together < apart else classes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -14,6 +15,10 @@ from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES, KeyStep
 
 CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
 STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
+
+
+class UncodableError(SceneError):
+    """A value that no code holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,17 +64,21 @@ def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
 
 
 def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettings:
-    """These steps times a factor on each of some, to four digits."""
+    """These steps times a factor on each of some, to a power of 2^(1/8): what is measured is no better.
+
+    So scenes that differ by little, or by their unit, mostly have equal steps.
+    """
     for name, factor in factors.items():
-        steps = with_step(steps, name, float(f"{get_step(steps, name) * factor:.4g}"))
+        wanted = get_step(steps, name) * 2.0 ** (round(8 * math.log2(factor)) / 8)
+        steps = with_step(steps, name, float(f"{wanted:.9g}"))
     return steps
 
 
 def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:
     """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
 
-    `first` is the number of the first channel, for errors. Raises SceneError for a value 2^30 codes or more from 0,
-    since nothing is clipped, and for a step that is not within STEP_LIMITS.
+    `first` is the number of the first channel, for errors. Raises UncodableError for a value 2^30 codes or more from 0,
+    since nothing is clipped, SceneError for a step that is not within STEP_LIMITS.
     """
     low, high = STEP_LIMITS
     if not ((steps >= low) & (steps <= high)).all():
@@ -81,7 +90,7 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
         channel = int(np.unravel_index(np.abs(codes).argmax(), codes.shape)[1])
         largest = float(np.abs(values[:, channel]).max())
         got = f"value {largest:g} at step {steps[channel]:g}"
-        raise SceneError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
+        raise UncodableError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
     return codes.astype(np.int32)
 
 

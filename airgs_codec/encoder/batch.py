@@ -45,6 +45,7 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.layout import INIT_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.media_check import largest_picture
 from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.region import first_views
 from airgs_codec.package.tables import Group, Views, file_entry
@@ -305,15 +306,10 @@ def _about(prepared: PreparedSequence, settings: EncodeSettings, groups: Sequenc
         settings,
         views.region,
         views.world,
+        prepared.sequence.origin,
         Views(views.decided + CHECKED, 0, "original" if settings.measure_pictures else "none"),
         prepared.attribution,
         decisions,
         len(prepared.sequence),
         prepared.sequence.sh_degree,
     )
-
-
-def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
-    """Give the width and height that no picture of the groups exceeds."""
-    atlases = [a for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for a in row]
-    return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)

@@ -31,7 +31,7 @@ from airgs_codec.encoder.plan import (
 )
 from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
-from airgs_codec.encoder.survey import Survey
+from airgs_codec.encoder.survey import Survey, naming_farthest
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
@@ -84,6 +84,7 @@ class Subject:
         layout, settings = self.layout, self.settings
         segment = min(len(self.frames), MOST_FRAMES, max(1, int(settings.segment_s * fps)))
         index = block_rows(len(layout.rows), max(FEWEST_BLOCKS, SAMPLE_BLOCKS // segment))
+        index = index[layout.wider[index] == 0]  # what is far from all else tells nothing of it
         sample = CalibrationSample(
             index=index,
             key=layout.key.take(index),
@@ -281,7 +282,7 @@ def choose_shares(
 def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """`rank_updates` of all N rows; `frames` are the canonical one and those that are ranked."""
     layout, settings = subject.layout, subject.settings
-    channels = key_channels(frames[0], layout.transform, layout.key_steps).astype(np.float32)
+    channels = key_channels(frames[0], layout.transform, layout.key_steps, layout.grid.unit).astype(np.float32)
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
     steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
     score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
@@ -319,7 +320,13 @@ def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettin
     """Calibrate on the group of `survey`, starting at `settings.steps`, at quality 1.
 
     Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
+    Raises SceneError for a group that cannot be coded.
     """
+    with naming_farthest(sequence, survey.span):
+        return _calibrate(sequence, survey, settings)
+
+
+def _calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Calibration:
     tiers = TIERS if settings.calibrate == "ladder" else settings.tiers
     ladder = replace(settings, quality=1.0, calibrate="none", tiers=tiers)
     subject = Subject.of(sequence, survey, ladder)

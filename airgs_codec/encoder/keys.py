@@ -232,7 +232,7 @@ def key_bytes(layout: GroupLayout, keys: CodedKeys, pictures: Sequence[Sequence[
 def key_sidecar(layout: GroupLayout, tier: int, depths: NDArray[np.uint8]) -> KeySidecar:
     """Make the sidecar of a tier; `depths` (N,) are those of all rows."""
     sidecar = layout.sidecar(layout.tier_rows(tier), depths)
-    return sidecar if layout.keeps is None else replace(sidecar, codes=sidecar.codes[:0], classes=sidecar.classes[:0])
+    return sidecar if layout.keeps is None else replace(sidecar, codes=sidecar.codes[:0])
 
 
 def decode_keys(
@@ -274,5 +274,5 @@ def decode_keys(
 def _read_positions(reader: ColumnReader, layout: GroupLayout, tier: int, coarser: int, coarsest: int) -> KeySidecar:
     """The rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
     shared = layout.sidecar(layout.tier_rows(tier), _static(layout))
-    codes = coarse_codes(shared.codes, shared.classes, layout.grid, coarsest)
+    codes = coarse_codes(shared.codes, shared.cells, layout.grid, coarsest)
     return read_detail(reader, replace(shared, codes=codes), layout.grid, coarser, coarsest)

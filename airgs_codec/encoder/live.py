@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.matching import IN_ORDER, compare_order
 from airgs_codec.analysis.rows import Restored, restore_rows
+from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import calibrate_sequence, measure_encoded
 from airgs_codec.encoder.measure import pictures_of, with_errors
 from airgs_codec.encoder.pipeline import (
@@ -32,17 +33,18 @@ from airgs_codec.encoder.pipeline import (
     with_rows_of_others,
 )
 from airgs_codec.encoder.prepare import hold_frames, look_at_frames
-from airgs_codec.encoder.publish import write_package
+from airgs_codec.encoder.publish import held_to_readers, write_package
 from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.settings import KEPT, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Survey, ViewPlan, join_surveys, plan_views
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import root_of, write_file
+from airgs_codec.package.package import Package, root_of, write_file
 from airgs_codec.package.publish import GrowingPackage, staged_package
 from airgs_codec.package.tables import Group
-from airgs_codec.places.place import Folder, Place, place_at
+from airgs_codec.places.place import Folder, Memory, Place, place_at
+from airgs_codec.places.whole import written_alone
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder
 
@@ -96,9 +98,13 @@ class _Publisher:
         group = STATES.do(known)
         if difference is None:
             self.bases[:] = [(known["coded"], group)]
-        for path, data in group.files.items():
-            write_file(self.package.files, path, data)
-        self.package.add(self._measured(sequence, known, base_files if difference else None))
+        table = self._measured(sequence, known, base_files if difference else None)
+        with held_to_readers():
+            whole = Memory("group", {**base_files.files, **group.files})
+            decode(Package(whole, self.package.expect(table), 0), stop - 1)
+            for path, data in group.files.items():
+                write_file(self.package.files, path, data)
+            self.package.add(table)
 
     def _remember(self, known: dict[str, Any]) -> NDArray[np.intp] | None:
         """The rows of a key of this group by itself: its own, and those that groups before it needed (`seen`).
@@ -149,6 +155,7 @@ def follow(
     """
     place = place_at(path)
     publisher: _Publisher | None = None
+    owner = ExitStack()  # holds the package, in which nobody else may write until it is closed
     try:
         for whole, first, last in _whole_groups(folder, settings.group_frames, more):
             with closing(hold_frames(whole)) as held:
@@ -156,14 +163,15 @@ def follow(
                 notes = rows.notes
                 for start, stop in _parts(rows, first, last):
                     if publisher is None:
-                        publisher = _begin(rows.sequence, stop, place, settings, attribution, progress)
+                        publisher = _begin(rows.sequence, stop, place, settings, attribution, progress, owner)
                     else:
                         publisher.publish(rows.sequence, start, stop)
                     yield _published(publisher.package.manifest, whole, notes)
                     notes = []
     finally:
-        if publisher is not None:
-            publisher.package.close()
+        with owner:
+            if publisher is not None:
+                publisher.package.close()
 
 
 def _whole_groups(
@@ -203,6 +211,7 @@ def _begin(
     settings: EncodeSettings,
     attribution: str | None,
     progress: Progress,
+    owner: ExitStack,
 ) -> _Publisher:
     """Settle everything on the first group, frames [0, stop), and publish it."""
     part = replace(sequence, paths=sequence.paths[:stop], headers=sequence.headers[:stop])
@@ -210,6 +219,7 @@ def _begin(
     credit = sequence.attribution if attribution is None else attribution
     available = datetime.fromtimestamp(sequence.paths[0].stat().st_mtime, UTC)
     with temporary_work(progress) as work, staged_package(place) as stage:
+        owner.enter_context(written_alone(stage))
         names = look_at_frames(part, work)[0]
         original = PreparedSequence(part, names, [(0, stop)], views, (), credit)
         found = calibrate_sequence(original, settings, work)
@@ -218,12 +228,12 @@ def _begin(
         if settings.measure_pictures:
             manifest = measure_encoded(encoded, original, settings.measure_pictures).manifest
         manifest = replace(manifest, live=True, decisions=[*manifest.decisions, *found.decisions, *repairs])
-        write_package(Folder(stage), encoded, manifest, LiveClock(available, datetime.now(UTC)))
+        write_package(Folder(stage, alone=True), encoded, manifest, LiveClock(available, datetime.now(UTC)))
         base = encoded.base_key(), encoded.group(0)
         needed = (found.prepared.job(SURVEY, 0), found.prepared.job(ROWS, 0, chosen))
         shared = chosen.keys == KEPT and not any(frame in sequence.orders for frame in range(stop))
         first = [tuple(work.result(job) for job in needed)] if shared else []
-    package = GrowingPackage(place, manifest, available)
+    package = GrowingPackage(replace(place, alone=True) if isinstance(place, Folder) else place, manifest, available)
     sh_degree = found.prepared.sequence.sh_degree
     return _Publisher(package, chosen, views, sh_degree, manifest.views.measured, [base], first)
 

@@ -29,13 +29,14 @@ from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.representation import Clock, Representation
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import code_states, encode_states
-from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, survey_group
+from airgs_codec.encoder.survey import GroupSpan, Pictures, Survey, ViewPlan, naming_farthest, survey_group
 from airgs_codec.encoder.tables import CodedGroup, finish_group
 from airgs_codec.jobs.job import Job, digest
 from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
 from airgs_codec.package.package import Package, manifest_of
-from airgs_codec.package.tables import MAX_POSTER_BYTES, Group, Root
+from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE, Group, Root
 from airgs_codec.places.place import Memory
+from airgs_codec.places.whole import naming
 from airgs_codec.render import Camera
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.camera import with_pixels
@@ -46,7 +47,6 @@ from airgs_codec.scene.sequence import GaussianSequence
 WORTH = 0.25  # share of a key's bytes that coding it as a difference must save
 MORE = 0.25  # share of its rows that a group may have more than it needs, for those that differ from it
 AHEAD = 16  # groups, itself among them, whose rows a group has so that others may differ from it
-POSTER_SIDE = 640  # pixels of the longer side
 POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
 
@@ -109,7 +109,8 @@ def code_key(sequence: GaussianSequence, survey: Survey, written: WrittenRows, s
     Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
     """
     layout = lay_out(_load(sequence, survey), survey, written, settings, sequence.fps)
-    return _coded(layout, settings, sequence.fps, ())
+    with naming_farthest(sequence, survey.span):
+        return _coded(layout, settings, sequence.fps, ())
 
 
 def code_difference(
@@ -121,7 +122,8 @@ def code_difference(
     `written` than may be left out. Raises CodecError when the video encoder fails.
     """
     layout = lay_out_again(_load(sequence, survey), survey, written, of.layout, settings, sequence.fps)
-    coded = layout and _coded(layout, settings, sequence.fps, of.decoded)
+    with naming_farthest(sequence, survey.span):
+        coded = layout and _coded(layout, settings, sequence.fps, of.decoded)
     alone = of.bytes * len(written.rows) / len(of.layout.rows)
     return coded if coded and coded.bytes <= (1 - WORTH) * alone else None
 
@@ -144,9 +146,10 @@ def code_group(sequence: GaussianSequence, key: CodedKey, settings: EncodeSettin
     """
     layout = key.layout
     frames = turn_least(sequence.load(range(layout.span.start, layout.span.stop))).frames
-    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch:
+    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch, naming(Path(scratch)):
         clock = Clock.of(sequence.fps)
-        states = code_states(layout, key.decoded, frames, settings, clock, Path(scratch))
+        with naming_farthest(sequence, layout.span):
+            states = code_states(layout, key.decoded, frames, settings, clock, Path(scratch))
         pictures = encode_states(layout, states, clock, settings)
         coded = CodedGroup(layout, key.keys, states, key.pictures, pictures, first_segment)
         table, files = finish_group(coded)
@@ -173,8 +176,8 @@ def measure_files(
 
 def draw_poster(sequence: GaussianSequence, frame: int, camera: Camera, renderer: Renderer) -> bytes:
     """Return a JPEG of what a camera sees of a frame, as good, and then as large, as MAX_POSTER_BYTES allow."""
-    share = POSTER_SIDE / max(camera.width, camera.height)
-    shown = with_pixels(camera, round(share * camera.width), round(share * camera.height))
+    share = MAX_POSTER_SIDE / max(camera.width, camera.height)
+    shown = with_pixels(camera, *(max(1, round(share * side)) for side in (camera.width, camera.height)))
     picture = to_bytes(renderer.render(sequence.load([frame]).frames[0], shown).rgb)
     while True:
         for quality in POSTER_QUALITIES:

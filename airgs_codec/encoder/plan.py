@@ -114,6 +114,7 @@ class GroupLayout:
     tiers: NDArray[np.uint8]  # (N,) tier of each row, ascending
     factors: tuple[float, ...]  # of each tier, on the key steps
     codes: NDArray[np.uint64]  # (N,) Morton codes of the finest cells, ascending within a tier
+    wider: NDArray[np.int16]  # (N,) e of the grid that a row lies in
     classes: NDArray[np.int16]  # (N,) motion classes
     usage: RowUsage
     sensitivity: Sensitivity
@@ -159,7 +160,7 @@ class GroupLayout:
 
     def key_values(self) -> NDArray[np.float64]:
         """(7 + C, N) key channels."""
-        return key_channels(self.key, self.transform, self.key_steps)
+        return key_channels(self.key, self.transform, self.key_steps, self.grid.unit)
 
     def canonical_space(self, channels: NDArray[np.float32], depths: NDArray[np.uint8]) -> Canonical:
         """The canonical space that (7 + C, N) decoded key channels and (N,) depths make, with the finest positions."""
@@ -168,7 +169,7 @@ class GroupLayout:
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8]) -> KeySidecar:
         """Some rows with the finest positions, and of (N,) depths those of the rows."""
-        return KeySidecar(self.codes[rows], self.classes[rows], depths[rows])
+        return KeySidecar(self.codes[rows], self.classes[rows], self.wider[rows], depths[rows])
 
 
 def lay_out(
@@ -181,12 +182,13 @@ def lay_out(
     tiers = assign_tiers(score[written.rows], settings.tiers)
     sensitivity = survey.sensitivity.take(written.rows).means
     classes = classify_motion(sensitivity, canonical, survey.scale)
-    order = np.lexsort((grid_codes(canonical.means, classes, fit_grid(canonical.means, classes, steps.grid)), tiers))
+    codes, _ = grid_codes(canonical.means, classes, fit_grid(canonical.means, classes, steps.grid))
+    order = np.lexsort((codes, tiers))
     moving = (loaded.frames[t].means[written.rows] for t in middle_frames(0, len(loaded.frames), MOTION_FRAMES))
     changes = ((means - canonical.means)[order].T for means in moving)
     classes[order] = share_class(classes[order], sensitivity[order], changes, steps.state.means)
     grid = fit_grid(canonical.means, classes, steps.grid)
-    codes = grid_codes(canonical.means, classes, grid)
+    codes, wider = grid_codes(canonical.means, classes, grid)
     order = np.lexsort((codes, tiers))
     rows = written.rows[order]
     transform = colour_transform(canonical.take(order), steps.key, steps.colours)
@@ -202,6 +204,7 @@ def lay_out(
         tiers=tiers[order],
         factors=(1.0,) * len(settings.tiers),
         codes=codes[order],
+        wider=wider[order],
         classes=classes[order],
         usage=RowUsage(score[rows], survey.usage.measure("hits")[rows]),
         sensitivity=survey.sensitivity.take(rows),

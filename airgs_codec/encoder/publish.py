@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from contextlib import closing, nullcontext
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -23,8 +23,9 @@ from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.media_check import check_shared
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import open_package, write_file
+from airgs_codec.package.package import find_faults, open_files, write_file
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.places.whole import expect_folder_name
@@ -126,19 +127,7 @@ def encode(
     expect_folder_name(path_argument("path", path), ENDING)
     working = temporary_work(told(progress)) if work is None else nullcontext(work)
     with staged_package(place_at(path)) as stage, working as at:
-        report = _encode(sequence, Folder(stage), settings, goal, at)
-        _read_back(stage)
-        return report
-
-
-def _read_back(stage: Path) -> None:
-    """Raise SceneError where what was written cannot be opened and decoded: nobody else could either."""
-    try:
-        package = open_package(stage)
-        for frame in {0, package.manifest.frames - 1}:
-            decode(package, frame)
-    except FormatError as error:
-        raise SceneError(f"the package cannot be read back, and is not published: {error}") from error
+        return _encode(sequence, Folder(stage, alone=True), settings, goal, at)
 
 
 def _encode(
@@ -193,6 +182,15 @@ def _encode(
     )
 
 
+@contextmanager
+def held_to_readers() -> Iterator[None]:
+    """Nothing; a refusal of what the block writes becomes a SceneError: nobody else could read it either."""
+    try:
+        yield
+    except FormatError as error:
+        raise SceneError(f"the package cannot be read back, and is not published: {error}") from error
+
+
 def write_package(
     place: Place,
     encoded: Encoded,
@@ -202,10 +200,20 @@ def write_package(
 ) -> int:
     """Write all files of a package, its tables last; gives the length of tables and manifest.mpd together.
 
-    `manifest`: its tables, measured. `clock`: of a package that grows.
+    `manifest`: its tables, measured. `clock`: of a package that grows. Raises SceneError where what is there then is
+    not what the tables say, or its first and last frame cannot be decoded.
     """
     groups = (encoded.group(number).files for number in range(len(encoded.files)))
     for files in (encoded.shared, more_files, *groups):
         for path, data in files.items():
             write_file(place, path, data)
-    return write_tables(place, manifest, clock)
+    with held_to_readers():
+        size = write_tables(place, manifest, clock)
+        package = open_files(place)
+        for fault in find_faults(package).values():
+            raise fault
+        for path in manifest.shared_files():
+            check_shared(package, path)
+        for frame in {0, manifest.frames - 1}:
+            decode(package, frame)
+    return size

@@ -31,7 +31,7 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import KeySteps, difference_steps, unpack_matrix
+from airgs_codec.package.tables import difference_steps, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 Weights = NDArray[np.float64]
@@ -102,14 +102,15 @@ class CalibrationSample:
     ) -> tuple[float, Canonical]:
         """Bytes a frame, and the canonical space as decoded; attributes that are not named stay exact."""
         transform = self._transform(steps)
-        channels, size = self._code_key_channels(steps.key, transform, factor, attributes)
+        channels, size = self._code_key_channels(steps, transform, factor, attributes)
         grid = fit_grid(self.key.means, self.classes, steps.grid)
-        codes = grid_codes(self.key.means, self.classes, grid)
+        codes, wider = grid_codes(self.key.means, self.classes, grid)
         still = np.zeros(len(codes), np.uint8)
         if "means" in attributes:
             order = np.argsort(codes, kind="stable")
-            size += len(pack_key_sidecar(KeySidecar(codes[order], self.classes[order], still), grid))
-        base = dequantise_key(channels, KeySidecar(codes, self.classes, still), transform, grid, steps.key)
+            sorted_rows = KeySidecar(codes[order], self.classes[order], wider[order], still)
+            size += len(pack_key_sidecar(sorted_rows, grid))
+        base = dequantise_key(channels, KeySidecar(codes, self.classes, wider, still), transform, grid, steps.key)
         return self.row_ratio * size / self.group_frames, base
 
     def code_difference(self, steps: StepSettings, base: Canonical, other: Gaussians) -> float:
@@ -121,17 +122,17 @@ class CalibrationSample:
         return self.row_ratio * sizes[0]
 
     def _code_key_channels(
-        self, steps: KeySteps, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]
+        self, steps: StepSettings, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]
     ) -> tuple[NDArray[np.float32], float]:
         """(7 + C, n) key channels, those of the named attributes as decoded, and the bytes of their picture."""
-        values = key_channels(self.key, transform, steps)
+        values = key_channels(self.key, transform, steps.key, steps.grid)
         channels = values.astype(np.float32)
         chosen = np.zeros(len(values), bool)
         for attribute in set(attributes) & set(KEY.attributes):
             chosen[KEY.slice(attribute)] = True
         if not chosen.any():
             return channels, 0.0
-        step = KEY.steps(steps, len(transform))[chosen] * factor
+        step = KEY.steps(steps.key, len(transform))[chosen] * factor
         centres = np.median(values[chosen], axis=1, keepdims=True)
         apart = (values[chosen] - centres) / self.factors
         sizes, decoded = encode_and_decode(apart[None], step, key_codec(PRESET))

@@ -17,7 +17,7 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.references import fault_of
-from airgs_codec.package.tables import MAX_BITS, MAX_CHOICES, Region, World
+from airgs_codec.package.tables import GRID_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.beside import MEASURES
 
 
@@ -251,7 +251,7 @@ class EncodeSettings:
     def coarser(self) -> tuple[int, ...]:
         """For each key quality the power of 2 by which its cells of canonical means are wider than the finest."""
         powers = [round(CELL_GROWTH * math.log2(factor / self.key_factors[0])) for factor in self.key_factors]
-        return tuple(min(power, MAX_BITS) for power in itertools.accumulate(powers, max))
+        return tuple(min(power, GRID_BITS) for power in itertools.accumulate(powers, max))
 
     @property
     def row_error(self) -> float | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -20,14 +21,17 @@ from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.analysis.sight import DATAPARSER, SEEN, in_trained_frame, see, seeing
 from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.coding.quantize import UncodableError
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.package.parse import check_written
 from airgs_codec.package.region import (
     DECIDING,
     MEASURING,
     draw_views,
     up_of,
     with_background,
+    world_at,
     world_from,
     world_words,
 )
@@ -36,7 +40,7 @@ from airgs_codec.render import Camera
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.render.compare import View
 from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.camera import resized, training_views
+from airgs_codec.scene.camera import cameras_from, resized, training_views
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -46,6 +50,8 @@ SMALL_PIXELS = 110_000  # of a picture, at most: of small ones twice as many dec
 LOOKED_AT = 3  # frames, where no camera is given
 DISTANCE = 3.0  # world units, from which scenes of scale 1 are mostly looked at
 DRAWS = 240  # views that are drawn; groups and segments take them in turn
+
+UNBOUNDED = ("means", "log_scales", "sh_dc", "sh_rest")  # attributes whose numbers may be of any size
 
 Pictures = list[View]  # a frame is its place in its group, or its number in the sequence
 
@@ -120,7 +126,7 @@ def plan_views(sequence: GaussianSequence, settings: EncodeSettings) -> ViewPlan
         settings.decide_pictures,
         margin=settings.margin,
         region=settings.region,
-        world=settings.world,
+        world=settings.world and world_at(settings.world, sequence.origin),
         renderer=open_renderer(settings.device),
     )
 
@@ -157,10 +163,11 @@ def _given(sequence: GaussianSequence, middle: Gaussians, renderer: Renderer) ->
     path, notes = sequence.cameras_path, []
     sight = see(sequence.cameras, middle, renderer)
     for moves in {place / DATAPARSER for place in (sequence.folder, path.parent if path else sequence.folder)}:
-        if (
-            moves.is_file()
-            and (other := see(in_trained_frame(sequence.cameras, moves), middle, renderer)).share > sight.share
-        ):
+        if not moves.is_file():
+            continue
+        trained = in_trained_frame(cameras_from(np.negative(sequence.origin), sequence.cameras), moves)
+        other = see(cameras_from(sequence.origin, trained), middle, renderer)
+        if other.share > sight.share:
             sight = other
             notes.append(f"cameras are moved to where the Gaussians are, as {moves.name} says")
     if sight.share < SEEN:
@@ -176,8 +183,10 @@ def _draw(
 ) -> ViewPlan:
     """Draws from a region; where it has no extent, every draw is a place, and held-out cameras measure instead.
 
-    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are.
+    Draws that show nothing of the middle frame are passed over. Raises ConfigError where all are, FormatError for a
+    region that no reader would take.
     """
+    check_written(region)
     point = all(place.reach == 0 for place in region.places) and region.turn == 0
     share = (DECISION_PIXELS / (region.width * region.height)) ** 0.5
     deciding, measuring = (seeing(draw_views(region, DRAWS, seed), middle, renderer) for seed in (DECIDING, MEASURING))
@@ -212,6 +221,26 @@ class GroupSpan:
     def middle(self) -> int:
         """Number of the frame in its middle."""
         return self.start + (self.stop - self.start) // 2
+
+
+@contextmanager
+def naming_farthest(sequence: GaussianSequence, span: GroupSpan) -> Iterator[None]:
+    """Nothing; where the block finds a value of a group that no code holds, the error names the most extreme number."""
+    try:
+        yield
+    except UncodableError as error:
+        numbers = [_farthest(sequence, frame, name) for frame in range(span.start, span.stop) for name in UNBOUNDED]
+        away, where = max(numbers)
+        raise SceneError(f"{where} is {away:g} from the others: {error}") from error
+
+
+def _farthest(sequence: GaussianSequence, frame: int, attribute: str) -> tuple[float, str]:
+    """How far the number of an attribute that is farthest from the others is from them, and where it stands."""
+    rows = getattr(replace(sequence, orders={}).read(frame), attribute).astype(np.float64)
+    rows = np.where(np.isfinite(rows), rows, 0).reshape(len(rows), -1)
+    away = np.abs(rows - np.median(rows, axis=0)).max(axis=1, initial=0)
+    row = int(away.argmax())
+    return float(away[row]), f"frame {frame} ({sequence.paths[frame].name}): {attribute} of row {row}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,6 +40,7 @@ from airgs_codec.package.tables import (
     SegmentLevel,
     file_entry,
 )
+from airgs_codec.scene.origin import ZERO, Origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,6 +100,7 @@ class Provenance:
     settings: EncodeSettings
     region: tables.Region
     world: tables.World | None
+    origin: Origin
     views: tables.Views
     attribution: str
     decisions: Sequence[str]  # about views and groups
@@ -123,6 +125,7 @@ def build_manifest(about: Provenance, clock: Clock, shared: Files, groups: Group
         state_gain=qp_step(STATE_QP),
         region=about.region,
         world=about.world,
+        origin=None if about.origin == ZERO else list(about.origin),
         poster=shared[POSTER_NAME],
         views=about.views,
         qualities=[

@@ -133,6 +133,7 @@ def _track(
     record = run.model.record
     found = open_sequence(folder, fps=sequence.fps)
     given = replace(found, cameras=sequence.cameras, cameras_path=sequence.cameras_path, alone=True)
+    given = replace(given, origin=sequence.origin, stored_at=sequence.origin)
     starts = record.keyframes()
     shown = [frame.psnr for frame in record.frames]
     worst = int(np.argmin(shown))

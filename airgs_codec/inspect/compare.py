@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import argument, brief
 from airgs_codec._report import table
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.sides import Side, before_both, expect_same_rate, is_package, shared_views, side_of, splits_of
+from airgs_codec.inspect.sides import Side, before_both, comparable, is_package, shared_views, side_of, splits_of
 from airgs_codec.media.image import contact_sheet, to_bytes
 from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr, squared_error
 from airgs_codec.package.manifest import Manifest, pooled_quality
@@ -162,14 +162,14 @@ def compare(
     """How near a scene or package is to another, each open or at a path: what `airgs-manifest compare` tells.
 
     `rung`: key quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
-    `frames` are by default all that both have; `cameras` those that `shared_views` finds. `progress`: a function, or a
-    class of bars such as tqdm.auto.tqdm. Raises ConfigError for a rung
-    or frames that are not there and for frame rates that differ, and what reading either raises.
+    `frames` are by default all that both have; `cameras` those that `shared_views` finds, from the
+    origin of the reference. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. Raises ConfigError for a
+    rung or frames that are not there and for frame rates that differ, and what reading either raises.
     """
     first, second = _opened("reference", reference), _opened("compared", compared)
     rungs = (None, rung) if isinstance(second, Package) else (rung, None)
     a, b = side_of(first, "reference", rungs[0]), side_of(second, "compared", rungs[1])
-    expect_same_rate(a, b)
+    a, b = comparable(a, b)
     both = range(min(a.frames, b.frames))
     numbers = both if frames is None else argument("frames", frames, range, "a range")
     if not numbers or numbers[0] not in both or numbers[-1] not in both:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
 from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
 from airgs_codec.coding.quantize import scale_codes
@@ -21,11 +23,11 @@ from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segm
 from airgs_codec.decoder.states import decode_pictures, state_units
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import STATE, Layout, key_layout
-from airgs_codec.package.package import Package
+from airgs_codec.package.package import OPENED, Package, open_package
 from airgs_codec.package.tables import STATIC, Group
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mean_frame, mix_rows, to_matrices
-from airgs_codec.scene.sequence import GaussianSequence
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 NEAREST = 4  # originals of which a row may be one
 FEATURES = (3, 3, 9, 1, 3)  # numbers of each attribute that rows are matched by: rotations as matrices, of colours DC
@@ -43,23 +45,63 @@ class Measured:
     ambiguous: int  # rows left out: more of them than there are such originals are matched with one
 
 
+def input_rows(
+    package: Package | str | Path,
+    original: GaussianSequence | str | Path,
+    start: int,
+    stop: int,
+    *,
+    level: str | int = "L0",
+) -> Iterator[NDArray[np.int32]]:
+    """For each of the frames that `decode_frames` gives, (N,) which row of the original's frame every row is.
+
+    It is found by what the rows are, as `measure_errors` does; -1 where the original has no such row, or several
+    would do. Raises ConfigError, FormatError, SceneError.
+    """
+    package = argument("package", package, Package, OPENED, open_package)
+    given = argument("original", original, GaussianSequence, "an open sequence or the path of one", open_sequence)
+    tiers = package.manifest.levels[package.manifest.level_index(level)].tiers
+    sequence = _in_order(package, given)
+    for index, group in enumerate(package.manifest.groups):
+        if numbers := range(max(start, group.start), min(stop, group.stop)):
+            base = decode_canonical(package, index, 0)
+            rows, sure = _match(package, index, group, base, _frames(package, group, sequence))
+            sure &= np.bincount(rows)[rows] == 1
+            found = np.where(sure, rows, -1).astype(np.int32)[: sum(tier.count for tier in group.tiers[:tiers])]
+            for number in numbers:
+                order = sequence.orders.get(number)
+                yield found if order is None else np.where(found < 0, -1, order[found])
+
+
 def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
     """Every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError.
 
     Rows of the sequence that lost their order are matched again as the encoder did.
     """
+    sequence = _in_order(package, sequence)
+    for index, group in enumerate(package.manifest.groups):
+        frames = _frames(package, group, sequence)
+        base = decode_canonical(package, index, 0)
+        rows, sure = _match(package, index, group, base, frames)
+        originals = [g.take(rows) for g in frames]
+        yield from _keys(package, index, group, base, mean_frame(frames).take(rows), sure)
+        yield from _states(package, index, base, originals, sure)
+
+
+def _in_order(package: Package, sequence: GaussianSequence) -> GaussianSequence:
+    """The original as the encoder took it: from the package's origin, with rows in order. Raises ConfigError."""
     m = package.manifest
     if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
         expected = f"{sequence.name_of(sequence.folder)}: expected {m.frames} frames of SH degree {m.sh_degree}"
         raise ConfigError(f"{expected} or more, got {len(sequence)} of {sequence.sh_degree}")
-    sequence = restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
-    for index, group in enumerate(m.groups):
-        frames = [g.with_degree(m.sh_degree) for g in turn_least(sequence.load(range(group.start, group.stop))).frames]
-        base = decode_canonical(package, index, 0)
-        rows, sure = _match(package, index, group, base, _held(frames))
-        originals = [g.take(rows) for g in frames]
-        yield from _keys(package, index, group, base, mean_frame(originals), sure)
-        yield from _states(package, index, base, originals, sure)
+    sequence = sequence.at_origin(package.origin)
+    return restore_rows(sequence, m.generator.settings.get("rows", AUTO)).sequence
+
+
+def _frames(package: Package, group: Group, sequence: GaussianSequence) -> list[Gaussians]:
+    """The frames of a group as the encoder took them."""
+    frames = turn_least(sequence.load(range(group.start, group.stop))).frames
+    return [frame.with_degree(package.manifest.sh_degree) for frame in frames]
 
 
 def _held(frames: list[Gaussians]) -> list[Gaussians]:
@@ -79,7 +121,7 @@ def _match(
     package: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """(N,) original of every row; (N,) False where more rows have it than there are such originals."""
-    m = package.manifest
+    m, frames = package.manifest, _held(frames)
     picks = sorted({0, len(frames) // 2, len(frames) - 1})
     decoded: list[Gaussians] = []
     for number in (group.start + pick for pick in picks):
@@ -147,7 +189,7 @@ def _keys(
     layout, keeps, known = key_layout(group), m.base_of(index), sure
     for q, quality in enumerate(m.qualities):
         if keeps is None:
-            values = key_channels(original, base.transform, group.key_steps)
+            values = key_channels(original, base.transform, group.key_steps, group.grid.unit)
         else:
             kept = decode_canonical(package, keeps, q)
             values, drawn = frame_channels(original, kept, group.difference_steps)

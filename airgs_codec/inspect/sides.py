@@ -16,14 +16,15 @@ from airgs_codec.media.metrics import Quality
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import pooled_quality
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.region import CHECKING, background_of, draw_views
+from airgs_codec.package.region import CHECKING, background_of, draw_views, from_origin
 from airgs_codec.package.tables import Region
 from airgs_codec.places.place import is_address, place_at
 from airgs_codec.render import Camera
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME
-from airgs_codec.scene.camera import BLACK, UP, Background, orbit_views, with_near_planes
+from airgs_codec.scene.camera import BLACK, UP, Background, cameras_from, orbit_views, with_near_planes
 from airgs_codec.scene.formats.form import Axes
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.origin import ZERO, Origin
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 DRAWS = 8  # views of a region
@@ -40,6 +41,7 @@ class Side:
     bytes_per_frame: float  # of a package what a viewer of the rung fetches: keys, states and all tables
     cameras: tuple[Camera, ...]
     region: Region | None
+    origin: Origin  # in the world, that cameras, region and frames are from
     background: Background  # what is seen behind it
     axes: Axes | None  # of a scene that says which way is up
     claimed: Quality | None  # of the rung, as the tables have it
@@ -50,6 +52,19 @@ class Side:
         """The last part of its name, and the rung."""
         last = Path(self.name).name or self.name
         return f"{last} {self.rung}" if self.rung else last
+
+
+def _at_origin(side: Side, origin: Origin) -> Side:
+    if side.origin == origin:
+        return side
+    away = np.subtract(origin, side.origin)
+    return replace(
+        side,
+        origin=origin,
+        cameras=cameras_from(away, side.cameras),
+        region=side.region and from_origin(side.region, away),
+        read=lambda frames: (frame.placed(-away, 1.0) for frame in side.read(frames)),
+    )
 
 
 def is_package(place: str) -> bool:
@@ -95,6 +110,7 @@ def _of_package(name: str, package: Package, rung: str) -> Side:
         bytes_per_frame=rung_bytes(m, q, j, package.manifest_bytes) / m.frames,
         cameras=(),
         region=m.region,
+        origin=package.origin,
         background=background_of(m.region),
         axes=None,
         claimed=pooled_quality(m, j, q),
@@ -114,6 +130,7 @@ def _of_scene(name: str, sequence: GaussianSequence) -> Side:
         bytes_per_frame=sum(map(_size, set(sequence.paths)) if sequence.paths[0].exists() else held) / len(sequence),
         cameras=sequence.cameras,
         region=None,
+        origin=sequence.origin,
         background=sequence.background,
         axes=sequence.axes,
         claimed=None,
@@ -146,10 +163,12 @@ def rung_frames(package: Package, frames: range, level: str, key_quality: str) -
             yield frame.gaussians
 
 
-def expect_same_rate(a: Side, b: Side) -> None:
-    """Raise ConfigError where both state frame rates that differ; a single frame has none that matters."""
+def comparable(a: Side, b: Side) -> tuple[Side, Side]:
+    """Both from one origin. Raises ConfigError where both state frame rates that differ; a single frame has none."""
     if a.fps and b.fps and a.fps != b.fps and min(a.frames, b.frames) > 1:
         raise ConfigError(f"{b.name}: expected {float(a.fps):g} frames a second as {a.name}, got {float(b.fps):g}")
+    origin = b.origin if a.origin == ZERO else a.origin
+    return _at_origin(a, origin), _at_origin(b, origin)
 
 
 def left_out(a: Side, b: Side) -> list[str]:

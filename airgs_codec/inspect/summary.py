@@ -37,7 +37,6 @@ class GroupSummary:
     static: int  # rows that no level carries
     unused: int  # Gaussians that no view uses: not written
     segments: int
-    grid_bits: int
     keeps: int | None  # the earlier group, from 1, that its key is a difference to
 
 
@@ -93,6 +92,7 @@ class Summary:
     package_bytes: int
     region: RegionSummary
     world: World | None
+    origin: tuple[float, ...]  # (3,) in the world; empty: zero
     background: tuple[float, ...]  # r, g, b of [0, 1]; empty: black
     views: Views
     groups: tuple[GroupSummary, ...]
@@ -121,6 +121,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         package_bytes=manifest_bytes + m.media_bytes(),
         region=RegionSummary.of(m.region),
         world=m.world,
+        origin=tuple(m.origin or ()),
         background=tuple(m.region.background or ()),
         views=m.views,
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
@@ -143,7 +144,7 @@ def _sound(m: Manifest) -> SoundSummary | None:
 
 def _group(m: Manifest, index: int) -> GroupSummary:
     g = m.groups[index]
-    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.grid.bits, g.keeps)
+    return GroupSummary((g.start, g.stop), g.count, g.static, g.unused, len(g.segments), g.keeps)
 
 
 def _key(m: Manifest, tier: int, quality: int) -> KeySummary:
@@ -333,6 +334,7 @@ def _head(s: Summary) -> list[str]:
         f"viewing region {s.region.words}",
         f"views of {s.region.views}",
         world_words(s.world),
+        *([f"origin: positions are from ({', '.join(f'{value:.15g}' for value in s.origin)})"] if s.origin else []),
         *([f"sound: Opus, {s.sound.form}, {s.sound.mean_bps / 1e3:.0f} kbit/s"] if s.sound else []),
         *([f"background: {', '.join(f'{value:g}' for value in s.background)}"] if s.background else []),
         f"decided on {v.decided} pictures of each group; "

@@ -15,14 +15,16 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.decoder.sound import decode_group
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
-from airgs_codec.media.h264 import BRIGHTEST, DARKEST, in_range, open_segment
-from airgs_codec.package.layout import JSON_NAME, MPD_NAME, group_path
+from airgs_codec.media.h264 import BRIGHTEST, DARKEST, check_segment, in_range, open_segment
+from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME, belongs, group_path
+from airgs_codec.package.media_check import check_shared, check_sound
 from airgs_codec.package.mpd import still_files
 from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import Package, find_file, open_files, read_file
 from airgs_codec.package.parse import MAX_TABLE_BYTES
 from airgs_codec.package.tables import Atlas, file_entry
 from airgs_codec.places.place import Place, place_at
+from airgs_codec.places.whole import finished_path
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -64,6 +66,8 @@ def validate_files(files: Place) -> list[Finding]:
     findings += _attempt(MPD_NAME, partial(_check_mpd, package))
     if not findings:  # broken files would only repeat themselves
         findings = list(_check_decoding(package))
+        for path in package.manifest.shared_files():
+            findings += _attempt(path, partial(check_shared, package, path))
     return findings
 
 
@@ -121,17 +125,20 @@ def _check_files(package: Package) -> Iterator[Finding]:
         yield from _attempt(relative, partial(read_file, package.files, relative, file_entry(data)))
     for relative in package.files.paths():
         if relative not in listed | stills.keys() | {JSON_NAME, MPD_NAME}:
-            yield _check_stranger(package, relative)
+            yield from _check_stranger(package, relative)
 
 
-def _check_stranger(package: Package, relative: str) -> Finding:
-    """A file that is not listed, or a link, or what is neither."""
+def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
+    """A file that is not listed, or a link, or what is neither; but not what a run that was killed may leave."""
     try:
-        package.files.open(relative)
+        found = package.files.open(relative)
     except FormatError as error:
-        if error.reason == "unsafe_path":
-            return _finding(error)
-    return Finding("foreign_file", relative, "not listed in the tables")
+        yield _finding(error)
+        return
+    finished = finished_path(relative)
+    left = finished == POSTER_NAME or (finished != relative and belongs(finished))
+    if found is None or not left:
+        yield Finding("foreign_file", relative, "not listed in the tables")
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:
@@ -146,7 +153,7 @@ def _check_measures(package: Package) -> Iterator[Finding]:
 def _check_decoding(package: Package) -> Iterator[Finding]:
     m = package.manifest
     for g in range(len(m.groups)):
-        yield from _attempt(f"group {g}", partial(decode_group, package, g))
+        yield from _attempt(f"group {g}", partial(_decode_sound, package, g))
         for q in range(len(m.qualities)):
             yield from _attempt(f"group {g}", partial(_decode_key, package, g, q))
         try:
@@ -159,28 +166,37 @@ def _check_decoding(package: Package) -> Iterator[Finding]:
                 yield from _attempt(f"segment {s}", partial(_decode_state, package, s, j, base))
 
 
+def _decode_sound(package: Package, group: int) -> None:
+    decode_group(package, group)
+    check_sound(package, group)
+
+
 def _decode_key(package: Package, group: int, quality: int) -> None:
     with np.errstate(all="ignore"):  # _expect_finite says it better
         base = decode_canonical(package, group, quality)
         _expect_finite(base.to_gaussians(), f"group {group} Q{quality}")
-    for t, tier in enumerate(package.manifest.groups[group].tiers):
-        for media in package.manifest.key_files(group, t, quality)[1:]:
-            _expect_pictures(package, media, tier.qualities[quality], 1)
+    m, entry = package.manifest, package.manifest.groups[group]
+    start, lasts = (frame * m.frame_ticks for frame in (entry.start, entry.stop - entry.start))
+    for t, tier in enumerate(entry.tiers):
+        for media in m.key_files(group, t, quality)[1:]:
+            _expect_pictures(package, media, tier.qualities[quality], 1, False)
+            check_segment(package.read(media), media, start, lasts, tier.qualities[quality].pages, False)
 
 
 def _decode_state(package: Package, index: int, level: int, base: Canonical) -> None:
     m = package.manifest
     segment = m.segments[index]
-    length = segment.stop - segment.start
+    length, lined = segment.stop - segment.start, bool(segment.levels[level].line)
     for media in m.state_files(index, level):
         with np.errstate(all="ignore"):
             for frame in decode_segment(package, index, base, level, range(length)):
                 _expect_finite(frame, media)
         atlas = m.groups[m.group_of(index)].levels[level]
-        _expect_pictures(package, media, atlas, length, bool(segment.levels[level].line))
+        _expect_pictures(package, media, atlas, length, lined)
+        check_segment(package.read(media), media, segment.start * m.frame_ticks, m.frame_ticks, atlas.pages, lined)
 
 
-def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, lined: bool = False) -> None:
+def _expect_pictures(package: Package, media: str, atlas: Atlas, count: int, lined: bool) -> None:
     _, pictures = open_segment(package.read(media), media, atlas.pages)
     inside = [in_range(picture) for picture in (itertools.chain(*pictures.cut()) if lined else pictures)]
     if len(inside) != count + lined:

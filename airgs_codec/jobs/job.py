@@ -224,13 +224,14 @@ def perform(store: Store, job: Job) -> Record:
 def load(store: Store, entry: str, trusted: tuple[str, ...] = OWN) -> tuple[Any] | None:
     """The result of a job; None where it is not there, which a result of None is not.
 
-    One that is no value, or of a dataclass that is no more, is removed. `trusted` as `places.results.unpack` takes it.
+    One that is no value, or of a dataclass that is no more, is removed, and said. `trusted` as
+    `places.results.unpack` takes it.
     """
     data = store.read(entry)
     try:
         return None if data is None else (unpack(data, trusted),)
     except ValueError:
-        store.delete(entry)
+        store.discard(entry)
         return None
 
 

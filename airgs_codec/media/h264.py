@@ -19,7 +19,19 @@ from numpy.typing import NDArray
 
 from airgs_codec._settings import available_cores
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.mp4 import CodedPicture, media_segment, read_samples, read_segment, start_codes, with_own_box
+from airgs_codec.media.mp4 import (
+    LEVEL,
+    PROFILE,
+    CodedPicture,
+    check_boxes,
+    media_segment,
+    read_boxes,
+    read_samples,
+    read_segment,
+    start_codes,
+    units_of,
+    with_own_box,
+)
 
 DEFAULT_PRESET = "veryslow"
 PRESETS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
@@ -37,6 +49,12 @@ BETWEEN = 3  # B-pictures in a row between states
 _IDR = 5  # type of the NAL units of an IDR picture
 _SLICES = (1, _IDR)  # of all pictures
 _SEI = 6  # type of the NAL unit in which x264 repeats its version and options in every stream
+_PARAMETERS = [7, 8]  # types of the NAL units of an SPS and of a PPS
+_PROFILES = (66, 77, PROFILE)  # Baseline and Main ask a decoder of High for nothing more
+_LEVELS = {  # most macroblocks of a picture, by level
+    10: 99, 11: 396, 12: 396, 13: 396, 20: 396, 21: 792, 22: 1620, 30: 1620, 31: 3600, 32: 5120, 40: 8192, 41: 8192,
+    42: 8704, 50: 22_080, LEVEL: 36_864,
+}  # fmt: skip
 
 
 def qp_step(qp: int) -> float:
@@ -257,20 +275,23 @@ class Pictures:
     def _decode_page(self, first: int, length: int) -> Iterator[NDArray[np.uint8]]:
         """(H, W) luma of each picture of the page with these samples."""
         checksums = None if self.checksums is None else self.checksums[first:][:length]
-        for number, luma in enumerate(_decode(self.samples[first:][:length], self.where)):
+        for number, frame in enumerate(_decode(self.samples[first:][:length], self.where)):
+            luma = _luma(frame, self.where)
             if checksums is not None and (number >= len(checksums) or crc32(luma.data) != checksums[number]):
                 raise FormatError("bad_picture", self.where, f"picture {number} differs from its checksum")
             yield luma
 
 
-def _decode(samples: Sequence[bytes], where: str) -> Iterator[NDArray[np.uint8]]:
-    """(H, W) luma of each picture, without gaps between lines. Raises FormatError(bad_picture)."""
+def _decode(samples: Sequence[bytes], where: str) -> Iterator[av.VideoFrame]:
+    """Each picture in display order; its `pts` is the place of its sample. Raises FormatError(bad_picture)."""
     try:
         context = av.CodecContext.create("h264", "r")
         context.thread_count = 1
-        for sample in [*samples, None]:
-            for frame in context.decode(None if sample is None else av.Packet(start_codes(sample))):
-                yield _luma(frame, where)
+        for number, sample in enumerate([*samples, None]):
+            packet = None if sample is None else av.Packet(start_codes(sample))
+            if packet:
+                packet.pts = number
+            yield from context.decode(packet)
     except (av.FFmpegError, CodecError) as error:
         raise FormatError("bad_picture", where, f"expected H.264: {error}") from error
 
@@ -287,7 +308,54 @@ def open_segment(media: bytes, where: str, pages: int = 1) -> tuple[bytes | None
     return segment.columns, Pictures(segment.samples, where, pages, segment.checksums)
 
 
+def check_segment(media: bytes, where: str, start: int, ticks: int, pages: int, slopes: bool) -> None:
+    """Raise FormatError(bad_picture) unless a media segment is built as `encode_gop` builds it, and plays anywhere.
+
+    Pictures have `pages`, begin at `start` and last `ticks` each; one of `slopes` may stand in front of them.
+    """
+    try:
+        coded = _read_coded(read_segment(media).samples, where)
+        frames = len(coded) // pages - slopes
+        begins = [*range(pages * slopes), *range(pages * slopes, len(coded), frames)]
+        if [place for place, picture in enumerate(coded) if picture.idr] != begins:
+            raise CodecError(f"expected IDR pictures as the samples {begins[:8]} alone")
+        _, *fragment = (whole for _, whole in read_boxes(media))
+        check_boxes(media_segment(coded, start, ticks, pages * slopes), b"".join(fragment))
+    except CodecError as error:
+        raise FormatError("bad_picture", where, str(error)) from error
+
+
+def _read_coded(samples: Sequence[bytes], where: str) -> list[CodedPicture]:
+    """The samples of a segment with their places in display order, as a decoder finds them, whatever boxes say.
+
+    Raises CodecError for what is neither a slice nor a parameter set, and for those that some decoder refuses.
+    """
+    shown = {frame.pts: (number, frame) for number, frame in enumerate(_decode(samples, where))}
+    coded = []
+    for place, sample in enumerate(samples):
+        units = units_of(sample)
+        kinds = [unit[0] & 31 for unit in units]
+        idr = _IDR in kinds
+        front = _PARAMETERS if idr else []
+        if kinds != [*front, *(_SLICES[idr] for _ in kinds[len(front) :])]:
+            raise CodecError(f"sample {place}: expected slices, parameter sets before an IDR, got units {kinds[:8]}")
+        if any(unit.endswith((b"\0", b"\0\0\3")) for unit in units):
+            raise CodecError(f"sample {place}: expected NAL units without zeros at the end")
+        if place not in shown:
+            raise CodecError(f"sample {place}: expected a picture, got none")
+        number, frame = shown[place]
+        if frame.color_range != FULL_RANGE:
+            raise CodecError(f"sample {place}: expected samples of full range")
+        _, profile, _, level = units[0][:4].ljust(4) if idr else (0, PROFILE, 0, LEVEL)
+        if profile not in _PROFILES or _LEVELS.get(level, 0) * 256 < frame.width * frame.height:
+            expected = f"expected a profile of {_PROFILES} and a level up to {LEVEL} for {frame.width}x{frame.height}"
+            raise CodecError(f"sample {place}: {expected}, got {profile} and {level}")
+        coded.append(CodedPicture(sample, number, len(sample), idr))
+    return coded
+
+
 def _luma(frame: av.VideoFrame, where: str) -> NDArray[np.uint8]:
+    """(H, W) luma of a picture, without gaps between lines. Raises FormatError(bad_picture)."""
     if frame.format.name not in ("yuv420p", "yuvj420p"):
         raise FormatError("bad_picture", where, f"expected 8-bit 4:2:0, got {frame.format.name}")
     plane = frame.planes[0]

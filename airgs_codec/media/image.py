@@ -11,7 +11,7 @@ from typing import TypeVar
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, SceneError
@@ -20,6 +20,10 @@ from airgs_codec.places.whole import atomic_path
 Value = TypeVar("Value")
 
 WIDEST = np.radians(120)  # along the longer side of undistorted pictures
+NARROWER = np.geomspace(1, 32, 64)  # focal lengths that are tried from there on, in its own
+LEAST_USED = 0.25  # pixels of a taken picture for one of the undistorted, along a line through its middle
+SLACK = 0.01  # of a side, by which OpenCV's estimates of what was seen err
+LOOKED_AT = 48  # places along a side, at which a lens is tried
 # OpenCV counts pixel centres from 0, we have the first at 0.5: added to a matrix of theirs, it gives ours.
 TO_CENTRES = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
 ORIENTATION = 0x0112  # of EXIF; 1: as it is stored
@@ -115,9 +119,22 @@ def _samples(picture: Image.Image) -> NDArray[np.uint8]:
 
 def decode_webp(data: bytes) -> NDArray[np.uint8]:
     """(H, W, 4) samples of lossless WebP exactly as they are stored. Raises ValueError for what is broken."""
+    return _decode(data, "WEBP")
+
+
+def decode_jpeg(data: bytes, most: int) -> NDArray[np.uint8]:
+    """(H, W, 4) samples of a JPEG of up to `most` pixels a side. Raises ValueError for what is broken, or larger."""
+    return _decode(data, "JPEG", most)
+
+
+def _decode(data: bytes, form: str, most: float = np.inf) -> NDArray[np.uint8]:
     try:
-        with Image.open(io.BytesIO(data), formats=("WEBP",)) as picture:
+        with Image.open(io.BytesIO(data), formats=(form,)) as picture:
+            if max(picture.size) > most:
+                raise ValueError(f"at most {most} pixels a side, got {picture.size[0]}x{picture.size[1]}")
             return np.asarray(picture.convert("RGBA"))
+    except UnidentifiedImageError as error:
+        raise ValueError("got something else") from error
     except Exception as error:  # whatever a decoder comes upon in a broken file
         raise ValueError(" ".join(str(error).split())[:200]) from error
 
@@ -173,6 +190,28 @@ class Lens:
     coefficients: NDArray[np.float64]  # OpenCV's k1 k2 p1 p2 [k3 k4 k5 k6], or k1..k4 of a fisheye
     fisheye: bool
     pinhole: NDArray[np.float64]  # (3, 3) intrinsics of the undistorted picture
+    cut: bool = False  # whether it shows less than could be undistorted
+
+    def maps(self, size: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Where OpenCV finds each pixel of the undistorted picture, at this (width, height), in the taken one: x and
+        y, (H, W) each.
+        """
+        scale = np.diag([size[0] / self.size[0], size[1] / self.size[1], 1])
+        given = self.matrix - TO_CENTRES, self.coefficients, np.eye(3), scale @ self.pinhole - TO_CENTRES
+        make = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
+        x, y = make(*given, size, cv2.CV_32FC1)
+        return np.asarray(x, np.float32), np.asarray(y, np.float32)
+
+    def sees(self) -> bool:
+        """Whether the taken picture has each pixel of the undistorted one, as its neighbours' neighbour, and shows
+        enough there.
+        """
+        (width, height), (x, y) = self.size, self.maps((LOOKED_AT, LOOKED_AT))
+        (down_x, along_x), (down_y, along_y) = np.gradient(x), np.gradient(y)
+        areas = (along_x * down_y - down_x * along_y) * LOOKED_AT**2 / (width * height)
+        inside = (np.abs(x / width - 0.5) <= 0.5 + SLACK) & (np.abs(y / height - 0.5) <= 0.5 + SLACK)
+        middle = areas.ravel()[areas.size // 2 + LOOKED_AT // 2]
+        return bool(inside.all() and (areas > 0).all() and middle >= LEAST_USED**2)
 
 
 def fit_lens(
@@ -180,34 +219,34 @@ def fit_lens(
 ) -> Lens:
     """The lens whose pinhole camera is the widest of the same size all of whose pixels the real camera saw.
 
-    It sees WIDEST at most: towards 180 degrees a pinhole camera would show next to nothing in its middle. `size` is
-    (width, height), `matrix` (3, 3), `coefficients` are OpenCV's of the model.
+    It sees WIDEST at most: towards 180 degrees a pinhole camera would show next to nothing in its middle. It ends, too,
+    where the lens would show something twice. `size` is (width, height), `matrix` (3, 3), `coefficients` are OpenCV's
+    of the model. Raises ValueError where no such camera sees anything.
     """
+    given = matrix - TO_CENTRES, coefficients
+    middle = np.array([[[size[0] / 2, size[1] / 2]]]) - 0.5
     if fisheye:
-        new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            matrix - TO_CENTRES, coefficients, size, np.eye(3), balance=0.0
-        )
+        new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(*given, size, np.eye(3), balance=0.0)
+        ahead = cv2.fisheye.undistortPoints(middle, *given).ravel()
     else:
-        new, _ = cv2.getOptimalNewCameraMatrix(matrix - TO_CENTRES, coefficients, size, 0)
+        new, _ = cv2.getOptimalNewCameraMatrix(*given, size, 0)
+        ahead = cv2.undistortPoints(middle, *given).ravel()
+    found = Lens(size, matrix, coefficients, fisheye, new + TO_CENTRES)
     least = max(size) / 2 / np.tan(WIDEST / 2)
-    if not new[0, 0] >= least:  # NaN, too
-        across = matrix[1, 1] / matrix[0, 0]
-        new = np.array([[least, 0, size[0] / 2], [0, least * across, size[1] / 2], [0, 0, 1]]) - TO_CENTRES
-    return Lens(size, matrix, coefficients, fisheye, new + TO_CENTRES)
+    if new[0, 0] >= least and found.sees():
+        return found
+    for focal in least * NARROWER:
+        fx, fy = focal, focal * matrix[1, 1] / matrix[0, 0]
+        pinhole = np.array([[fx, 0, size[0] / 2 - fx * ahead[0]], [0, fy, size[1] / 2 - fy * ahead[1]], [0, 0, 1]])
+        found = Lens(size, matrix, coefficients, fisheye, pinhole, cut=True)
+        if found.sees():
+            return found
+    raise ValueError("expected a lens that shows what is before it, once")
 
 
 def undistort(picture: NDArray[np.float32], lens: Lens) -> NDArray[np.float32]:
     """(H, W, C) resampled to what the pinhole camera of `lens` would have seen."""
-    maps = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
-    arguments = (
-        lens.matrix - TO_CENTRES,
-        lens.coefficients,
-        np.eye(3),
-        lens.pinhole - TO_CENTRES,
-        lens.size,
-        cv2.CV_32FC1,
-    )
-    return np.asarray(cv2.remap(picture, *maps(*arguments), cv2.INTER_LINEAR), np.float32)
+    return np.asarray(cv2.remap(picture, *lens.maps(lens.size), cv2.INTER_LINEAR), np.float32)
 
 
 def resize(picture: NDArray[np.float32], width: int, height: int) -> NDArray[np.float32]:

@@ -36,6 +36,7 @@ _SYNC, _OTHER = 0x02000000, 0x01010000  # sample flags: depends on nothing; depe
 _GREY = base64.b64decode(  # an IDR picture of 64x64 grey samples with its parameter sets: a sample of a track of H.264
     "AAAAF2dkAAqstCE02QAAAwABAAADADwPEiagAAAABWjvAzywAAAAGGWIhK/+9dnjxcMJ25ojZkJMaU8x1QMnGw=="
 )
+_PARENTS = (b"moof", b"traf", b"moov", b"trak", b"edts", b"mdia", b"minf", b"dinf", b"stbl", b"mvex")  # boxes of boxes
 _UNITY = struct.pack(">9I", 0x10000, 0, 0, 0, 0x10000, 0, 0, 0, 0x40000000)  # the matrix that turns nothing
 
 
@@ -93,19 +94,39 @@ def read_start(fragment: bytes) -> int:
     return int(_unpack(">Q", _child(_child(moof[HEADER:], b"traf")[HEADER:], b"tfdt"), 12)[0])
 
 
-def start_codes(sample: bytes) -> bytes:
-    """A sample as a stream of its own (ISO/IEC 14496-10, Annex B): a start code in place of every length.
-
-    Raises CodecError where a NAL unit leaves the sample.
-    """
+def units_of(sample: bytes) -> list[bytes]:
+    """The NAL units of a sample, each without its length. Raises CodecError when a length leaves the sample."""
     units, at = [], 0
     while at < len(sample):
-        (size,) = _unpack(">I", sample, at)
+        size = _unpack(">I", sample, at)[0]
         if not 0 < size <= len(sample) - at - 4:
             raise CodecError(f"a NAL unit of {size} bytes at {at} of {len(sample)}")
-        units.append(b"\0\0\0\1" + sample[at + 4 : at + 4 + size])
+        units.append(sample[at + 4 : at + 4 + size])
         at += 4 + size
-    return b"".join(units)
+    return units
+
+
+def start_codes(sample: bytes) -> bytes:
+    """The NAL units of a sample as a byte stream (ISO/IEC 14496-10, Annex B). Raises CodecError as `units_of` does."""
+    return b"".join(b"\0\0\0\1" + unit for unit in units_of(sample))
+
+
+def check_boxes(expected: bytes, got: bytes, inside: str = "the file") -> None:
+    """Raise CodecError with the first box of `got`, and the number in it, that is not as in `expected`."""
+    boxes, others = read_boxes(expected), read_boxes(got)
+    if (kinds := [kind for kind, _ in boxes]) != (found := [kind for kind, _ in others]):
+        raise CodecError(f"expected the boxes {kinds} in {inside}, got {found[:8]}")
+    for (kind, box_), (_, other) in zip(boxes, others, strict=True):
+        name = kind.decode()
+        if box_ != other and kind in _PARENTS:
+            check_boxes(box_[HEADER:], other[HEADER:], name)
+        elif len(box_) != len(other):
+            raise CodecError(f"expected a box {name} of {len(box_)} bytes, got {len(other)}")
+        elif box_ != other:
+            at = next(at for at, (byte, there) in enumerate(zip(box_, other, strict=True)) if byte != there)
+            at, stop = (12, 20) if kind == b"tfdt" and at >= 12 else (at // 4 * 4, at // 4 * 4 + 4)
+            wanted, number = (int.from_bytes(data[at:stop]) for data in (box_, other))
+            raise CodecError(f"box {name}, byte {at}: expected {wanted}, got {number}")
 
 
 def _samples(moof: bytes, payload: bytes) -> Iterator[bytes]:
@@ -231,8 +252,6 @@ def still_segment(start: int, ticks: int) -> bytes:
 
     Raises CodecError where these are more than a sample can last.
     """
-    if ticks >= 1 << 32:
-        raise CodecError(f"a still segment: expected less than {1 << 32} ticks, got {ticks}")
     return media_segment([CodedPicture(_GREY, 0, len(_GREY), idr=True)], start, ticks)
 
 
@@ -252,12 +271,17 @@ def _fragment(
 ) -> bytes:
     """moof and mdat of samples from `start` on, the first a sync sample.
 
-    `defaults`: of the others, ticks and flags; `columns`: by the flag of a field of trun, its values or none.
+    `defaults`: of the others, ticks and flags; `columns`: by the flag of a field of trun, its values or none. Raises
+    CodecError for times that the fields do not hold.
     """
     flags = DATA_OFFSET | FIRST_SAMPLE_FLAGS | sum(flag for flag, column in columns.items() if column)
-    rows = [struct.pack(f">{len(row)}i", *row) for row in zip(*filter(None, columns.values()), strict=True)]
-    head = full_box(b"tfhd", _DEFAULT_BASE_IS_MOOF | _DURATION_AND_FLAGS, struct.pack(">3I", 1, *defaults))
-    head += full_box(b"tfdt", 1 << 24, struct.pack(">Q", start))
+    try:
+        rows = [struct.pack(f">{len(row)}i", *row) for row in zip(*filter(None, columns.values()), strict=True)]
+        head = full_box(b"tfhd", _DEFAULT_BASE_IS_MOOF | _DURATION_AND_FLAGS, struct.pack(">3I", 1, *defaults))
+        head += full_box(b"tfdt", 1 << 24, struct.pack(">Q", start))
+    except struct.error as error:
+        got = f"a start at {start} and {defaults[0]} a picture"
+        raise CodecError(f"a media segment: expected ticks that fit 32 bits, got {got}") from error
     moof_bytes = HEADER + 16 + HEADER + len(head) + 24 + sum(map(len, rows)) + len(groups)
     run = struct.pack(">IiI", len(rows), moof_bytes + HEADER, _SYNC)
     traf_box = box(b"traf", head, full_box(b"trun", 1 << 24 | flags, run, *rows), groups)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.errors import CodecError, SceneError
 from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, sound_init
+from airgs_codec.places.whole import expect_plain
 
 LAYOUTS = {1: "mono", 2: "stereo"}  # by channels
 BITS_S = {1: 64_000, 2: 96_000}  # of the encoder, by channels
@@ -111,6 +112,7 @@ class _Source:
         self.heard = 0  # samples until the last one of the file that was given
         self.longer = False  # whether it has others
         try:
+            expect_plain(path)
             self._container = av.open(str(path), "r")
         except (av.FFmpegError, OSError) as error:
             raise SceneError(f"{path}: expected a file with sound: {error}") from error

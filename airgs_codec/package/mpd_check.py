@@ -6,36 +6,58 @@ import re
 import xml.etree.ElementTree as ET
 
 from airgs_codec.errors import FormatError
+from airgs_codec.media.mp4 import CODECS, OPUS
 from airgs_codec.package.layout import MPD_NAME
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import CONTENT, DASH, ID, Representation, Run, Streams, append
+from airgs_codec.package.mpd import CONTENT, DASH, ID, MIN_BUFFER_S, SOUND, Representation, Run, Streams, append
 
 _XLINK = "{http://www.w3.org/1999/xlink}"
 _LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
-_ATTRIBUTES = {  # of the elements that say which file plays when; the others' are advisory
-    "SegmentTemplate": {"timescale", "startNumber", "initialization", "media"},
-    "SegmentTimeline": set[str](),
-    "S": {"t", "n", "d", "r"},
+_ATTRIBUTES = {  # that this format uses, of each element
+    "MPD": "type profiles minBufferTime mediaPresentationDuration "
+    "availabilityStartTime publishTime minimumUpdatePeriod",
+    "UTCTiming": "schemeIdUri value",
+    "Period": "id start duration",
+    "AdaptationSet": "id selectionPriority contentType mimeType codecs segmentAlignment startWithSAP",
+    "SupplementalProperty": "schemeIdUri value",
+    "Representation": "id bandwidth",
+    "SegmentTemplate": "timescale startNumber initialization media",
+    "SegmentTimeline": "",
+    "S": "t n d r",
 }
 
 
-def check_mpd(data: bytes, m: Manifest) -> None:
+def check_mpd(data: bytes, m: Manifest, streams: Streams | None = None) -> None:
     """Raise FormatError unless an MPD says what the tables say, and nothing else about files and times.
 
+    `streams`: those of all groups, where they are known; by default the table of every group is read.
     Reasons: doctype, bad_mpd, foreign_url, mpd_mismatch.
     """
     root = _parse(data)
     _check_shape(root)
     _check_duration(root, m)
+    _check_period(root)
     found = [(row, row.findall(f"{{{DASH}}}Representation")) for row in root.iter(f"{{{DASH}}}AdaptationSet")]
-    expected = [s.representations for s in Streams.of(m).sets()]
+    expected = [s.representations for s in (streams or Streams.of(m)).sets()]
     _check_ids([[r.get("id", "") for r in rows] for _, rows in found], [[r.id for r in rows] for rows in expected])
     wanted = {r.id: r for rows in expected for r in rows}
     for row, rows in found:
+        _check_kind(row, rows)
         for element in rows:
             expects = wanted[element.get("id", "")]
             if (got := _read(row, element, m, expects)) != expects:
                 raise FormatError("mpd_mismatch", f"{MPD_NAME} {expects.id}", f"expected {expects}, got {got}")
+
+
+def _check_kind(row: ET.Element, rows: list[ET.Element]) -> None:
+    """A player decides by these whether it can play an AdaptationSet, and which of its Representations."""
+    kind, codecs = ("audio", OPUS) if any(r.get("id") == SOUND for r in rows) else ("video", CODECS)
+    expected = {"contentType": kind, "mimeType": f"{kind}/mp4", "codecs": codecs}
+    if (got := {name: row.get(name) for name in expected}) != expected:
+        raise FormatError("mpd_mismatch", f"{MPD_NAME} AdaptationSet", f"expected {expected}, got {got}")
+    for r in rows:
+        if not _whole(r.get("bandwidth"), f"{MPD_NAME} {r.get('id')}"):
+            raise FormatError("bad_mpd", f"{MPD_NAME} {r.get('id')}", "expected a bandwidth above 0, got 0")
 
 
 def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
@@ -84,7 +106,7 @@ def _check_attributes(element: ET.Element) -> None:
     for attribute, value in element.attrib.items():
         if attribute.startswith(_XLINK):
             raise FormatError("foreign_url", f"{MPD_NAME} {name}", "expected no xlink")
-        if attribute not in _ATTRIBUTES.get(name, {attribute}):
+        if attribute not in _ATTRIBUTES.get(name, attribute).split():
             raise FormatError("bad_mpd", f"{MPD_NAME} {name}", f"unknown attribute {attribute!r}")
         if name == "UTCTiming" and attribute == "value" and value != MPD_NAME:
             raise FormatError("foreign_url", f"{MPD_NAME} {name}", f"expected {MPD_NAME}, got {value!r}")
@@ -119,6 +141,15 @@ def _check_duration(root: ET.Element, m: Manifest) -> None:
     seconds = float(m.frames / m.fps)
     if abs(float(text[2:-1]) - seconds) > 1e-5:
         raise FormatError("mpd_mismatch", MPD_NAME, f"expected a presentation of {seconds:.6f} s, got {text}")
+
+
+def _check_period(root: ET.Element) -> None:
+    """Where the Period begins, and how much is fetched before anything plays."""
+    (period,), text = root.findall(f"{{{DASH}}}Period"), root.get("mediaPresentationDuration")
+    got = period.get("start", "PT0S"), period.get("duration", text), root.get("minBufferTime")
+    if got != (expected := ("PT0S", text, f"PT{MIN_BUFFER_S:g}S")):
+        detail = f"expected the start and duration of the Period and minBufferTime {expected}, got {got}"
+        raise FormatError("mpd_mismatch", MPD_NAME, detail)
 
 
 def _read(row: ET.Element, element: ET.Element, m: Manifest, wanted: Representation) -> Representation:

@@ -19,7 +19,9 @@ from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_
 from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
-from airgs_codec.places.place import BUCKETS, WEB, Place, place_at
+from airgs_codec.places.place import BUCKETS, Place, is_address, place_at
+from airgs_codec.places.web import WEB, got_words, split_query
+from airgs_codec.scene.origin import ZERO, Origin
 
 if TYPE_CHECKING:  # decoding needs no cameras
     from airgs_codec.scene.camera import Camera
@@ -42,6 +44,12 @@ class Package:
     @property
     def manifest_bytes(self) -> int:
         return self.root_bytes + self.mpd_bytes + self.manifest.bytes_of(self.manifest.table_files())
+
+    @property
+    def origin(self) -> Origin:
+        """Where positions of Gaussians and cameras are from, in the world of the scene that was encoded."""
+        x, y, z = self.manifest.origin or ZERO
+        return x, y, z
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -101,10 +109,10 @@ def _player_at(address: str) -> str:
 def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
     """A file of a package whose length and digest are known; `Package.read` says what is raised."""
     size, read = find_file(files, relative)
-    if size != entry.bytes:
+    if size > max(entry.bytes, MOST_OF_PAGE):
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
     data = read()
-    check_digest(relative, data, entry)
+    check_file(relative, data, entry)
     return data
 
 
@@ -119,6 +127,19 @@ def _headers(relative: str) -> dict[str, str]:
     name = relative.rpartition("/")[2]
     headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}
     return headers | {"Cache-Control": "no-cache"} if name in ROOTS else headers
+
+
+def check_file(relative: str, data: bytes, entry: FileEntry) -> None:
+    """Raise FormatError (size_mismatch, hash_mismatch) unless a file is what its entry says."""
+    if len(data) != entry.bytes:
+        got = "JSON that was unpacked on the way" if is_unpacked(relative, data) else f"{len(data)}"
+        raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {got_words(data, got)}")
+    check_digest(relative, data, entry)
+
+
+def is_unpacked(relative: str, data: bytes) -> bool:
+    """Whether a table that is packed in a package is plain JSON."""
+    return relative.endswith(".gz") and data.startswith(b"{")
 
 
 def check_digest(relative: str, data: bytes | bytearray, entry: FileEntry) -> None:
@@ -173,10 +194,19 @@ def _shared(one: Root | Manifest) -> dict[str, Any]:
 def open_package(path: str | Path) -> Package:
     """Open the package at `path`, a folder or an address: read and check airgs.json; other files are read when needed.
 
+    An address may also be that of its airgs.json or manifest.mpd, and have a query, which goes with every file.
+
     Raises FormatError: missing_file, too_large, or one of the reasons of `parse_root`; ConfigError for an address that
     cannot be, and TransportError where a store does not answer.
     """
-    return open_files(place_at(path, BUCKETS + WEB))
+    return open_files(place_at(folder_of(path) if isinstance(path, str) and is_address(path) else path, BUCKETS + WEB))
+
+
+def folder_of(address: str) -> str:
+    """The folder of a package from its address, or that of one of its roots; a query stays."""
+    before, query = split_query(address)
+    folder, _, last = before.rpartition("/")
+    return (folder if last in ROOTS else before) + query
 
 
 def open_files(files: Place) -> Package:

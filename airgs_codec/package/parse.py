@@ -23,6 +23,7 @@ from airgs_codec.package.index import Entry
 from airgs_codec.package.layout import JSON_NAME, group_path, page_path
 from airgs_codec.package.references import check_group, check_keeps, check_page, check_region, check_root
 from airgs_codec.package.tables import PAGE, VERSION, Group, Header, Region, Root, Spans, file_entry
+from airgs_codec.places.web import got_words
 
 
 def parse_root(text: bytes) -> Root:
@@ -69,7 +70,7 @@ def _load(data: bytes, where: str) -> Any:
     try:
         return json.loads(data.decode(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        raise FormatError("not_json", where, f"expected JSON in UTF-8: {error}") from error
+        raise FormatError("not_json", where, f"expected JSON in UTF-8, got {got_words(data, str(error))}") from error
 
 
 def read_region(path: Path) -> Region:
@@ -84,6 +85,11 @@ def read_region(path: Path) -> Region:
     region: Region = _parse(Region, _load(text, str(path)), str(path))
     check_region(region, str(path))
     return dataclasses.replace(region, source="file")
+
+
+def check_written(region: Region) -> None:
+    """Raise FormatError for a region that no reader would take."""
+    check_region(_parse(Region, json.loads(_text(region)), "region"), "region")
 
 
 def _refuse_constant(name: str) -> float:

@@ -25,6 +25,7 @@ from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
+from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
 from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
 from airgs_codec.package.tables import FileEntry, Group
@@ -38,12 +39,13 @@ def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> i
     """Write all tables, manifest.mpd and still files of a package whose other files are there; gives the length of
     tables and manifest.mpd together.
 
-    Raises ConfigError for a growing package without a clock.
+    Raises ConfigError for a growing package without a clock, FormatError for tables that no reader takes.
     """
     tables = [pack_group(group) for group in m.groups]
     _, pages = build_index(m.groups, tables)
     texts = {group_path(number): table for number, table in enumerate(tables, 1)}
     texts |= {path: pack_json(page) for path, page in pages.items()}
+    check_tables(open_manifest(root_of(m), lambda path, _: texts[path]))
     size = sum(write_file(files, path, text).bytes for path, text in texts.items())
     for path, data in still_files(m):
         write_file(files, path, data)
@@ -53,10 +55,20 @@ def write_tables(files: Place, m: Manifest, clock: LiveClock | None = None) -> i
 def write_root(files: Place, m: Manifest, clock: LiveClock | None = None, streams: Streams | None = None) -> int:
     """Write manifest.mpd and airgs.json of a package whose tables are there; gives their length together.
 
-    `streams` as in `write_mpd`.
+    `streams` as in `write_mpd`. Raises FormatError for what no reader takes; then nothing is written.
     """
-    mpd = write_file(files, MPD_NAME, write_mpd(m, clock, streams))
-    return mpd.bytes + write_file(files, JSON_NAME, pack_json(root_of(m))).bytes
+    mpd, root = write_mpd(m, clock, streams), pack_json(root_of(m))
+    parse_root(root)
+    check_mpd(mpd, m, streams)
+    return write_file(files, MPD_NAME, mpd).bytes + write_file(files, JSON_NAME, root).bytes
+
+
+def check_tables(m: Manifest) -> None:
+    """Raise FormatError unless every page and every table of a group can be read and fits the others."""
+    for number in m.groups.places.sweep():
+        if isinstance(number, FormatError):
+            raise number
+        m.base_of(number)
 
 
 class GrowingPackage:
@@ -85,8 +97,10 @@ class GrowingPackage:
         return found
 
     def add(self, group: Group) -> None:
-        """Publish one more group, whose files are written."""
-        self.manifest = self.expect(group)
+        """Publish one more group, whose files are written. Raises FormatError for a table that no reader takes."""
+        expected, number = self.expect(group), len(self.manifest.groups)
+        open_manifest(root_of(expected), self._read).base_of(number)
+        self.manifest = expected
         for path, data in (self._unwritten | self._streams.add(group)).items():
             write_file(self.files, path, data)
         self._unwritten = {}

@@ -15,7 +15,7 @@ from airgs_codec.package.layout import JSON_NAME, STATE, Layout, key_layout
 from airgs_codec.package.tables import (
     BLOCK,
     DIGEST,
-    MAX_BITS,
+    GRID_BITS,
     MAX_MACROBLOCKS,
     MAX_PAGES,
     MAX_PICTURE_SIDE,
@@ -188,7 +188,7 @@ def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:
 
 def _root_bounds(m: Header) -> Iterator[Bound]:
     for q, quality in enumerate(m.qualities):
-        yield f"qualities[{q}].coarser", quality.coarser, m.qualities[q - 1].coarser if q else 0, MAX_BITS if q else 0
+        yield f"qualities[{q}].coarser", quality.coarser, m.qualities[q - 1].coarser if q else 0, GRID_BITS if q else 0
     finest, most = 0, m.tiers  # every tier is some level's: the first level has all of them
     for j, level in enumerate(m.levels):
         yield f"levels[{j}].tiers", level.tiers, 1 if j else most, most
@@ -216,8 +216,7 @@ def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
     first = sum(tier.count for tier in group.tiers[:fewest])
     yield f"rows of the first {fewest} tiers", first, 1, group.count
     layout = key_layout(group)
-    if group.keeps is not None:
-        yield "grid.step", group.difference_steps.means, 1 / MOST_NUMBER, MOST_NUMBER
+    yield "grid.step", group.grid.unit, 1 / MOST_NUMBER, MOST_NUMBER
     for t, tier in enumerate(group.tiers):
         for q, atlas in enumerate(tier.qualities):
             where, same = f"tiers[{t}].qualities[{q}]", group.keeps is not None and not atlas.rows

@@ -16,13 +16,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.references import LEAST_SCALE, MOST_SCALE, fault_of
 from airgs_codec.package.tables import Place, Region, World
+from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
+from airgs_codec.scene.origin import Origin
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
@@ -98,6 +100,13 @@ def before_background(region: Region, cameras: Sequence[Camera]) -> list[Camera]
 def with_background(region: Region, background: Background) -> Region:
     """The region before a colour, which stands in it unless it is black."""
     return replace(region, background=None if background == BLACK else list(background))
+
+
+def from_origin(region: Region, origin: ArrayLike) -> Region:
+    """A region in coordinates from an origin (3,)."""
+    ends = [np.subtract([place.position, place.focus], origin).tolist() for place in region.places]
+    places = [replace(place, position=a, focus=b) for place, (a, b) in zip(region.places, ends, strict=True)]
+    return replace(region, places=places)
 
 
 def draw_views(region: Region, count: int, seed: int) -> list[Camera]:
@@ -196,6 +205,14 @@ def world_from(up: Sequence[float], metres: float | None = None) -> World:
     return World(rows.ravel().tolist(), metres is not None)
 
 
+def world_at(world: World, origin: Origin) -> World:
+    """A world whose transform is of coordinates from an origin; a transform that shifts nothing stays as it is."""
+    rows = np.array(world.transform).reshape(3, 4)
+    if rows[:, 3].any():
+        rows[:, 3] += rows[:, :3] @ origin
+    return replace(world, transform=rows.ravel().tolist())
+
+
 def up_of(world: World) -> Vector:
     """(3,) which way is up in the coordinates of the scene, of length 1."""
     row = np.array(world.transform[4:7])
@@ -224,7 +241,8 @@ def read_world(path: Path) -> World:
     Raises ConfigError for anything else.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        expect_plain(path)
+        text = path.read_text(encoding="utf-8-sig")
         values = np.array(json.loads(text) if text.lstrip()[:1] == "[" else text.split(), np.float64).ravel()
     except OSError as error:
         raise ConfigError(f"{path}: cannot read a transform: {error.strerror}") from error

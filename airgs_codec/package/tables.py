@@ -32,10 +32,10 @@ MIN_PICTURE_SIDE = 64  # smaller pictures trip encoders
 MAX_MACROBLOCKS = 36_864  # of 16x16 samples, in a picture: H.264 level 5.1
 MAX_PAGES = 128
 MAX_FILE_BYTES = 1 << 31
-MAX_POSTER_BYTES = 20_000
+MAX_POSTER_BYTES, MAX_POSTER_SIDE = 20_000, 640  # pixels, of the longer side
 MAX_CHOICES = 64  # tiers, qualities, levels
 MAX_PLACES = 64
-MAX_BITS = 21  # of a grid index
+GRID_BITS = 21  # of a grid index
 MAX_CENTRE = 1 << 30  # so that a centre, a luma level and the base of an escape add up within int32
 MAX_PSNR = 1000.0  # dB; nothing measured comes near, and ten to the power of a tenth of it is still a float
 MAX_DELTA_E = 1000.0  # CIEDE2000; the largest of two sRGB colours is about 120
@@ -48,6 +48,7 @@ STATE_ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity", "sh_dc", "s
 KEY_ATTRIBUTES = STATE_ATTRIBUTES[1:]  # canonical means travel in the sidecar
 STATIC = 255  # depth of a row that no level carries; no depth is larger
 LEAST_CLASS, MOST_CLASS = -128, 127  # of motion: a row of class c has the motion unit 2^c world units
+MOST_WIDER = 255  # e of a row that lies in a grid 2^e times as wide
 TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 over so much
 
 
@@ -195,7 +196,7 @@ class KeyQuality:
 
     id: str
     factor: Factor
-    coarser: Annotated[int, Range(0, MAX_BITS)]  # ascending; 0 for the first
+    coarser: Annotated[int, Range(0, GRID_BITS)]  # ascending; 0 for the first
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,16 +212,20 @@ class Level:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Nested cubic cells of canonical means: a row of motion class c lies in the middle of a cell of step 2^k.
+    """Nested cubic cells of canonical means: a row of motion class c lies in the middle of a cell of 2^k steps.
 
-    k = c - finest, from 0 to `bits`; a cell begins at origin + step * index, index 0 .. 2^bits - 1 with k low bits 0.
-    In a key quality k grows by its `coarser`, but not past `bits`.
+    k = c - finest, from 0 to GRID_BITS; a cell begins at step * (origin + index), index 0 .. 2^GRID_BITS - 1 with k low
+    bits 0. In a key quality k grows by its `coarser`, but not past GRID_BITS. Rows far away have wider steps.
     """
 
-    origin: Annotated[list[float], Length(3, 3)]  # world units
-    step: Annotated[float, Range(0, 1e30)]  # world units
-    bits: Annotated[int, Range(1, MAX_BITS)]
-    finest: Annotated[int, Range(LEAST_CLASS, MOST_CLASS + MAX_BITS)]  # motion class whose cells are one step wide
+    origin: Annotated[list[Annotated[int, Range(-(1 << 52), 1 << 52)]], Length(3, 3)]  # steps
+    step: Step  # world units
+    finest: Annotated[int, Range(LEAST_CLASS, 200)]  # motion class whose cells are one step wide
+
+    @property
+    def unit(self) -> float:
+        """World units that a cell of motion class 0 is wide: the scale of the scene, in which sizes are coded."""
+        return self.step * 2.0**-self.finest
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +253,7 @@ class StateSteps:
 
 def difference_steps(key: KeySteps, grid: Grid) -> StateSteps:
     """The steps of keys that are differences to those of another group: of means the finest cells in motion units."""
-    return StateSteps(grid.step * 2.0**-grid.finest, *(getattr(key, name) for name in KEY_ATTRIBUTES))
+    return StateSteps(grid.unit, *(getattr(key, name) for name in KEY_ATTRIBUTES))
 
 
 @dataclass(frozen=True, slots=True)
@@ -385,6 +390,7 @@ class Header:
     state_gain: Gain  # luma levels a step in state atlases
     region: Region
     world: World | None  # None, and no such field in airgs.json: nobody told which way is up
+    origin: Point | None  # where positions are from in the world; None, and no such field in airgs.json: from zero
     poster: FileEntry | None  # None, and no such field in airgs.json: there is none
     views: Views
     qualities: Annotated[list[KeyQuality], Choices]

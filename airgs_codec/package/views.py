@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from airgs_codec.package.package import open_package, root_of, write_file
 from airgs_codec.package.parse import pack_json, parse_root
 from airgs_codec.package.region import levelled, unit_of, upright, world_from
 from airgs_codec.package.tables import MAX_PLACES, Place, Region, Root
+from airgs_codec.places.place import Folder, place_at
+from airgs_codec.places.whole import written_alone
 
 Point = Sequence[float]
 
@@ -25,11 +28,18 @@ def set_view(
 
     `up` (3,) is up from now on. `view` is a position and the point looked at, (3,) each: viewers begin there, or, with
     a `name`, find it under that name, instead of what had it before; they may go as far from it as from the place next
-    to it. A poster shows what was the first view, so it goes where that changes.
+    to it. A poster shows what was the first view, so it goes where that changes. Whoever else changes a package in a
+    folder at this moment is waited for.
 
     Raises ConfigError for nothing to change or a package that is still growing, FormatError for values that no reader
     takes, OSError where nothing can be written.
     """
+    place = place_at(path)
+    with written_alone(place.path) if isinstance(place, Folder) and place.path.is_dir() else nullcontext():
+        return _change(path, up, view, name)
+
+
+def _change(path: str | Path, up: Point | None, view: tuple[Point, Point] | None, name: str | None) -> Root:
     package = open_package(path)
     root = root_of(package.manifest)
     if root.live:
@@ -42,13 +52,12 @@ def set_view(
         if not np.isfinite(view).all():
             raise ConfigError(f"view: expected finite numbers, got {view[0]} and {view[1]}")
         root = replace(root, region=_with_view(root, view, name))
-    begins = up is not None or name is None
-    if begins:
+    if up is not None or name is None:
         root = replace(root, poster=None)
     text = pack_json(root)
     parse_root(text)
     write_file(package.files, JSON_NAME, text)
-    if begins:
+    if root.poster is None:  # a run that was killed here may have left it
         package.files.delete([POSTER_NAME])
     return root
 

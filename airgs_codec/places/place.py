@@ -18,12 +18,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from datetime import timedelta
 from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
 
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, FormatError, SceneError, TransportError
+from airgs_codec.places.web import CIRCLE, SILENCE_S, WEB, split_query, status_words
 from airgs_codec.places.whole import atomic_path, write_bytes
 from airgs_codec.progress import Progress, silent
 
@@ -32,11 +34,19 @@ if TYPE_CHECKING:
     from obstore.store import ObjectStore
 
 BUCKETS = ("s3", "gs", "az")
-WEB = ("http", "https")  # whose files can be read, but not listed or written
 PARALLEL = 16  # requests at a time
 PLAIN: Mapping[str, str] = {}
 _LINK = "expected a plain file, got a link"
 _NO_BUCKET = re.compile("NoSuchBucket|ContainerNotFound")
+_PATIENCE = {"retry_timeout": timedelta(seconds=SILENCE_S / 2)}  # no request is begun again later
+_FAULTS = {  # in the text of an error of obstore -> what that means
+    "kind: Timeout": f"the server is silent: nothing came in {SILENCE_S:g} s, or not all in 30 s",
+    "TooManyRedirects": f"expected a file, got none: {CIRCLE}",
+    "dns error": "no server has that name",
+    "kind: Connect": "the server cannot be reached",
+    "kind: Interrupted": "broken off: the answer is shorter than it says",
+    "kind: Request": "broken off: the server ended the connection",
+}
 _NO_CREDENTIALS = re.compile(r"169\.254\.\d+\.\d+|metadata\.google\.internal|Account must be specified")
 
 
@@ -88,6 +98,7 @@ class Folder(Place):
 
     path: Path
     lasting: bool = True  # files are on the disk (fsync) before they have their names
+    alone: bool = False  # nobody else writes there, and no killed run has: nothing is looked for that it left
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -111,7 +122,7 @@ class Folder(Place):
         """Also raises FormatError (unsafe_path) below a link."""
         file = self._file(path)
         file.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(file, data, self.lasting)
+        write_bytes(file, data, self.lasting, self.alone)
 
     def delete(self, paths: Iterable[str]) -> None:
         for path in paths:
@@ -148,14 +159,17 @@ class Memory(Place):
 
 
 class Bucket(Place):
-    """The objects below one prefix of an object store, or the files below an address of a web server."""
+    """The objects below one prefix of an object store, or the files below an address of a web server.
 
-    def __init__(self, name: str, objects: ObjectStore) -> None:
-        self.name = name
-        self._objects = objects
+    A web server's files can be read, but not listed or written; the query of an address goes with each of them.
+    """
+
+    def __init__(self, address: str, objects: ObjectStore) -> None:
+        self.name = split_query(address)[0]
+        self._address, self._objects = address, objects
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _reopened, (self.name,)
+        return _reopened, (self._address,)
 
     def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
         with self._told(path):
@@ -332,10 +346,12 @@ def bucket_at(address: str, schemes: tuple[str, ...] = BUCKETS) -> Bucket:
     from obstore.exceptions import BaseError
     from obstore.store import from_url
 
-    name = address.rstrip("/")
-    options = {"client_options": {"allow_http": True}} if scheme in WEB else {}
+    address, options = "".join(split_query(address)), {}
+    if scheme in WEB:
+        client = {"allow_http": True, "read_timeout": timedelta(seconds=SILENCE_S)}
+        options = {"client_options": client, "retry_config": _PATIENCE}
     try:
-        return Bucket(name, from_url(name, **options))  # type: ignore[call-overload]
+        return Bucket(address, from_url(address, **options))  # type: ignore[call-overload]
     except (BaseError, ValueError) as error:
         raise ConfigError(f"{address}: {_words(error)}") from error
 
@@ -348,8 +364,10 @@ def _reopened(address: str) -> Bucket:
 
 def _words(error: Exception) -> str:
     """Say what went wrong in one line: obstore's messages are pages, with the store's own answer inside."""
-    text = str(error).partition("\n\nDebug source")[0]
+    text, _, cause = str(error).partition("\n\nDebug source")
     if _NO_CREDENTIALS.search(text):
         return "no credentials: expected them in the environment (docs/serving.md), this machine has none of its own"
     answer = re.search(r"<Message>([^<\n]+)", text)
-    return answer[1] if answer else " ".join(text.split())
+    status = re.search(r"status code: (\d+)", text)
+    known = status_words(int(status[1])) if status else next((_FAULTS[part] for part in _FAULTS if part in cause), "")
+    return answer[1] if answer else known or " ".join(text.split())

@@ -1,9 +1,9 @@
 """Finished work by name, in any place that all who share it can reach.
 
-An entry is whole or absent: the SHA-256 of the rest, then bytes; one that does not fit its digest is removed when it is
-read. The bytes of a value are JSON and arrays. Reading them constructs plain values, numpy arrays and dataclasses of
-packages that the reader trusts, and runs nothing else; so a store that others can write to may give wrong results, but
-runs none of their code.
+An entry is whole or absent: the SHA-256 of its name and the rest, then bytes; one that does not fit its digest, damaged
+or another's, is removed when it is read, and said. The bytes of a value are JSON and arrays. Reading them constructs
+plain values, numpy arrays and dataclasses of packages that the reader trusts, and runs nothing else; so a store that
+others can write to may give wrong results, but runs none of their code.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import hashlib
 import importlib
 import io
 import json
+import logging
 import os
 import types
 import typing
@@ -32,6 +33,7 @@ from airgs_codec.places.place import Folder, Place, is_address, place_at
 DIGEST_BYTES = 32
 OWN = ("airgs_codec",)  # packages whose dataclasses are read
 _LENGTH_BYTES = 8  # of the JSON text, before it
+_log = logging.getLogger(__name__)
 _BROKEN = (
     *(ValueError, TypeError, LookupError, AttributeError, ArithmeticError, ImportError, EOFError, RecursionError),
     *(SyntaxError, TokenError, MemoryError),  # of the header of an array
@@ -57,17 +59,22 @@ class Store:
     def read(self, entry: str) -> bytes | None:
         """Return the bytes of an entry; None where there is none that is whole."""
         sealed = self.place.read(_path(entry))
-        data = None if sealed is None else unseal(sealed)
+        data = None if sealed is None else unseal(entry, sealed)
         if sealed is not None and data is None:
-            self.delete(entry)
+            self.discard(entry)
         return data
+
+    def discard(self, entry: str) -> None:
+        """Delete an entry that cannot be used, and say so."""
+        _log.warning("%s: the stored result %s is damaged or another's, and is made again", self.name, entry[:12])
+        self.delete(entry)
 
     def delete(self, entry: str) -> None:
         self.place.delete([_path(entry)])
 
     def write(self, entry: str, data: bytes) -> None:
         """Put an entry, whole or not at all; one of the same name is replaced."""
-        self.place.write(_path(entry), seal(data))
+        self.place.write(_path(entry), seal(entry, data))
 
 
 def open_store(place: str | Path, lasting: bool = True) -> Store:
@@ -94,14 +101,14 @@ def _path(entry: str) -> str:
     return f"{entry[:2]}/{entry}"
 
 
-def seal(data: bytes) -> bytes:
-    return hashlib.sha256(data).digest() + data
+def seal(entry: str, data: bytes) -> bytes:
+    return hashlib.sha256(entry.encode() + b"\n" + data).digest() + data
 
 
-def unseal(sealed: bytes) -> bytes | None:
-    """Return the bytes of a stored entry; None where it is damaged."""
+def unseal(entry: str, sealed: bytes) -> bytes | None:
+    """Return the bytes of a stored entry; None where they are damaged, or those of another one."""
     data = sealed[DIGEST_BYTES:]
-    return data if hashlib.sha256(data).digest() == sealed[:DIGEST_BYTES] else None
+    return data if seal(entry, data) == sealed else None
 
 
 def pack(value: Any) -> bytes:
@@ -192,8 +199,10 @@ def _value(plain: Any, parts: list[bytes], trusted: tuple[str, ...]) -> Any:
     if kind in ("array", "scalar"):
         array = np.lib.format.read_array(io.BytesIO(parts[found]), allow_pickle=False)
         return array if kind == "array" else array[()]
-    if kind in ("fraction", "path"):
-        return Fraction(found) if kind == "fraction" else Path(found)
+    if kind == "fraction":
+        return Fraction(*map(int, found.split("/")))  # of powers of ten Fraction would write out all digits
+    if kind == "path":
+        return Path(found)
     if kind != "is":
         raise ValueError(f"unknown kind {kind}")
     fields = {name: _value(part, parts, trusted) for name, part in dict(rest)["of"].items()}

@@ -2,10 +2,15 @@
 
 What is written has a name of its own until it is finished. That name is random and is made exclusively, and no link is
 followed: neither one that somebody put at the name of the temporary file nor one at the name that it takes.
+
+What is unfinished has an owner, who holds a lock of the kernel on it (flock), which ends with the process. Whoever
+writes at the same place next removes what nobody holds. Locks of files hold on a network disk too, from machine to
+machine; those of folders only among the processes of one. A disk without locks works, but nothing is removed there.
 """
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import math
@@ -14,20 +19,23 @@ import os
 import re
 import secrets
 import shutil
-import tempfile
+import stat
+import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.errors import ConfigError
+from airgs_codec.errors import AirgsError, ConfigError
 
-PART_SUFFIX = ".part"  # of what is being written; its name starts with a dot
 _PART = re.compile(r"(.*/)?\.([^/]+)\.[0-9a-f]{16}\.part")  # what `atomic_path` writes, below any folder
 _MARK_NAME, _MARK = "airgs-unfinished", b"airgs-codec makes a folder here; nothing else may be put beside it\n"
-_NEW, _OLD = "new", "old"  # folders beside the mark
 _OURS = ".ply .spz .sog .splat .splatv .ksplat .4dgs .splat4d .glb .gltf .usdz .fbx .mpd .m4s .webp .mkv .npz .7z"
 _FILES = {*mimetypes.MimeTypes().types_map[True], *_OURS.split(), ".gz"}  # endings of names
+_NEW, _OLD, _GONE = "new", "old", "gone"  # folders beside the mark; what is in the last is being deleted
+WAIT_S = 10.0  # for another run that writes to a folder
+_POLL_S = 0.02
+_KINDS = {stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket", stat.S_IFCHR: "a device", stat.S_IFBLK: "a device"}
 
 IsOurs = Callable[[Path], bool]  # whether a folder with files in it is of the kind that may be replaced
 
@@ -41,21 +49,70 @@ def expect_folder_name(place: str | Path, ending: str = "") -> None:
 
 
 @contextmanager
-def atomic_path(path: Path, lasting: bool = True) -> Iterator[Path]:
+def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """Within the block an error of the file system that names no file, or one in `temporary`, names `path`."""
+    try:
+        yield
+    except OSError as error:
+        ours = temporary is not None and str(error.filename).startswith(str(temporary))
+        if not isinstance(error, AirgsError) and (error.filename is None or ours):
+            error.filename = str(path)
+        raise
+
+
+def expect_plain(path: Path) -> None:
+    """Raise OSError for a pipe, a device or a socket, which a reader might wait for without an end."""
+    with suppress(FileNotFoundError):
+        if kind := _KINDS.get(stat.S_IFMT(os.stat(path).st_mode)):
+            raise OSError(errno.EINVAL, f"expected a plain file, got {kind}", str(path))
+
+
+@contextmanager
+def atomic_path(path: Path, lasting: bool = True, alone: bool = False) -> Iterator[Path]:
     """Give a new empty file beside `path`; what the block writes there takes the place of `path` when the block ends.
 
     The bytes are on the disk (fsync) before the file has its name, so that a crash leaves the old file or the new one;
-    not so where it need not be `lasting`. After an error the temporary file is removed and `path` is as it was.
+    not so where it need not be `lasting`. After an error the temporary file is removed and `path` is as it was. What
+    killed runs left of `path` is removed first, unless it is known that this run is `alone` in its folder.
     """
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}{PART_SUFFIX}")
-    os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666))
-    try:
+    if not alone:
+        remove_leftovers(path.parent, path.name)
+    with naming(path), _part_of(path) as temporary, naming(path, temporary):
         yield temporary
         _finish(temporary, lasting)
         temporary.replace(path)
+
+
+@contextmanager
+def _part_of(path: Path) -> Iterator[Path]:
+    """Give a new file beside `path` that this process holds; it is gone when the block ends, unless it was renamed."""
+    while True:
+        temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+        lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
+        if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
+            break
+        os.close(lock)
+    try:
+        yield temporary
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+    finally:
+        os.close(lock)
+
+
+def remove_leftovers(folder: Path, name: str | None = None) -> None:
+    """Remove unfinished files of runs that were killed: those that were to take a `name` in a folder, or all in it."""
+    with suppress(OSError):  # of a folder that cannot be listed
+        for entry in os.listdir(folder):
+            if entry.endswith(".part") and (match := _PART.fullmatch(entry)) and name in (None, match[2]):
+                with suppress(OSError):  # it is finished by now, or a link, or somebody else's
+                    file = os.open(folder / entry, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+                    try:
+                        if _holds(file):
+                            os.unlink(folder / entry)
+                    finally:
+                        os.close(file)
 
 
 def finished_path(path: str) -> str:
@@ -68,21 +125,29 @@ def finished_path(path: str) -> str:
 def staged_files(folder: Path) -> Iterator[Path]:
     """Give a temporary folder inside `folder`, which is made; files written there go to `folder` when the block ends.
 
-    They replace those of the same names, each whole; others stay. After an error nothing has changed.
+    They replace those of the same names, each whole and all of one run together; others stay. After an error nothing
+    has changed.
     """
     new = not folder.exists()
     folder.mkdir(exist_ok=True)
-    stage = Path(tempfile.mkdtemp(prefix=".", suffix=PART_SUFFIX, dir=folder))
     try:
-        yield stage
-        paths = sorted(stage.iterdir())
-        for path in paths:
-            _finish(path, lasting=True)
-        for path in paths:
-            path.replace(folder / path.name)
-        new = False
-    finally:
-        shutil.rmtree(folder if new else stage, ignore_errors=True)
+        with ExitStack() as held:
+            with written_alone(folder):
+                _clean_up(folder, ".airgs-")
+                work = held.enter_context(_work_folder(folder, ".airgs-"))
+            with naming(folder, work):
+                yield work / _NEW
+                paths = sorted((work / _NEW).iterdir())
+                for path in paths:
+                    _finish(path, lasting=True)
+                with written_alone(folder):
+                    for path in paths:
+                        path.replace(folder / path.name)
+    except BaseException:
+        if new:
+            with suppress(OSError):  # another run has written there
+                folder.rmdir()
+        raise
 
 
 @contextmanager
@@ -94,34 +159,73 @@ def staged_folder(target: Path, is_ours: IsOurs, kind: str) -> Iterator[Path]:
     runs that were killed are put right first: a folder of ours that was moved comes back, all else in them is removed.
 
     Raises ConfigError, which calls what should be there a `kind`, when there is a file, a link, or a folder with other
-    files.
+    files, or when another run is at work on it.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    with _locked(target.parent):
-        _clean_up(target)
-        _expect_ours(target, is_ours, kind)
-        work = target.with_name(f".{target.name}.airgs-{secrets.token_hex(8)}")
-        work.mkdir(0o700)
-        (work / _MARK_NAME).write_bytes(_MARK)
-        (work / _NEW).mkdir()
-        lock = os.open(work, os.O_RDONLY)
-        fcntl.flock(lock, fcntl.LOCK_EX)
-    try:
-        yield work / _NEW
-        with _locked(target.parent):
-            _expect_ours(target, is_ours, kind)  # somebody may have written there since
+    prefix = f".{target.name}.airgs-"
+    with ExitStack() as held:
+        with written_alone(target.parent):
+            if _clean_up(target.parent, prefix, target):
+                raise ConfigError(f"{target}: expected to be alone, got another run that is making this {kind}")
+            _expect_ours(target, is_ours, kind)
             if target.exists():
-                target.rename(work / _OLD)
-            (work / _NEW).rename(target)
+                with written_alone(target, wait_s=0):
+                    pass
+            work = held.enter_context(_work_folder(target.parent, prefix, target))
+        with naming(target, work):
+            yield work / _NEW
+            with ExitStack() as last:
+                last.enter_context(written_alone(target.parent))
+                _expect_ours(target, is_ours, kind)  # somebody may have written there since
+                if target.exists():
+                    last.enter_context(written_alone(target))
+                    target.rename(work / _OLD)
+                (work / _NEW).rename(target)
+
+
+@contextmanager
+def written_alone(folder: Path, wait_s: float | None = None) -> Iterator[None]:
+    """Hold the only lock on this folder; the kernel frees it when the process dies.
+
+    Raises ConfigError where another run has it for longer than `wait_s`, by default WAIT_S.
+    """
+    end = time.monotonic() + (WAIT_S if wait_s is None else wait_s)
+    while (lock := _lock_of(folder)) is None:
+        if time.monotonic() > end:
+            raise ConfigError(f"{folder}: expected to be alone, got another run that is writing there")
+        time.sleep(_POLL_S)
+    try:
+        yield
     finally:
         os.close(lock)
-        _remove(work, target)
 
 
-def write_bytes(path: Path, data: bytes, lasting: bool = True) -> None:
+def _lock_of(folder: Path) -> int | None:
+    """An open folder whose lock this process has; None where another has it, or has just put another folder there."""
+    with suppress(FileNotFoundError), ExitStack() as opened:
+        lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        opened.callback(os.close, lock)
+        if _holds(lock) is not False and os.path.samestat(os.fstat(lock), os.stat(folder)):
+            opened.pop_all()
+            return lock
+    return None
+
+
+def _holds(file: int) -> bool | None:
+    """Whether this process has the lock of an open file now; None on a disk without locks."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return None
+    return True
+
+
+def write_bytes(path: Path, data: bytes, lasting: bool = True, alone: bool = False) -> None:
     """Write a file atomically, as `atomic_path` does."""
     with (
-        atomic_path(path, lasting) as temporary,
+        atomic_path(path, lasting, alone) as temporary,
         open(os.open(temporary, os.O_WRONLY | os.O_NOFOLLOW), "wb") as file,
     ):
         file.write(data)
@@ -165,39 +269,54 @@ def _expect_ours(target: Path, is_ours: IsOurs, kind: str) -> None:
 
 
 @contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Hold the only lock on this folder; the kernel frees it when the process dies."""
-    lock = os.open(folder, os.O_RDONLY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-    finally:
-        os.close(lock)
+def _work_folder(parent: Path, prefix: str, target: Path | None = None) -> Iterator[Path]:
+    """Give a new marked folder with an empty folder in it; it is gone when the block ends. The lock is the mark's."""
+    work = parent / f"{prefix}{secrets.token_hex(8)}"
+    work.mkdir(0o700)
+    lock = os.open(work / _MARK_NAME, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    with ExitStack() as after:
+        after.callback(os.close, lock)
+        after.callback(_remove, work, target)
+        _holds(lock)
+        os.write(lock, _MARK)
+        (work / _NEW).mkdir()
+        yield work
 
 
-def _clean_up(target: Path) -> None:
-    """Remove work folders that nobody works in."""
-    own = re.compile(rf"\.{re.escape(target.name)}\.airgs-[0-9a-f]{{16}}")
-    for work in [path for path in target.parent.iterdir() if own.fullmatch(path.name) and _is_marked(path)]:
-        lock = os.open(work, os.O_RDONLY)
+def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
+    """Remove work folders that nobody works in; returns whether somebody works in another one."""
+    own, busy = re.compile(rf"{re.escape(prefix)}[0-9a-f]{{16}}"), False
+    for work in [path for path in parent.iterdir() if own.fullmatch(path.name) and not path.is_symlink()]:
+        if not _is_marked(work):
+            with suppress(OSError):  # it is not empty, so it is not ours
+                work.rmdir()
+            continue
+        lock = os.open(work / _MARK_NAME, os.O_RDWR | os.O_NOFOLLOW)
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            _remove(work, target)
-        except BlockingIOError:  # somebody is at work there
-            pass
+            if held := _holds(lock):
+                _remove(work, target)
+            busy = busy or held is False
         finally:
             os.close(lock)
+    return busy
 
 
 def _is_marked(path: Path) -> bool:
-    """Return whether this is a work folder of `staged_folder`."""
+    """Return whether this is a work folder of ours; whoever made it may have died before the mark was written."""
     mark = path / _MARK_NAME
-    plain = not path.is_symlink() and not mark.is_symlink() and mark.is_file()
-    return plain and mark.read_bytes() == _MARK
+    return not mark.is_symlink() and mark.is_file() and _MARK.startswith(mark.read_bytes())
 
 
-def _remove(work: Path, target: Path) -> None:
-    """Delete a work folder; what was to be replaced comes back where nothing has taken its place."""
-    if (work / _OLD).is_dir() and not target.exists():
-        (work / _OLD).rename(target)
-    shutil.rmtree(work, ignore_errors=True)
+def _remove(work: Path, target: Path | None) -> None:
+    """Delete a work folder; what was to be replaced comes back where nothing has taken its place.
+
+    It is called `_GONE` before any of it is deleted, so that what comes back is whole; the mark goes last.
+    """
+    with suppress(OSError):  # what cannot be moved stays, and the mark with it, for the next run
+        if target is not None and (work / _OLD).is_dir():
+            (work / _OLD).rename(work / _GONE if target.exists() else target)
+        for path in work.iterdir():
+            if path.name != _MARK_NAME:
+                shutil.rmtree(path)
+        (work / _MARK_NAME).unlink()
+        work.rmdir()

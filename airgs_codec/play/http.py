@@ -3,10 +3,12 @@
 The files of a batch are requested at once, each over a connection of its own (HTTP/1.1, left open), so that they share
 a round trip and then the link, as on the simulated one. What arrives is checked against the tables before it counts.
 
-A server that cannot be reached, or says that it is busy (429, 502, 503, 504), is waited for as long as `outage_s`. Any
-other fault is the file's: after `attempts` of them the file cannot be had, as one with status 404 at once. A redirect
-is followed on the server itself, never to another scheme, host or port. airgs.json, which is asked for again and again
-while a package grows, may come compressed, and not at all where it is what came before (If-None-Match).
+A server that cannot be reached, answers nothing, or says that it is busy (429, 502, 503, 504), is waited for as long as
+`outage_s`, and people are told. Any other fault is the file's: after `attempts` of them the file cannot be had, as one
+with status 404 at once. A redirect is followed on the server itself, never to another scheme, host or port; the query
+of the package's address goes with every file. Servers may compress what they send, and unpack tables of groups: these
+are known by their first byte, and then by what they lead to. airgs.json, which is asked for again and again while a
+package grows, may come not at all where it is what came before (If-None-Match).
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import gzip
 import itertools
 import math
 import os
@@ -25,7 +28,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from types import SimpleNamespace, TracebackType
 from typing import Self
-from urllib.parse import urlsplit
+from urllib.parse import quote, urlsplit
 
 import aiohttp
 from yarl import URL
@@ -35,9 +38,17 @@ from airgs_codec.errors import ConfigError, FormatError, TransportError
 from airgs_codec.package.index import count_groups
 from airgs_codec.package.layout import JSON_NAME, group_path, locate
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.package import REPR_DIGEST, check_digest, check_repr_digest, open_manifest
+from airgs_codec.package.package import (
+    REPR_DIGEST,
+    check_file,
+    check_repr_digest,
+    folder_of,
+    is_unpacked,
+    open_manifest,
+)
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_root
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
+from airgs_codec.places.web import BUSY, CIRCLE, SILENCE_S, WEB, got_words, split_query, status_words
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request, Retry
 from airgs_codec.play.offers import NONE, Batch, Offers
 from airgs_codec.play.session import SessionLog
@@ -45,12 +56,12 @@ from airgs_codec.play.session import SessionLog
 CONNECTIONS = 16  # at once
 GROWS = ("frames", "live")  # what of the header changes while a package grows
 Receive = Callable[[str, bytes], object]
-BUSY = (429, 502, 503, 504)
 GARBLED = ("size_mismatch", "hash_mismatch", "not_json")  # reasons to ask again
 LONGEST_PAUSE_S = 4.0
-LEAST_BYTES = 4096  # that come within the time-out: 16 connections over a modem of 18 kbit/s are faster
+LEAST_BYTES = 1024  # that come within the time-out: 16 connections over a modem of 18 kbit/s are faster
 STATUS_LINE_BYTES = len("HTTP/1.1 200 OK\r\n\r\n")
 ZIPPED = 16 + zlib.MAX_WBITS  # gzip, for zlib
+_AS_IT_IS = "!$%&'()*+,/:;=?@"  # in a query: a signature may be of its letters
 FRESH = {"Cache-Control": "no-cache"}  # asks caches on the way, which may hold wrong bytes, to ask the server
 
 
@@ -59,7 +70,7 @@ FRESH = {"Cache-Control": "no-cache"}  # asks caches on the way, which may hold 
 class HttpSettings:
     """Patience with a server. Raises ConfigError for settings that cannot work."""
 
-    timeout_s: float = setting(30.0, "seconds for the next 4 KiB of an answer, after which it is asked for again")
+    timeout_s: float = setting(SILENCE_S, "seconds for the next KiB of an answer, after which it is asked for again")
     attempts: int = setting(4, "faulty answers after which a file cannot be had")
     backoff_s: float = setting(0.25, "seconds before an answer is asked for again, doubled each time")
     outage_s: float = setting(60.0, "seconds that a server may be away")
@@ -78,6 +89,8 @@ class Transfer:
     """A batch under way; times are those of `time.monotonic`."""
 
     first_byte_at: float | None = None
+    answered_at: float = -math.inf  # when a file began to come last
+    told: bool = False  # that something is asked for again
     wait_s: float = float("inf")  # the shortest from a request to its first byte
     bytes: int = 0  # headers included
     whole: set[str] = field(default_factory=set)
@@ -94,9 +107,10 @@ class Transfer:
 class _PassingError(FormatError):
     """An answer that did not come whole; another may."""
 
-    def __init__(self, path: str, words: str, away: bool = False) -> None:
+    def __init__(self, path: str, words: str, away: bool = False, after_s: float = 0.0) -> None:
         super().__init__("missing_file", path, words)
         self.away = away  # the server, not the file
+        self.after_s = after_s  # when the server, which is busy, wants to be asked again
 
 
 def connect(settings: HttpSettings, connections: int) -> aiohttp.ClientSession:
@@ -142,6 +156,8 @@ class FileClient:
     url: str
     settings: HttpSettings
     accept: Callable[[str, bytes], None]
+    query: str = ""  # of every file, with its ?
+    told: Callable[[str], object] | None = None  # hears a line where something is asked for again
     last: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # by path, entity tag and bytes of airgs.json
 
     async def get(self, path: str, limit: int, transfer: Transfer, outage_s: float) -> None:
@@ -156,24 +172,24 @@ class FileClient:
             if fault is None:
                 transfer.whole.add(path)
                 return
-            away, now = isinstance(fault, _PassingError) and fault.away, time.monotonic()
-            faults, away_since = (faults, away_since or now) if away else (faults + 1, None)
-            if away_since is not None and now - away_since >= outage_s:
-                raise TransportError(f"{self.url}: {fault.detail}")
-            if faults == self.settings.attempts or not _may_pass(fault):
+            passing, now = fault if isinstance(fault, _PassingError) else None, time.monotonic()
+            after_s = passing.after_s if passing else 0.0
+            faults, away_since = (faults, away_since or now) if passing and passing.away else (faults + 1, None)
+            if away_since is not None and now + after_s - away_since >= outage_s:
+                raise TransportError(f"{self.url}/{path}: {fault.detail}")
+            if faults == self.settings.attempts or not (passing or fault.reason in GARBLED):
                 transfer.refused[path] = fault
                 return
+            if passing and self.told and not transfer.told:
+                transfer.told = True
+                self.told(f"{self.url}/{path}: {fault.detail}; asking again")
             transfer.retries.append(Retry(path, fault.detail, answer.size))
-            await asyncio.sleep(self._pause_s(tries))
+            await asyncio.sleep(max(after_s, self._pause_s(tries)))
 
     def _pause_s(self, tries: int) -> float:
         """Longer each time, and not the same for everybody who lost the same server."""
         longest = min(LONGEST_PAUSE_S, self.settings.backoff_s * 2 ** min(tries, 30))
         return longest * random.uniform(0.5, 1.0)
-
-
-def _may_pass(fault: FormatError) -> bool:
-    return isinstance(fault, _PassingError) or fault.reason in GARBLED
 
 
 @dataclass(slots=True, eq=False)
@@ -185,6 +201,7 @@ class _Answer:
     limit: int
     transfer: Transfer
     size: int = 0  # bytes that came, headers included
+    asked_at: float = field(default_factory=time.monotonic)
 
     async def fault(self, again: bool) -> FormatError | None:
         """Why the file was not accepted, None if it was."""
@@ -200,38 +217,49 @@ class _Answer:
         except (aiohttp.ClientConnectorError, aiohttp.ConnectionTimeoutError) as error:
             return _PassingError(self.path, f"the server cannot be reached: {_reason(error)}", away=True)
         except TimeoutError:
-            words = f"broken off: fewer than {LEAST_BYTES} bytes in {self.client.settings.timeout_s:g} s"
-            return _PassingError(self.path, words)
+            words = f"the server is silent: fewer than {LEAST_BYTES} bytes in {self.client.settings.timeout_s:g} s"
+            return _PassingError(self.path, words, away=self.transfer.answered_at < self.asked_at)
+        except aiohttp.TooManyRedirects as error:
+            return FormatError("missing_file", self.path, f"expected a file, got none: {CIRCLE} at {error.args[0].url}")
         except (aiohttp.ClientError, OSError) as error:
             return _PassingError(self.path, f"broken off: {_reason(error)}")
         return None
 
     async def _receive(self, headers: dict[str, str]) -> bytes:
-        asked_at, window = time.monotonic(), _Window(self.client.settings.timeout_s)
-        tag, last = self.client.last.get(self.path, ("", b""))
+        window, client = _Window(self.client.settings.timeout_s), self.client
+        tag, last = client.last.get(self.path, ("", b""))
         conditional = {"If-None-Match": tag} if tag else {}
-        changing = self.path == JSON_NAME
-        packed = {"Accept-Encoding": "gzip"} if self.path in self.client.last else {}  # the first is as it is listed
-        asking = self.client.session.get(
-            f"{self.client.url}/{self.path}",
+        packed = {"Accept-Encoding": "gzip"} if self.path in client.last else {}  # the first is as it is listed
+        asking = client.session.get(
+            URL(f"{client.url}/{self.path}{client.query}", encoded=True),
             headers=headers | packed | conditional,
             middlewares=(self._stay,),
             trace_request_ctx=window,
         )
         async with window.limit, asking as response:
             self._count(STATUS_LINE_BYTES + sum(len(name) + len(value) + 4 for name, value in response.raw_headers))
-            self.transfer.begin(asked_at)
+            self.transfer.begin(self.asked_at)
+            if response.status not in BUSY:
+                self.transfer.answered_at = time.monotonic()
             if response.status == 304 and tag:
                 return last
             if response.status != 200:
-                raise _refusal(self.path, response.status)
+                raise self._refusal(response.status, response.headers.get("Retry-After", ""))
             data = await self._body(response.content, window)
         check_repr_digest(self.path, data, response.headers.get(REPR_DIGEST, ""))
-        if changing and response.headers.get("Content-Encoding") == "gzip":
+        if response.headers.get("Content-Encoding") == "gzip" and not self.path.endswith(".gz"):
             data = self._unzip(data)
-        if changing:
-            self.client.last[self.path] = response.headers.get("ETag", ""), data
+        if self.path == JSON_NAME:
+            client.last[self.path] = response.headers.get("ETag", ""), data
         return data
+
+    def _refusal(self, status: int, after: str) -> FormatError:
+        busy, words = status in BUSY, status_words(status)
+        if not busy and status < 500:
+            return FormatError("missing_file", self.path, words)
+        after_s = int(after[:9]) if busy and after.isdecimal() else 0
+        words += f", to be asked again in {after_s} s" if after_s else ""
+        return _PassingError(self.path, words, busy, after_s)
 
     def _unzip(self, data: bytes) -> bytes:
         inflate = zlib.decompressobj(ZIPPED)
@@ -257,7 +285,8 @@ class _Answer:
             window.count(len(data))
             body += data
             if len(body) > self.limit:
-                raise FormatError("size_mismatch", self.path, f"expected at most {self.limit} bytes, got more")
+                words = f"expected at most {self.limit} bytes, got {got_words(bytes(body), 'more')}"
+                raise FormatError("size_mismatch", self.path, words)
         return bytes(body)
 
     def _count(self, size: int) -> None:
@@ -265,16 +294,11 @@ class _Answer:
         self.transfer.bytes += size
 
 
-def _refusal(path: str, status: int) -> FormatError:
-    words = f"expected a file, got status {status}"
-    if status >= 500 or status in BUSY:
-        return _PassingError(path, words, away=status in BUSY)
-    return FormatError("missing_file", path, words)
-
-
 def _reason(error: Exception) -> str:
+    if isinstance(error, aiohttp.ClientPayloadError):
+        return "the answer is shorter than it says"
     number = getattr(error, "errno", None)
-    return os.strerror(number) if number else str(error) or type(error).__name__
+    return os.strerror(number) if number and number > 0 else str(error) or type(error).__name__
 
 
 class HttpDownloader:
@@ -291,8 +315,11 @@ class HttpDownloader:
         url: str,
         settings: HttpSettings | None = None,
         received: Receive | None = None,
+        told: Callable[[str], object] | None = None,
     ) -> None:
-        self._url, self._settings, self._received = _checked(url), settings or HttpSettings(), received
+        """`told` hears a line where files of a batch have to be asked for again."""
+        self._settings, self._received, self._told = settings or HttpSettings(), received, told
+        self._url, self._query = _checked(url)
         self._tables = RemoteTables()
         self._runner = asyncio.Runner()
         self._files = self._runner.run(self._connect())
@@ -362,7 +389,7 @@ class HttpDownloader:
 
     async def _connect(self) -> FileClient:
         session = connect(self._settings, CONNECTIONS)
-        return FileClient(session, self._url, self._settings, self._accept)
+        return FileClient(session, self._url, self._settings, self._accept, self._query, self._told)
 
     def _accept(self, path: str, data: bytes) -> None:
         self._tables.accept(path, data)
@@ -458,16 +485,17 @@ def _for_tables(path: str) -> Request:
     return Request(BatchKind.TABLES, 0, 0, Batch(tables=(path,)), 0.0, 0.0)
 
 
-def _checked(url: str) -> str:
-    """The URL of a package's folder without the slash at its end."""
+def _checked(url: str) -> tuple[str, str]:
+    """The URL of a package's folder without the slash at its end, and its query."""
+    before, query = split_query(folder_of(url))
     try:
-        parts = urlsplit(url)
-        known = parts.scheme in ("http", "https") and parts.hostname and parts.port != 0
+        parts = urlsplit(before)
+        known = parts.scheme in WEB and parts.hostname and parts.port != 0 and "#" not in url
     except ValueError:
         known = False
-    if not known or parts.query or parts.fragment:
-        raise ConfigError(f"URL: expected http://HOST[:PORT]/PATH or https, got {url}")
-    return url.rstrip("/")
+    if not known:
+        raise ConfigError(f"URL: expected http://HOST[:PORT]/PATH[?QUERY] or https, got {url}")
+    return str(URL(before)).rstrip("/"), quote(query, safe=_AS_IT_IS)
 
 
 class RemoteTables:
@@ -477,14 +505,13 @@ class RemoteTables:
         self.offers: Offers | None = None  # None: airgs.json has not come yet
         self._root: Root | None = None
         self._root_text = b""
-        self._files: dict[str, bytes] = {}  # pages and tables of groups
+        self._files: dict[str, tuple[FileEntry, bytes]] = {}  # pages and tables of groups
         self._keepers: dict[int, set[int]] = {}  # groups whose tables came, by the group whose rows they keep
 
     def limit(self, path: str) -> int:
-        """The most bytes that a file may have. Raises FormatError for one that no table lists."""
-        if path == JSON_NAME or self.offers is None:
-            return MAX_TABLE_BYTES
-        return self.offers.manifest.entry(path).bytes
+        """The most bytes that may come of a file. Raises FormatError for one that no table lists."""
+        listed = self.offers.manifest.entry(path) if self.offers and path != JSON_NAME else None
+        return listed.bytes if listed and not path.endswith(".gz") else MAX_TABLE_BYTES
 
     def accept(self, path: str, data: bytes) -> None:
         """Take in a file that came. Raises FormatError for one that is not what the tables say."""
@@ -494,10 +521,11 @@ class RemoteTables:
         if self.offers is None:
             raise FormatError("missing_entry", path, f"{JSON_NAME} has not come yet")
         entry = self.offers.manifest.entry(path)
-        if len(data) != entry.bytes:
-            raise FormatError("size_mismatch", path, f"expected {entry.bytes} bytes, got {len(data)}")
-        check_digest(path, data, entry)
-        self._read_table(self.offers, path, data)
+        if is_unpacked(path, data) and len(data) != entry.bytes:
+            data = gzip.compress(data, 1)
+        else:
+            check_file(path, data, entry)
+        self._read_table(self.offers, path, entry, data)
 
     def _accept_root(self, data: bytes) -> None:
         if data == self._root_text:
@@ -512,11 +540,11 @@ class RemoteTables:
             self.offers.grow(manifest, len(data))
         self._root, self._root_text = root, data
 
-    def _read_table(self, c: Offers, path: str, data: bytes) -> None:
+    def _read_table(self, c: Offers, path: str, entry: FileEntry, data: bytes) -> None:
         what, numbers = locate(path)
         if what not in ("group", "page"):
             return
-        self._files[path] = data
+        self._files[path] = entry, data
         try:
             if what == "group":
                 self._check_base(c.manifest, numbers[0] - 1)
@@ -537,12 +565,14 @@ class RemoteTables:
             self._keepers.setdefault(keeps - 1, set()).add(group)
 
 
-def _find(tables: Mapping[str, bytes], path: str, entry: FileEntry) -> bytes:
+def _find(tables: Mapping[str, tuple[FileEntry, bytes]], path: str, entry: FileEntry) -> bytes:
     """A table that came, if it is still what the root leads to."""
     if path not in tables:
         raise FormatError("missing_file", path, "it has not been fetched")
-    check_digest(path, tables[path], entry)
-    return tables[path]
+    listed, data = tables[path]
+    if listed != entry:
+        raise FormatError("hash_mismatch", path, "the table that came is not the one that is listed now")
+    return data
 
 
 def _check_growth(before: Root, after: Root) -> None:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec._arguments import brief, path_argument
 from airgs_codec.errors import ConfigError, TransportError
+from airgs_codec.places.whole import expect_plain
 
 MAHIMAHI_PACKET_BYTES = 1500  # one delivery opportunity
 CONSTANT_S = 3600.0
@@ -234,6 +235,7 @@ def read_trace(path: Path) -> Trace:
     Raises TransportError for a file that is none of these, is empty, or carries nothing.
     """
     try:
+        expect_plain(path)
         lines = [line for line in path.read_text(encoding="utf-8-sig").splitlines() if line.strip()]
     except (OSError, UnicodeDecodeError) as error:
         raise TransportError(f"{path}: cannot read the trace: {error}") from error

@@ -53,7 +53,7 @@ def clip_of(frames: Mapping[str, Any] | Iterable[Frame], fps: Fraction | float) 
 def _separate(frames: Mapping[str, Any] | Iterable[Frame]) -> Iterator[Frame]:
     """The frames one after another; a mapping has arrays whose first axis is time."""
     if isinstance(frames, Mapping):
-        columns = _ours({name: as_floats(name, value) for name, value in frames.items()}, "frames")
+        columns = _ours({name: as_floats(name, value, name == NAMES[0]) for name, value in frames.items()}, "frames")
         shape = columns["means"].shape if "means" in columns else None
         if shape is None or len(shape) != 3:
             raise SceneError(f"means: expected an array of shape (T, N, 3), got {shape or 'none'}")
@@ -95,7 +95,7 @@ def _checked(frame: Frame, where: str) -> Gaussians:
         frame = dict(frame.items())
     if not isinstance(frame, Mapping):
         raise SceneError(f"{where}: expected Gaussians or a mapping of their arrays, got {described(frame)}")
-    columns = {str(name): as_floats(f"{where}: {name}", value) for name, value in frame.items()}
+    columns = {str(name): as_floats(f"{where}: {name}", value, name == NAMES[0]) for name, value in frame.items()}
     columns = _ours(columns, where)
     if not set(NAMES[:-1]) <= set(columns) <= set(NAMES):
         expected = f"expected {', '.join(NAMES[:-1])} and maybe {NAMES[-1]}"
@@ -108,7 +108,9 @@ def _checked(frame: Frame, where: str) -> Gaussians:
     if not len(g):
         raise SceneError(f"{where}: expected at least one Gaussian, got none")
     for name in NAMES:
-        finite = np.isfinite(getattr(g, name)) | (name == "log_scales") & np.isneginf(getattr(g, name))
+        with np.errstate(over="ignore"):
+            narrow = getattr(g, name).astype(np.float32, copy=False)  # what becomes infinite is refused
+        finite = np.isfinite(narrow) | (name == "log_scales") & np.isneginf(narrow)
         if not finite.all():
             place = tuple(np.argwhere(~finite)[0].tolist())
             raise SceneError(f"{where}: {name}: expected finite numbers, got {columns[name][place]} in row {place[0]}")

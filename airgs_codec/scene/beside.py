@@ -1,8 +1,8 @@
 """What lies beside the frames of a sequence: sequence.json, usage.npz and ATTRIBUTION.txt.
 
-sequence.json has the frame rate, the first frames of groups, the background and notes for people; usage.npz how much
-each of the N Gaussians of a group contributes to the training views, as the trainer measured it: an array for each
-group and measure, named "start:stop/measure".
+sequence.json has the frame rate, the first frames of groups, the background, an origin and notes for people; usage.npz
+how much each of the N Gaussians of a group contributes to the training views, as the trainer measured it: an array for
+each group and measure, named "start:stop/measure".
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.places.whole import atomic_path, write_json
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.files import expecting, read_object
+from airgs_codec.scene.origin import ZERO, Origin
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
@@ -38,6 +39,7 @@ class Settings:
     keyframes: tuple[int, ...] | None = None  # first frames of groups
     background: Background = BLACK  # colour behind the scene
     notes: tuple[str, ...] = ()  # what people should know of the sequence, a sentence each; packages repeat them
+    origin: Origin = ZERO  # where the positions of frames are from; cameras beside them are where they are
 
 
 def read_settings(folder: Path, frames: int) -> Settings:
@@ -53,9 +55,13 @@ def read_settings(folder: Path, frames: int) -> Settings:
         notes = tuple(data.get("notes", ()))
         if not all(isinstance(note, str) for note in notes):
             raise ValueError("notes that are no texts")
+        x, y, z = map(float, data.get("origin", ZERO))
+        if not np.isfinite((x, y, z)).all():
+            raise ValueError(f"an origin of {x}, {y}, {z}")
     if starts and not (starts[0] >= 0 and starts[-1] < frames):
         raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
-    return Settings(frame_rate(str(path), fps), starts, _background(path, data.get("background", BLACK)), notes)
+    background = _background(path, data.get("background", BLACK))
+    return Settings(frame_rate(str(path), fps), starts, background, notes, (x, y, z))
 
 
 def write_settings(folder: Path, settings: Settings) -> None:
@@ -64,6 +70,7 @@ def write_settings(folder: Path, settings: Settings) -> None:
     told: dict[str, Any] = {"fps": float(fps) if Fraction(str(float(fps))) == fps else str(fps)}
     told |= {} if settings.keyframes is None else {"keyframes": list(settings.keyframes)}
     told |= {} if settings.background == BLACK else {"background": list(settings.background)}
+    told |= {} if settings.origin == ZERO else {"origin": list(settings.origin)}
     told |= {"notes": list(settings.notes)} if settings.notes else {}
     write_json(folder / SETTINGS_NAME, told)
 
@@ -137,4 +144,4 @@ def read_attribution(folder: Path) -> str:
     """Who made a scene: the text of ATTRIBUTION.txt in its folder, empty without the file. Raises SceneError."""
     file = folder / ATTRIBUTION_NAME
     with expecting(file, "UTF-8 text"):
-        return file.read_text(encoding="utf-8").strip() if file.is_file() else ""
+        return file.read_text(encoding="utf-8-sig").strip() if file.is_file() else ""

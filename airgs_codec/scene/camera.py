@@ -6,7 +6,7 @@ scene that comes without any.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -24,6 +24,7 @@ ROTATION_TOLERANCE = 1e-2  # for what files round; axes of another length or not
 NEAR_SHARE = 1 / 400  # of the distance to what is seen: near plane of cameras that have none
 MOST_NEAR = 1 / 3  # of it: near plane of cameras whose files have one in units of their own, at most
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # turns y and z of a camera around; its own inverse
+FIELDS = 0.1, 179.0  # degrees from top to bottom that a camera may see, as packages have it
 UP = np.array([0.0, -1.0, 0.0])  # where nobody tells it: structure from motion mostly leaves it so
 FIELD_OF_VIEW = np.radians(50)  # of both axes
 ELEVATIONS = np.radians([10.0, 35.0])  # above the horizon; neighbouring cameras take turns
@@ -133,6 +134,8 @@ def check_camera(c: Camera) -> None:
         raise ValueError(f"camera {c.name} has size {c.width}x{c.height}, not of 1 to {MOST_PIXELS} pixels")
     if c.fx <= 0 or c.fy <= 0:
         raise ValueError(f"camera {c.name} has focal lengths {c.fx:g} and {c.fy:g}, not above 0")
+    if not FIELDS[0] <= (angle := np.degrees(2 * np.arctan(c.height / 2 / c.fy))) <= FIELDS[1]:
+        raise ValueError(f"camera {c.name} sees {angle:.6g} degrees from top to bottom, not {FIELDS[0]} to {FIELDS[1]}")
     if not 0 <= c.near < np.inf:
         raise ValueError(f"camera {c.name} has near {c.near}")
     axes = c.world_to_camera[:3, :3]
@@ -205,6 +208,12 @@ def placed(camera: Camera, shift: NDArray[np.float64], scale: float, turn: NDArr
         view[:3, :3] = view[:3, :3] @ turn.T
     view[:3, 3] = scale * (view[:3, 3] - view[:3, :3] @ shift)
     return replace(camera, world_to_camera=view, near=scale * camera.near)
+
+
+def cameras_from(origin: ArrayLike, cameras: Iterable[Camera]) -> tuple[Camera, ...]:
+    """The cameras in coordinates from an origin (3,)."""
+    shift = -np.asarray(origin, np.float64)
+    return tuple(placed(camera, shift, 1.0) for camera in cameras) if shift.any() else tuple(cameras)
 
 
 def with_near_planes(cameras: Sequence[Camera], gaussians: Gaussians) -> list[Camera]:

@@ -16,6 +16,9 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import SceneError
+from airgs_codec.places.whole import expect_plain
+
+BOM = b"\xef\xbb\xbf"  # that Windows puts before UTF-8
 
 _BROKEN = (
     *(ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, RuntimeError),
@@ -29,6 +32,7 @@ _HEADER = (SyntaxError, TokenError)  # what numpy raises for a broken header is 
 def expecting(path: Path, what: str) -> Iterator[None]:
     """Turns what goes wrong while `path` is read as `what` into a SceneError of one line."""
     try:
+        expect_plain(path)
         with np.errstate(all="ignore"):  # what is not finite in the end is refused
             yield
     except SceneError:
@@ -46,6 +50,7 @@ def expecting(path: Path, what: str) -> Iterator[None]:
 def reading(path: Path) -> Iterator[None]:
     """Turns an OSError of the block into a SceneError that names the file."""
     try:
+        expect_plain(path)
         yield
     except OSError as error:
         raise SceneError(f"{path}: cannot read: {error.strerror}") from error

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import frame_argument
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.gaussians import Gaussians, least_turned, mix_rows, rename_axes, to_rotation_vector
+from airgs_codec.scene.gaussians import LEAST_SHARE, Gaussians, least_turned, mix_rows, rename_axes, to_rotation_vector
+from airgs_codec.scene.origin import SAID, moved_share
 
 OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 NARROWER = 1.0  # bits a row that other names of axes must save
 LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
-HIDDEN = (
-    "Gaussians that are not finite in some frame are not shown there"  # how notes of repairs end, after their number
-)
+HIDDEN = "Gaussians that are not finite in some frame are not shown there"  # in notes of repairs, after their number
 ZERO = "Gaussians with zero quaternions were given identity"
+MOST_HIDDEN = 0.5  # share of what is opaque: the rest would be a scene that nobody gave
 FLAT = "Gaussians without thickness were given a thousandth of their largest axis"
 THIN = np.float32(np.log(1e-3))  # what is thinner covers no pixel of its own while it is less than a thousand wide
 
@@ -123,23 +123,32 @@ def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
 
     Infinite opacity logits become ±20 and zero quaternions identity, all others unit length, and what has no thickness
     a thousandth of its largest axis. A row that is not finite then in some frame has no opacity there, and else what
-    it has in the first frame where it is finite. All frames are looked at, one after the other. Raises SceneError when
-    no row is finite in any.
+    it has in the first frame where it is finite. All frames are looked at, one after the other. Notes give the largest
+    share of what is opaque in a frame. Raises SceneError where that is more than MOST_HIDDEN of what is not finite.
     """
-    count = len(frames[0])
-    broken, zero, flat = np.zeros(count, bool), np.zeros(count, bool), np.zeros(count, bool)
-    for frame in frames:
+    kinds = (HIDDEN, ZERO, FLAT)
+    rows, shares, apart = np.zeros((len(kinds), len(frames[0])), bool), np.zeros(len(kinds)), 0.0
+    for place, frame in enumerate(frames):
         finite = _finite_rows(_with_finite_values(frame))
-        broken |= ~finite
-        zero |= finite & _zero_quaternions(frame)
-        flat |= finite & np.isneginf(frame.log_scales).any(axis=1)
-    stand_in = _stand_in(frames, where) if broken.any() else None
-    kinds = ((broken, HIDDEN), (zero & ~broken, ZERO), (flat & ~broken, FLAT))
-    notes = [f"{where}: {np.count_nonzero(rows)} {words}" for rows, words in kinds if rows.any()]
+        flat = finite & np.isneginf(frame.log_scales).any(axis=1)
+        found = np.stack([~finite, finite & _zero_quaternions(frame), flat])
+        seen = np.nan_to_num(frame.opacities().astype(np.float64), nan=1.0) + LEAST_SHARE
+        shares = np.maximum(shares, found @ seen / seen.sum())
+        rows |= found
+        apart = max(apart, moved_share(frame, frame.means))
+        if shares[0] > MOST_HIDDEN:
+            got = f"NaN or Inf in {shares[0]:.0%} of what is opaque in frame {place} of these"
+            raise SceneError(f"{where}: expected finite Gaussians, got {got}")
+    stand_in = _stand_in(frames) if rows[0].any() else None
+    rows[1:] &= ~rows[0]
+    counts = zip(np.count_nonzero(rows, axis=1), shares, kinds, strict=True)
+    notes = [f"{where}: {count} {words} ({share:.2%} of what is opaque)" for count, share, words in counts if count]
+    if apart > SAID:
+        notes.append(f"{where}: float32 moves {apart:.0%} of what is opaque by more than 1/256 of its size")
     return Repaired(LazyFrames(lambda place: _repaired(frames[place], stand_in), range(len(frames))), notes)
 
 
-def _stand_in(frames: Sequence[Gaussians], where: str) -> Gaussians:
+def _stand_in(frames: Sequence[Gaussians]) -> Gaussians:
     """Each row as it is in the first frame where it is finite; those that are in none as some other one is."""
     found = _with_finite_values(frames[0])
     left = ~_finite_rows(found)
@@ -149,8 +158,6 @@ def _stand_in(frames: Sequence[Gaussians], where: str) -> Gaussians:
         values = _with_finite_values(frame)
         known = left & _finite_rows(values)
         found, left = mix_rows(values, found, known), left & ~known
-    if left.all():
-        raise SceneError(f"{where}: expected finite Gaussians, all {len(left)} have NaN or Inf in every frame")
     return found.take(np.where(left, np.argmin(left), np.arange(len(left))))
 
 

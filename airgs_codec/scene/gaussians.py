@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -19,6 +19,7 @@ from airgs_codec.errors import SceneError
 
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), real SH band 0
 LEAST_SHARE = 1e-9
+FAR = 100.0  # times the median distance from the middle of a scene: what is further away decides less
 ALPHA_LIMIT = 2.0**-20  # of a mean alpha, whose logit would be infinite at 0 and 1
 SH_REST = (0, 3, 8, 15)  # SH coefficients past DC for degree 0..3
 SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off 0 and 1, whose logits are infinite
@@ -117,16 +118,20 @@ class Gaussians:
         return np.exp(np.minimum(scales[:, 1] + scales[:, 2], 2 * LARGEST)) * self.opacities()
 
 
-def as_floats(where: str, value: Any) -> NDArray[np.float32]:
+def as_floats(where: str, value: Any, wide: bool = False) -> NDArray[Any]:
     """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient.
 
-    Raises SceneError, which begins with `where`, for what is no array of real numbers.
+    Where `wide`, numbers of more bytes become float64. Raises SceneError, which begins with `where`, for what is no
+    array of real numbers.
     """
     try:
         if hasattr(value, "detach"):
-            value = value.detach().cpu().float().numpy()
+            value = value.detach().cpu()
+            value = (value if value.dtype.itemsize > 4 else value.float()).numpy()
+        value = np.asarray(value)
+        kind = np.float64 if wide and value.dtype.itemsize > 4 else np.float32
         with np.errstate(over="ignore"):  # what becomes infinite is refused
-            return np.asarray(value).astype(np.float32, casting="same_kind", copy=False)
+            return value.astype(kind, casting="same_kind", copy=False)
     except (TypeError, ValueError) as error:
         raise SceneError(f"{where}: expected an array of numbers: {' '.join(str(error).split())[:120]}") from error
 
@@ -134,19 +139,23 @@ def as_floats(where: str, value: Any) -> NDArray[np.float32]:
 def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
     """The mean of frames of the same rows, each weighed by its alpha, so that what nobody sees does not count.
 
-    Alpha itself is averaged plainly; the shorter of both ways between two rotations is taken. Frames are looked at one
-    after the other.
+    So do frames in which a row is far from the scene, by the area that it takes in pictures there. Alpha itself is
+    averaged plainly; the shorter of both ways between two rotations is taken. Frames are looked at one after the other.
     """
     seen, weight = np.zeros(len(frames[0])), np.zeros(len(frames[0]))
+    middle, remoteness = frames[len(frames) // 2].quaternions, remoteness_in(frames[len(frames) // 2])
+
+    def shares(g: Gaussians) -> Floats:
+        """Above 0, so that frames of rows that are never seen count alike."""
+        return (g.opacities().astype(np.float64) + LEAST_SHARE) / np.maximum(remoteness(g), 1) ** 2
+
     for g in frames:
-        alpha = g.opacities().astype(np.float64)
-        seen += alpha
-        weight += alpha + LEAST_SHARE  # so that frames of rows that are never seen count alike
-    middle = frames[len(frames) // 2].quaternions
+        seen += g.opacities()
+        weight += shares(g)
     names = [f.name for f in fields(Gaussians) if f.name != "opacity_logits"]
     sums = {name: np.zeros(getattr(frames[0], name).shape) for name in names}
     for g in frames:
-        share = (g.opacities().astype(np.float64) + LEAST_SHARE) / weight
+        share = shares(g) / weight
         turn = np.where(np.einsum("ni,ni->n", g.quaternions, middle) < 0, -1.0, 1.0)
         for name, total in sums.items():
             column = getattr(g, name) * turn[:, None] if name == "quaternions" else getattr(g, name)
@@ -155,6 +164,13 @@ def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
     means = {name: total.astype(np.float32) for name, total in sums.items()}
     means["quaternions"] /= np.linalg.norm(means["quaternions"], axis=1, keepdims=True)
     return Gaussians(**means, opacity_logits=np.log(alpha / (1 - alpha)).astype(np.float32))
+
+
+def remoteness_in(scene: Gaussians) -> Callable[[Gaussians], NDArray[np.float64]]:
+    """What gives (N,) distances of finite rows from the middle of a scene; above 1 they are FAR times the median."""
+    middle = np.median(scene.means, axis=0).astype(np.float64)
+    far = FAR * float(np.median(np.abs(scene.means - middle).max(axis=1)))
+    return lambda g: np.abs(g.means - middle).max(axis=1) / (far or np.inf)
 
 
 def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:

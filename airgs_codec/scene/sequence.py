@@ -30,10 +30,11 @@ from airgs_codec.scene.beside import (
     read_attribution,
     read_settings,
 )
-from airgs_codec.scene.camera import BLACK, Background, Camera
+from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
+from airgs_codec.scene.cameras.posed import distinct, told_of_lenses
 from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
 from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
-from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras
+from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras, read_posed
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
 from airgs_codec.scene.formats.table import (
@@ -49,6 +50,7 @@ from airgs_codec.scene.formats.table import (
 )
 from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.origin import ZERO, Origin, choose_origin, narrowed, origin_notes
 
 if TYPE_CHECKING:
     from airgs_codec.media.sound import SoundTrack  # and PyAV with it
@@ -82,6 +84,8 @@ class GaussianSequence:
     clip: Clip | None = None  # the file that all frames are in, if it is one; every path is its
     copied: Copied | None = field(default=None, compare=False)  # from an address; paths are those of the copy
     held: HeldFrames | None = field(default=None, compare=False)  # frames that need not be read again
+    origin: Origin = ZERO  # in the world: positions of frames and cameras are from it
+    stored_at: Origin = ZERO  # the origin that positions in the files are from
     credit: str | None = None  # who made the scene; None: what ATTRIBUTION.txt in its folder says
     sound_track: SoundTrack | None = None  # as long as the sequence
 
@@ -106,7 +110,7 @@ class GaussianSequence:
         clip = clip_of(frames, fps)
         paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
         found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind)
-        return replace(found, alone=True, clip=clip)
+        return _from_own_origin(replace(found, alone=True, clip=clip))
 
     @property
     def sh_degree(self) -> int:
@@ -186,9 +190,20 @@ class GaussianSequence:
             self.held.clear()
 
     def _read_file(self, frame: int) -> Gaussians:
-        path = self.paths[frame]
         with _naming(self.copied):
-            return self.clip.read(path, frame) if self.clip else read_frame(path)
+            return narrowed(self._stored(frame), np.subtract(self.origin, self.stored_at), self.paths[frame])
+
+    def _stored(self, frame: int) -> Gaussians:
+        """A frame as its file has it, with positions that may be float64."""
+        path = self.paths[frame]
+        return self.clip.read(path, frame) if self.clip else read_frame(path)
+
+    def at_origin(self, origin: Origin) -> GaussianSequence:
+        """The sequence with positions of frames and cameras from another origin in the world."""
+        if origin == self.origin:
+            return self
+        cameras = cameras_from(np.subtract(origin, self.origin), self.cameras)
+        return replace(self, origin=origin, cameras=cameras, held=None)
 
     def load(self, wanted: Iterable[int]) -> Repaired:
         """Read frames of one group and repair them: a row dropped in one is dropped in all.
@@ -283,8 +298,8 @@ def _sequence_of_clip(
         except SceneError as error:
             clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
     frames = [(path, header) for header in clip.headers]
-    sequence = sequence_of(found.folder, frames, views=views, fps=clip.fps if fps is None else fps, alone=True)
-    return replace(sequence, clip=clip)
+    rate = clip.fps if fps is None else fps
+    return sequence_of(found.folder, frames, views=views, fps=rate, alone=True, clip=clip)
 
 
 def sequence_of(
@@ -294,10 +309,12 @@ def sequence_of(
     views: str | Path | None = None,
     fps: Fraction | float | None = None,
     alone: bool = False,
+    clip: Clip | None = None,
+    origin: Origin | None = None,
 ) -> GaussianSequence:
     """The sequence of frames whose headers are known, at least one, with what lies beside them; see `open_sequence`.
 
-    `alone`: it is one file, which others may lie beside.
+    `alone`: it is one file, which others may lie beside. `origin`: by default the one that the first frame asks for.
     """
     degree = frames[0][1].sh_degree
     for path, header in frames:
@@ -310,10 +327,15 @@ def sequence_of(
     odd = () if alone else (*oddities_of([path for path, _ in frames]), *_lone_counts(frames))
     rate = own.fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
-    cameras = tuple(replace(c, background=own.background) for c in read_cameras(cameras_path)) if cameras_path else ()
+    posed = read_posed(cameras_path) if cameras_path else []
+    cameras = tuple(replace(c, background=own.background) for c in distinct(posed))
     paths, headers = zip(*frames, strict=True)
     found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
-    return replace(found, background=own.background, notes=(*own.notes, *odd), alone=alone)
+    found = replace(
+        found, background=own.background, notes=(*own.notes, *odd, *told_of_lenses(posed)), alone=alone, clip=clip
+    )
+    found = replace(found, origin=own.origin, stored_at=own.origin, cameras=cameras_from(own.origin, cameras))
+    return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
 
 def _lone_counts(frames: Sequence[tuple[Path, FrameHeader]]) -> list[str]:
@@ -325,6 +347,16 @@ def _lone_counts(frames: Sequence[tuple[Path, FrameHeader]]) -> list[str]:
         for i in lone
     ]
     return lines if len(lone) <= LONE else []
+
+
+def _from_own_origin(sequence: GaussianSequence) -> GaussianSequence:
+    """The sequence from an origin at which float32 is fine enough for its first frame, and a line on it."""
+    first = sequence._stored(0)
+    if (shift := choose_origin(first)) == ZERO:
+        return sequence
+    x, y, z = np.add(sequence.stored_at, shift).tolist()
+    found = sequence.at_origin((x, y, z))
+    return replace(found, notes=(*found.notes, *origin_notes(first, found.origin)))
 
 
 class GrowingFolder:
@@ -353,7 +385,8 @@ class GrowingFolder:
         if fresh or (self._frames and written != self._read_at):
             self._frames += fresh
             self._read_at = written
-            self._sequence = sequence_of(self._folder, self._frames, views=self._views, fps=self._fps)
+            origin = self._sequence.origin if self._sequence else None
+            self._sequence = sequence_of(self._folder, self._frames, views=self._views, fps=self._fps, origin=origin)
         return self._sequence
 
     def check_finished(self) -> None:

@@ -22,7 +22,9 @@ from urllib.parse import quote
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
+from airgs_codec.package.media_check import check_shared
 from airgs_codec.package.mpd import still_files
+from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import Package, find_file, open_package, read_file, root_of, write_file
 from airgs_codec.package.parse import parse_root
 from airgs_codec.places.place import Folder, is_address
@@ -124,6 +126,9 @@ def _copy(package: Package, name: str, target: Folder, progress: Progress) -> in
             progress(f"copying {name}", 1 + number, batches)
     size += sum(write_file(target, path, data).bytes for path, data in still_files(m))
     roots = {path: find_file(source, path)[1]() for path in (MPD_NAME, JSON_NAME)}
+    check_mpd(roots[MPD_NAME], m)
+    for path in m.shared_files():
+        check_shared(package, path)
     if parse_root(roots[JSON_NAME]) != root_of(m):
         raise ConfigError(f"{source.name}: expected a package that stays as it is, got one that changed meanwhile")
     return size + sum(write_file(target, path, data).bytes for path, data in roots.items())

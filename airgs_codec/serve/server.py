@@ -14,6 +14,7 @@ from typing import Any
 
 from hypercorn.asyncio import serve as serve_asgi
 from hypercorn.config import Config
+from priority import PriorityError
 from starlette.types import ASGIApp
 
 from airgs_codec.errors import ConfigError
@@ -77,8 +78,9 @@ async def serve(app: ASGIApp, listening: socket.socket, settings: ServerSettings
 
 
 def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-    """Report what went wrong outside of all handlers; connections that break are no news."""
-    if not isinstance(context.get("exception"), OSError):
+    """Report what went wrong outside of all handlers; a connection that breaks or asks too much is no news."""
+    error = context.get("exception")
+    if not error or BaseExceptionGroup("", [error]).split((OSError, PriorityError, asyncio.CancelledError))[1]:
         loop.default_exception_handler(context)
 
 

@@ -19,14 +19,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.places.whole import PART_SUFFIX, atomic_path, to_json, write_json
-from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, save_usage, write_settings
-from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera
+from airgs_codec.places.whole import atomic_path, remove_leftovers, to_json, write_json
+from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, exact_number, frame_rate, save_usage, write_settings
+from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera, cameras_from
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.origin import ZERO, in_world, narrowed
 from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.data.pictures import Exposure
 from airgs_codec.trainer.settings import BUDGET, TrainSettings
@@ -80,6 +82,8 @@ class Record:
         first = Path(str(scene.frames[0][0].source)).name
         named = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
         same: dict[str, Any] = {**named, "background": list(background)}
+        if scene.origin != ZERO:
+            same["origin"] = list(scene.origin)
         if scene.offsets:
             same["offsets"] = dict(scene.offsets)
         if scene.notes:
@@ -131,15 +135,22 @@ class Model:
         self.folder = folder
         self.record = record
 
+    @property
+    def _origin(self) -> NDArray[np.float64]:
+        """(3,) What is trained is from it, files are in the world."""
+        return np.array(self.record.scene.get("origin", ZERO), np.float64)
+
     def read(self, frame: int) -> Gaussians:
         """A finished frame. Raises SceneError when it cannot be read."""
-        return read_ply(self._path(frame))
+        return narrowed(read_ply(self._path(frame)), self._origin, self._path(frame))
 
     def commit(self, trained: TrainedFrame) -> FrameRecord:
         """Write the next frame, from which on the run goes on behind it, and return its record."""
-        frame = trained.record
+        frame, shown = trained.record, trained.gaussians
+        if self._origin.any():
+            shown = in_world(shown, self._origin)
         with atomic_path(self._path(frame.frame)) as temporary:
-            write_ply(temporary, trained.gaussians)
+            write_ply(temporary, shown)
         if trained.networks is not None:
             with atomic_path(self._networks(frame.frame)) as temporary:
                 _save(temporary, trained.networks)
@@ -179,7 +190,7 @@ class Model:
     def write_cameras(self, cameras: Sequence[Camera]) -> None:
         """Write the cameras of the run as a nerfstudio transforms.json without pictures."""
         frames = []
-        for c in cameras:
+        for c in cameras_from(-self._origin, cameras):
             matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
             intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
             entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
@@ -206,8 +217,7 @@ class Model:
         return self.record.complete and (self.folder / USAGE_NAME).is_file()
 
     def remove_leftovers(self) -> None:
-        for leftover in self.folder.glob(f".*{PART_SUFFIX}"):
-            leftover.unlink()
+        remove_leftovers(self.folder)
         for stray in sorted(self.folder.glob("*.ply"))[len(self.record.frames) :]:  # written, but not recorded
             stray.unlink()
         if not self.record.complete:
@@ -249,6 +259,7 @@ def read_model(folder: Path) -> Model:
         version = data.pop("version")
         if version != VERSION:
             raise ValueError(f"version {version} instead of {VERSION}")
+        frame_rate(str(path), exact_number(data["fps"]))
         data["frames"] = tuple(FrameRecord(**frame) for frame in data["frames"])
         return Model(folder, Record(**data))
 

@@ -1,15 +1,19 @@
 """Full disks, targets that cannot be written, bombs: one line, exit code 2, and what was there stays."""
 
+import errno
 import os
 import resource
 import shutil
 import signal
+import stat
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
+from airgs_codec.cli.decode import main as decode_command
 from airgs_codec.cli.encode import main as encode
 from airgs_codec.cli.manifest import main as manifest
 from airgs_codec.cli.play import main as play
@@ -20,7 +24,6 @@ from airgs_codec.inspect.validate import validate
 from airgs_codec.package.package import open_package
 from airgs_codec.package.publish import staged_package
 from airgs_codec.places.place import Folder
-from airgs_codec.places.whole import _MARK, _MARK_NAME
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX, FOX_VIEWS, VALID
@@ -63,11 +66,8 @@ def target(encoded, tmp_path):
 def test_a_full_disk_leaves_the_old_package(scene, target, tmp_path):
     before = {p: p.read_bytes() for p in target.rglob("*") if p.is_file()}
     done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)
-    assert (
-        done.returncode == 2
-        and done.stderr.count("\n") == 1
-        and ("too large" in done.stderr or "disk full" in done.stderr)
-    )
+    assert done.returncode == 2 and done.stderr.count("\n") == 1
+    assert "airgs-encode: /" in done.stderr and ("too large" in done.stderr or "disk full" in done.stderr)
     assert {p: p.read_bytes() for p in target.rglob("*") if p.is_file()} == before
     assert validate(target) == []
     assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]  # nothing half-written beside it
@@ -79,9 +79,40 @@ def test_a_target_that_cannot_be_written(scene, target):
     assert done.returncode == 2 and done.stderr.startswith("airgs-encode: ") and done.stderr.count("\n") == 1
 
 
-def test_a_full_disk_while_decoding(tmp_path):
-    done = command("decode", MOVING, "-o", tmp_path / "frames", limit=1000)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1
+@pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EDQUOT, errno.EROFS])
+def test_a_disk_that_takes_nothing_is_named(fault, target, tmp_path, monkeypatch, capsys):
+    def fails(*_):
+        raise OSError(fault, os.strerror(fault))
+
+    monkeypatch.setattr(os, "fsync", fails)
+    runs = {target / "airgs.json": (manifest, ["set-view", target, "--up", "-y"])}
+    runs[tmp_path / "a.ply"] = decode_command, [target, "--frames", "0", "-o", tmp_path / "a.ply"]
+    runs[tmp_path / "frames"] = decode_command, [target, "-o", f"{tmp_path}/frames/"]
+    for path, (main, words) in runs.items():
+        assert main([*map(str, words)]) == 2
+        assert capsys.readouterr().err.endswith(f": {path}: {os.strerror(fault)}\n")
+    assert validate(target) == [] and [path.name for path in tmp_path.iterdir()] == ["out.airgs"]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "socket"])
+@pytest.mark.parametrize("name", ["a.ply", "a.splat", "sequence.json", "--audio", "--views", "--transform", "--trace"])
+def test_what_would_be_read_without_an_end_is_refused_before_it_is_opened(
+    kind, name, encoded, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
+    path = Path("odd.json") if name.startswith("--") else scene / name
+    for frame in scene.glob("*.ply") if path.suffix in (".ply", ".splat") else ():
+        frame.unlink()
+    if kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        os.mknod(path, stat.S_IFIFO if kind == "pipe" else stat.S_IFSOCK)
+    option = [name, str(path)] if name.startswith("--") else []
+    main, words = (play, [encoded]) if name == "--trace" else (encode, [scene, "-o", "out.airgs"])
+    assert main([*map(str, words), *option]) == 2
+    told = capsys.readouterr().err
+    assert f"{path}: " in told and f"expected a plain file, got a {kind}" in told and told.count("\n") == 1
 
 
 @pytest.mark.parametrize(
@@ -110,20 +141,10 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
     process.wait()
     assert validate(target) == [] and open_package(target).manifest.frames == 3
     with staged_package(Folder(target)):  # another run at work
-        command("encode", scene, "-o", target, *ENCODE, check=True)
+        done = command("encode", scene, "-o", target, *ENCODE)
+        assert done.returncode == 2 and "got another run that is making this package" in done.stderr
         assert len(list(tmp_path.glob(".out.airgs.airgs-*"))) == 1  # its folder stays, that of the killed run is gone
     assert not list(tmp_path.glob(".out.airgs.*"))
-
-
-def test_a_package_that_was_moved_aside_comes_back(scene, target, tmp_path):
-    """Killed between the two renames that put a new package in the place of an old one."""
-    work = tmp_path / f".out.airgs.airgs-{'0' * 16}"
-    work.mkdir()
-    (work / _MARK_NAME).write_bytes(_MARK)
-    target.rename(work / "old")
-    done = command("encode", scene, "-o", target, *ENCODE, "--quality", "high", limit=4000)  # and the disk is full
-    assert done.returncode == 2 and validate(target) == []
-    assert [p.name for p in tmp_path.iterdir()] == ["out.airgs"]
 
 
 @pytest.mark.parametrize("option", ["--report", "--video", "--plot"])

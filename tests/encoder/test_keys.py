@@ -97,7 +97,7 @@ def test_a_base_that_cannot_be_one_is_refused(room):
 
     wrong = [replace(first, keeps=1), replace(first, tiers=[replace(t, count=1) for t in first.tiers])]
     wrong += [replace(first, tiers=[replace(t, factor=2 * t.factor) for t in first.tiers])]
-    wrong += [replace(first, grid=replace(first.grid, bits=1)), replace(first, colour_transform="")]
+    wrong += [replace(first, grid=replace(first.grid, finest=9)), replace(first, colour_transform="")]
     for base in [*wrong, replace(first, key_steps=replace(first.key_steps, opacity=1.0))]:
         with pytest.raises(FormatError, match="group/2") as caught:
             decode_canonical(opened(base, second), 1, 0)

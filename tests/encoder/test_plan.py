@@ -50,7 +50,9 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     sensitivity = 4.0 ** rng.integers(-4, 5, 4096)
     classes = motion_classes(sensitivity, 1e-9)
     means = rng.normal(size=(4096, 3)).astype(np.float32)
-    means = means[np.argsort(grid_codes(means, np.zeros_like(classes), fit_grid(means, np.zeros_like(classes), 1e-3)))]
+    means = means[
+        np.argsort(grid_codes(means, np.zeros_like(classes), fit_grid(means, np.zeros_like(classes), 1e-3))[0])
+    ]
     turn = np.cross([0.1, 0.2, 1.0], means + np.array([3, 0, 0])) if together else rng.normal(size=means.shape)
     moved = np.array([3 * np.sin(0.2 + 0.3 * t) * turn.T for t in range(8)])
     chosen = share_class(classes, sensitivity, moved, 1.0)

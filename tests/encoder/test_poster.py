@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airgs_codec.encoder.pipeline import POSTER_SIDE, draw_poster
+from airgs_codec.encoder.pipeline import draw_poster
 from airgs_codec.media.image import to_bytes
 from airgs_codec.media.metrics import psnr
 from airgs_codec.package.layout import POSTER_NAME
 from airgs_codec.package.package import open_package
 from airgs_codec.package.region import levelled, place_view
-from airgs_codec.package.tables import MAX_POSTER_BYTES
+from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.sequence import open_sequence
@@ -25,7 +25,7 @@ def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(demo_p
     data = package.read(POSTER_NAME)
     assert 0 < len(data) <= MAX_POSTER_BYTES
     with Image.open(io.BytesIO(data)) as opened:
-        assert (opened.format, max(opened.size)) == ("JPEG", POSTER_SIDE)
+        assert (opened.format, max(opened.size)) == ("JPEG", MAX_POSTER_SIDE)
         poster = np.asarray(opened.convert("RGB"))
     camera = place_view(m.region, levelled(m.region, m.world).places[0])
     camera = with_pixels(camera, *poster.shape[1::-1])
@@ -39,4 +39,4 @@ def test_it_is_worse_and_then_smaller_until_it_fits(most, monkeypatch):
     sequence = open_sequence(FOX)
     data = draw_poster(sequence, 0, sequence.cameras[0], CPU)
     with Image.open(io.BytesIO(data)) as opened:
-        assert len(data) <= most and opened.size[0] == opened.size[1] <= POSTER_SIDE
+        assert len(data) <= most and opened.size[0] == opened.size[1] <= MAX_POSTER_SIDE

@@ -15,7 +15,7 @@ from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
-from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.media.metrics import mse, psnr
@@ -158,7 +158,8 @@ def test_canonical_means_are_within_half_a_cell(fox):
         layout = laid_out(sequence, g, group)
         for q, quality in enumerate(fox.manifest.qualities):
             error = np.abs(decode_canonical(fox, g, q).means - layout.key.means).max(axis=1)
-            side = group.grid.step * 2.0 ** cell_bits(layout.classes, group.grid, quality.coarser)
+            cells = layout.classes - layout.wider
+            side = group.grid.step * 2.0 ** (layout.wider + cell_bits(cells, group.grid, quality.coarser))
             assert (error <= side / 2 * (1 + 1e-6)).all()
             assert len(np.unique(side)) > 2
 
@@ -306,10 +307,10 @@ def test_settings_that_cannot_work_are_refused(settings):
 def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_path):
     good = encoded(tmp_path, moving_frames(20, 1))
     before = {p.name: p.read_bytes() for p in good.files.path.iterdir() if p.is_file()}
-    g = random_gaussians(20)
-    wild = Gaussians(g.means, g.quaternions, g.log_scales, g.opacity_logits, g.sh_dc * np.float32(1e30), g.sh_rest)
-    folder = write_sequence(tmp_path / "wild", [wild])
-    with pytest.raises(ConfigError, match="colours of its Gaussians are beyond"):
+    frames = moving_frames(20, 4)
+    frames[2] = replace(frames[2], sh_dc=np.where(np.arange(20)[:, None] == 12, np.float32(1e30), frames[2].sh_dc))
+    folder = write_sequence(tmp_path / "wild", frames)
+    with pytest.raises(SceneError, match=r"frame 2 \(.*ply\): sh_dc of row 12 is 1e\+30 .* codes"):
         encode(open_sequence(folder), good.files.path, FAST)
     assert {p.name: p.read_bytes() for p in good.files.path.iterdir() if p.is_file()} == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "scene", "wild"]  # no stage is left behind

@@ -7,8 +7,8 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.sides import (
     DRAWS,
+    comparable,
     compared_views,
-    expect_same_rate,
     left_out,
     open_side,
     region_views,
@@ -68,9 +68,9 @@ def test_rates_that_are_stated_must_agree(tmp_path):
     frames = moving_frames(10, 2)
     slow, fast = (scene(tmp_path / f"at{fps}", frames, fps=fps) for fps in (24, 30))
     with pytest.raises(ConfigError, match=r"at30: expected 24 frames a second as .*at24, got 30"):
-        expect_same_rate(slow, fast)
-    expect_same_rate(slow, scene(tmp_path / "silent", frames))
-    expect_same_rate(slow, scene(tmp_path / "single", frames[:1], fps=30))
+        comparable(slow, fast)
+    comparable(slow, scene(tmp_path / "silent", frames))
+    comparable(slow, scene(tmp_path / "single", frames[:1], fps=30))
 
 
 def test_views_are_those_of_the_scenes_or_of_the_region_or_an_orbit(original, tmp_path):

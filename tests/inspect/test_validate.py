@@ -2,7 +2,10 @@
 
 import dataclasses
 import os
+import re
 import shutil
+import struct
+from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -13,9 +16,10 @@ from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import ClosedGop, check_gop, encode_gop, key_codec
-from airgs_codec.media.mp4 import read_segment, with_own_box
+from airgs_codec.media.mp4 import box, read_boxes, read_samples, read_segment, with_own_box
 from airgs_codec.package.layout import FileKind, file_kind
 from airgs_codec.package.package import open_files, open_package
+from airgs_codec.package.tables import digest
 from airgs_codec.places.place import Memory
 from tests.makers.refusals import TABLE, with_columns
 from tests.support.mutations import (
@@ -24,7 +28,9 @@ from tests.support.mutations import (
     apply,
     edit_tables,
     honest,
+    read_files,
     reindexed,
+    rewrite,
     set_value,
 )
 from tests.support.paths import VALID
@@ -162,3 +168,77 @@ def test_depths_that_disagree_with_a_level_are_counted():
     assert reasons(with_file(MOVING, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))) == {
         "count_mismatch"
     }
+
+
+def resampled(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
+    """A media segment whose first sample is another one, of which its boxes know."""
+    own, moof, _ = (whole for _, whole in read_boxes(data))
+    first, *others = read_samples(data[len(own) :])
+    sizes = moof.index(b"trun") + 20
+    assert struct.unpack_from(">I", moof, sizes) == (len(first),)
+    moof = moof[:sizes] + struct.pack(">I", len(change(first))) + moof[sizes + 4 :]
+    return own + moof + box(b"mdat", change(first), *others)
+
+
+def field(name: bytes, place: int, value: bytes) -> Callable[[bytes], bytes]:
+    """Other bytes in a box, so many after its name."""
+
+    def change(data: bytes) -> bytes:
+        at = data.index(name) + 4 + place
+        return data[:at] + value + data[at + len(value) :]
+
+    return change
+
+
+def filler(data: bytes) -> bytes:
+    unit = b"\x0c" + b"\xff" * 100_000 + b"\x80"
+    return resampled(data, lambda sample: sample + struct.pack(">I", len(unit)) + unit)
+
+
+def with_sps(place: int, value: int) -> Callable[[bytes], bytes]:
+    return lambda data: resampled(data, lambda s: s[: 4 + place] + bytes([value]) + s[5 + place :])
+
+
+HUGE = struct.pack(">Q", 10**12)
+STATE, KEY, TONE = "state/L0/1.m4s", "key/T1/Q1/1.m4s", "sound/1.m4a"
+WRONG = (
+    {  # what no decoder of ours needs and other players stumble over
+        f"{what} of {path}": (path, change, expected)
+        for path in (STATE, KEY)
+        for what, change, expected in (
+            ("start", field(b"tfdt", 4, HUGE), "box tfdt, byte 12: expected 0, got 1000000000000"),
+            ("track", field(b"tfhd", 4, b"\0\0\0\2"), "box tfhd, byte 12: expected 1, got 2"),
+            ("filler", filler, r"got units \[7, 8, 5, 12\]"),
+            ("level", with_sps(3, 62), "level up to 51 for .*, got 100 and 62"),
+            ("profile", with_sps(1, 110), "got 110 and"),
+            ("tail", lambda data: data[:-8] + box(b"free", bytes(8)) + data[-8:], "bad_picture"),
+        )
+    }
+    | {
+        "duration of sound": (TONE, field(b"tfhd", 8, b"\0\0\0\1"), "box tfhd, byte 16: expected 960, got 1"),
+        "start of sound": (TONE, field(b"tfdt", 4, HUGE), "got .1000000000000, "),
+        "roll of sound": (TONE, field(b"sbgp", 12, b"\0\0\0\1"), "box sbgp"),
+        "zeros for init.mp4": ("init.mp4", lambda data: bytes(len(data)), "bad_picture"),
+        "level of init.mp4": ("init.mp4", field(b"avcC", 3, b"\x3e"), "box stsd"),
+        "time of init.mp4": ("init.mp4", field(b"mdhd", 12, b"\0\0\0\1"), "box mdhd, byte 20: expected 30000, got 1"),
+    }
+)
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_other_players_stumble_over_is_found(name):
+    path, change, expected = WRONG[name]
+    files = base_files("sound" if path == TONE else "moving")
+    finding, *_ = findings(with_file(files, path, change(files[path])))
+    assert finding.where == path and re.search(expected, str(finding))
+
+
+@pytest.mark.parametrize("end", [0, 2000])
+def test_composition_times_and_a_poster_are_looked_at(demo_package, end):
+    files = read_files(demo_package)
+    poster = files["poster.jpg"][:end] or b"no picture"
+    entry = {"bytes": len(poster), "sha256": digest(poster)}
+    wild = rewrite(STATE, field(b"trun", 20, b"\x3b\x9a\xca\0"))
+    found = findings(apply(files, add_file("poster.jpg", poster), wild, honest, set_value(("poster",), entry)))
+    assert [f.where for f in found] == [STATE, "poster.jpg"]
+    assert "box trun" in str(found[0]) and "expected a JPEG" in str(found[1])

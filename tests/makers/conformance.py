@@ -42,7 +42,7 @@ def frames(count: int, degree: int, length: int) -> list[Gaussians]:
     columns = [rng.normal(size=(count, 4)), rng.normal(size=(count, 3)) * 0.3 - 2, rng.normal(size=count) * 2]
     columns += [rng.normal(size=(count, 3)), rest]
     swing = (np.arange(count) % 2)[:, None] * np.array([0.2, 0.05, 0.0])
-    moved = [still + swing * np.sin(0.5 * t) for t in range(length)]
+    moved = [still + swing * np.sin(2.0 * t) for t in range(length)]
     return [Gaussians(*(np.asarray(c, np.float32) for c in (means, *columns))) for means in moved]
 
 

@@ -170,7 +170,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
         honest,
     ),
     "bad_sidecar-line": in_table(drop_value(("segments", 0, "levels", 0, "line"), TABLE)),
-    "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 0, "line"), True, TABLE)),
+    "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 1, "line"), True, TABLE)),
     "bad_value-tiers": (set_value(("tiers",), 3),),
     "bad_value-levels": in_table(set_value(("levels",), [], TABLE)),
     "bad_value-frame-bytes": in_table(set_value(("segments", 0, "levels", 0, "frame_bytes"), [], TABLE)),

@@ -137,3 +137,27 @@ def test_a_lens_maps_straight_rays_to_where_opencv_bends_them():
     found = np.array([(seen * columns).sum(), (seen * rows).sum()]) / seen.sum()
     straight = lens.pinhole @ point[0]
     assert found == pytest.approx(straight[:2], abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("focal", "bend", "fisheye", "degrees"),
+    [(f, [0] * 4, True, 120) for f in (54, 51, 46)]  # of 170 to 200 degrees
+    + [(100, [0.5, 0, 0, 0], False, 63), (100, [-0.5, 0, 0, 0], False, 66), (100, [-1, 0, 0, 0], False, 50)]
+    + [(51, [-0.5, 0, 0, 0], True, 81)],
+)
+def test_no_pinhole_shows_more_than_its_lens_shows_once(focal, bend, fisheye, degrees):
+    lens = fit_lens((160, 120), np.array([[focal, 0, 80], [0, focal, 60], [0, 0, 1.0]]), np.array(bend, float), fisheye)
+    x, y = lens.maps(lens.size)
+    assert np.degrees(2 * np.arctan(80 / lens.pinhole[0, 0])) == pytest.approx(degrees, abs=1)
+    assert (np.diff(x, axis=1) > 0).all() and (np.diff(y, axis=0) > 0).all() and lens.cut == (bend[0] != 0.5)
+
+
+@pytest.mark.parametrize(
+    ("focal", "cx", "bend", "fisheye"),
+    [(0.5, 80, 0, True), (5, 80, 0, True), (51, 400, 0, True), (100, 500, -0.1, False), (0.01, 80, 0.1, False)],
+)
+def test_a_lens_that_shows_nothing_is_refused(focal, cx, bend, fisheye):
+    with pytest.raises(ValueError, match="lens"):
+        fit_lens(
+            (160, 120), np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]]), np.array([bend, 0, 0, 0.0]), fisheye
+        )

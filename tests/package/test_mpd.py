@@ -231,6 +231,10 @@ EDITS = {
     "duration": ('mediaPresentationDuration="PT', 'mediaPresentationDuration="PT9', "mpd_mismatch"),
     "odd duration": ('mediaPresentationDuration="PT', 'mediaPresentationDuration="P1DT', "bad_mpd"),
     "live": ('type="static"', 'type="dynamic"', "mpd_mismatch"),
+    "codecs": ('codecs="avc3.640033"', 'codecs="avc3.64003E"', "mpd_mismatch"),
+    "late": ('start="PT0S"', 'start="PT9S"', "mpd_mismatch"),
+    "long buffer": ('minBufferTime="PT1S"', 'minBufferTime="PT100000S"', "mpd_mismatch"),
+    "no bandwidth": (' bandwidth="', ' x="', "bad_mpd"),
     "one set": ('<AdaptationSet id="2"', '<AdaptationSet id="9"', None),
 }
 

@@ -5,11 +5,12 @@ from datetime import UTC, datetime
 
 import pytest
 
+from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.mpd import LiveClock
 from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.publish import GrowingPackage, write_tables
+from airgs_codec.package.publish import GrowingPackage, write_root, write_tables
 from airgs_codec.package.tables import PAGE
 from airgs_codec.places.place import Folder
 from tests.support.growing import PAGED
@@ -52,3 +53,12 @@ def test_a_group_is_expected_without_being_written(whole, growing, tmp_path):
     assert expected.frames == whole.groups[PAGE - 1].stop and read_files(tmp_path) == before
     growing.add(whole.groups[PAGE - 1])
     assert root_of(growing.manifest) == root_of(expected) == root_of(open_package(tmp_path).manifest)
+
+
+def test_what_no_reader_takes_is_not_written(whole, growing, tmp_path):
+    before = read_files(tmp_path)
+    with pytest.raises(FormatError, match=r"group/2\.json\.gz"):
+        growing.add(replace(whole.groups[1], static=-1))
+    with pytest.raises(FormatError, match="fov_y"):
+        write_root(Folder(tmp_path), replace(whole, region=replace(whole.region, fov_y=179.99)))
+    assert read_files(tmp_path) == before and len(growing.manifest.groups) == 1

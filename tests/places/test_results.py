@@ -78,6 +78,8 @@ def packed(value):
         {"is": "airgs_codec.encoder.settings:EncodeSettings", "of": {"quality_of_old": 1}},
         {"pickle": 0},
         {"array": 0},
+        {"fraction": "1e999999999"},
+        {"fraction": "1/0"},
         {},
     ],
     ids=str,
@@ -104,17 +106,19 @@ def test_an_array_whose_header_is_broken_or_absurd_is_the_same_error(old, new):
 
 
 @pytest.mark.parametrize("kind", ["folder", "bucket"])
-def test_an_entry_is_whole_or_absent(kind, tmp_path, request):
+def test_an_entry_is_whole_or_absent(kind, tmp_path, request, caplog):
     place = tmp_path / "work" if kind == "folder" else f"{request.getfixturevalue('bucket')}/entries"
     store = open_store(place)
     assert store.read("abc") is None and not store.has("abc")
     store.write("abc", b"first")
     store.write("abc", b"second")
     assert store.read("abc") == b"second" and store.place.paths() == ["ab/abc"]
-    for damaged in (seal(b"second")[:-1], seal(b"second")[:-1] + b"D", b"", b"second"):
+    whole = seal("abc", b"second")
+    for damaged in (whole[:-1], whole[:-1] + b"D", b"", b"second", seal("abd", b"second")):
         store.place.write("ab/abc", damaged)
         assert store.read("abc") is None and not store.has("abc")
-    assert unseal(seal(b"abc")) == b"abc"
+        assert f"{store.name}: the stored result abc is damaged or another's, and is made again" in caplog.text
+    assert unseal("abc", whole) == b"second"
 
 
 def test_a_file_is_no_store(tmp_path):

@@ -1,9 +1,6 @@
 """Files are whole or not there, whatever goes wrong while they are written."""
 
 import json
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -63,23 +60,6 @@ def test_files_may_be_read_by_whom_the_umask_lets(tmp_path):
     whole.write_bytes(tmp_path / "a.bin", b"new")
     (tmp_path / "b.bin").write_bytes(b"plain")
     assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "b.bin").stat().st_mode
-
-
-def test_a_write_that_is_killed_leaves_the_old_file(tmp_path):
-    """The process dies with half of the bytes written, by a signal that no handler sees."""
-    whole.write_bytes(tmp_path / "a.bin", b"old")
-    code = f"""
-import os, signal
-from pathlib import Path
-from airgs_codec.places.whole import atomic_path
-with atomic_path(Path({str(tmp_path)!r}) / "a.bin") as temporary:
-    temporary.write_bytes(b"half")
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
-    assert (tmp_path / "a.bin").read_bytes() == b"old"
-    whole.write_bytes(tmp_path / "a.bin", b"new")
-    assert (tmp_path / "a.bin").read_bytes() == b"new"
 
 
 @pytest.mark.parametrize("there", [True, False], ids=["folder", "dangling"])

@@ -40,7 +40,7 @@ def test_repairs_are_made_in_every_frame_and_named():
 
 def test_a_scene_without_a_finite_row_is_refused():
     g = random_gaussians(3)
-    with pytest.raises(SceneError, match="all 3"):
+    with pytest.raises(SceneError, match="100% of what is opaque in frame 0"):
         repair([replace(g, means=np.full((3, 3), np.inf, np.float32))], "scene")
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.ply import read_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
@@ -21,9 +22,11 @@ def test_frames_are_in_natural_order(tmp_path):
     assert [p.stem for p in open_sequence(tmp_path).paths] == ["f1", "f2", "f10"]
 
 
-def test_the_embedded_scene_opens_with_its_cameras_and_keyframes():
+def test_the_embedded_scene_opens_with_its_cameras_and_keyframes_from_zero():
     s = open_sequence(FOX)
     assert (len(s), s.fps, s.keyframes, s.sh_degree, len(s.cameras)) == (10, Fraction(24), (0, 5), 1, 20)
+    assert s.origin == (0, 0, 0) and not s.notes
+    np.testing.assert_array_equal(s.read(0).means, read_ply(s.paths[0]).means)
 
 
 @pytest.mark.parametrize(

@@ -346,6 +346,19 @@ def test_a_port_in_use_and_an_address_that_is_none_are_refused(port):
             listen(host, number)
 
 
+def test_a_client_that_takes_its_requests_back_is_no_news(port, caplog):
+    """HTTP/2's rapid reset: more streams at once than there may be."""
+    client = pytest.importorskip("h2.connection").H2Connection()
+    client.initiate_connection()
+    head = {":method": "GET", ":path": ROOT, ":scheme": "http", ":authority": "localhost"}
+    for stream in range(1, 2400, 2):
+        client.send_headers(stream, list(head.items()), end_stream=True)
+        client.reset_stream(stream)
+    with contextlib.suppress(ConnectionError):
+        say(port, client.data_to_send())
+    assert ask(port, ROOT)[0] == 200 and caplog.records == []
+
+
 @pytest.mark.skipif(not shutil.which("openssl"), reason="needs openssl to make a certificate")
 def test_https_speaks_http_2(tmp_path):
     h2 = pytest.importorskip("h2.connection")

@@ -75,11 +75,12 @@ def serve(
     folders: Mapping[str, Path],
     made: Mapping[str, Maker] | None = None,
     told: Callable[[bytes], bytes] | None = None,
+    locked: Mapping[str, str] | None = None,
 ) -> Iterator[Site]:
     """Python's own static server.
 
     `folders` are the first parts of paths, and what lies below them; `made` are paths whose answers are made anew for
-    each request; `told` takes what is posted, and answers.
+    each request; `told` takes what is posted, and answers; `locked` are queries without which a folder is forbidden.
     """
     answers: list[tuple[str, int]] = []
     ended = threading.Event()
@@ -89,7 +90,8 @@ def serve(
 
         def do_GET(self) -> None:
             make = (made or {}).get(urlsplit(self.path).path)
-            answer = make() if make else None
+            key = (locked or {}).get(self.path.split("/")[1], "")
+            answer = Answer(status=403) if not self.path.endswith(key) else make() if make else None
             if answer is None:
                 super().do_GET()
             else:

@@ -64,7 +64,7 @@ def test_a_run_killed_between_frame_and_record_repeats_that_frame(run, blobs, tm
     record["frames"].pop()
     (folder / "training.json").write_text(json.dumps(record))
     (folder / "000004.ply").write_bytes(b"half a frame")
-    (folder / ".000004.ply.part").write_bytes(b"half a frame")
+    (folder / ".000004.ply.0123456789abcdef.part").write_bytes(b"half a frame")
     train(open_scene(blobs), folder, SETTINGS, resume=True)
     assert files(folder) == files(run.folder)
 

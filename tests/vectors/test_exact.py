@@ -48,14 +48,15 @@ def test_morton_codes():
 def test_positions(case):
     grid, coarsest = Grid(**case["grid"]), case["qualities"][-1]["coarser"]
     shared = unpack_key_sidecar(data(case["data"]), case["rows"], grid, coarsest, "vector")
-    assert (shared.classes.tolist(), shared.depths.tolist()) == (case["classes"], case["depths"])
+    for name in ("classes", "depths", "wider"):
+        assert getattr(shared, name).tolist() == case[name]
     for quality in case["qualities"]:
         reader = ColumnReader(data(quality["data"]), "vector")
         sidecar = read_detail(reader, shared, grid, quality["coarser"], coarsest)
         assert not len(escapes.read_columns(reader, (1, 1, case["rows"])).index)
         reader.close()
         assert sidecar.codes.tolist() == numbers(quality["codes"])
-        means = grid_means(sidecar.codes, sidecar.classes, grid, quality["coarser"])
+        means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, quality["coarser"])
         np.testing.assert_array_equal(means, quality["means"])
 
 
@@ -72,7 +73,7 @@ def test_positions_that_are_refused(case):
 
 
 def unpack_kept(case):
-    return unpack_key_sidecar(data(case["data"]), case["rows"], Grid([0.0] * 3, 1.0, 4, 0), 0, "vector", True)
+    return unpack_key_sidecar(data(case["data"]), case["rows"], Grid([0] * 3, 1.0, 0), 0, "vector", True)
 
 
 @pytest.mark.parametrize("case", cases("positions", "kept"), ids=label)

@@ -34,9 +34,9 @@ def test_keys(case):
     codes = np.array(case["codes"], np.int32)
     values = from_codes(codes, KEY.steps(steps, width) * case["factor"], case["gain"])
     rows = codes.shape[1]
-    sidecar = KeySidecar(np.zeros(rows, np.uint64), np.zeros(rows, np.int16), np.zeros(rows, np.uint8))
+    sidecar = KeySidecar(*(np.zeros(rows, kind) for kind in (np.uint64, np.int16, np.int16, np.uint8)))
     transform = unpack_matrix(case["colour_transform"], width)
-    key = dequantise_key(values, sidecar, transform, Grid([0.0] * 3, 1.0, 1, 0), steps)
+    key = dequantise_key(values, sidecar, transform, Grid(**case["grid"]), steps)
     names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colours}
     assert_near(names, case)
 

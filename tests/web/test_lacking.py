@@ -1,10 +1,15 @@
-"""What a browser cannot do is a sentence on the screen: parts of Chromium are taken away before scripts run."""
+"""What a browser cannot do, or a server does, is a sentence on the screen: parts of Chromium are taken away before
+scripts run, and files answered otherwise.
+"""
+
+from functools import partial
 
 import pytest
 
 from airgs_codec.serve.pages import PAGE
-from tests.support.browser import build_pages, missing, serve, visit
+from tests.support.browser import Answer, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN
+from tests.support.servers import plainly_serving
 
 SAYS = b"""<script type="module">
 const element = document.querySelector("airgs-player");
@@ -55,6 +60,19 @@ LACKING = {
     "workers that start": (IN_WORKERS % "throw new Error('no such thing');", "The worker that decodes failed"),
 }
 
+HASTE = "const wait = setTimeout; globalThis.setTimeout = (run, ms) => wait(run, ms / 20);"
+KEY = "?sig=a%2Fb%2Bc&x=1"
+SERVERS = {  # the file that is answered otherwise, how, and what is said
+    "401": ("airgs.json", Answer(status=401), "needs a sign-in"),
+    "403": (
+        "group/1.json.gz",
+        Answer(status=403),
+        "group/1.json.gz: expected a file, got status 403. Its server refuses",
+    ),
+    "page": ("airgs.json", Answer(b"<!doctype html>"), "A web page is there"),
+    "silent": ("airgs.json", Answer(b"{{", wait_s=60), "airgs.json: the server is silent"),
+}
+
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
@@ -62,7 +80,14 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 def site():
     build_pages()
     page = (PAGE / "player.html").read_bytes() + SAYS
-    with serve({"page": PAGE, "golden": GOLDEN}, {"/page/player.html": lambda: page}) as site:
+    root = (GOLDEN / "fox" / "airgs.json").read_bytes()
+    served = {f"/{name}/airgs.json": lambda: root for name in SERVERS}
+    served |= {f"/{name}/{path}": lambda given=given: given for name, (path, given, _) in SERVERS.items()}
+    zipped = {"Content-Encoding": "gzip"}
+    for path in ("group/1.json.gz", "group/2.json.gz"):
+        served[f"/dev/fox/{path}"] = partial(Answer, (GOLDEN / "fox" / path).read_bytes(), headers=zipped)
+    folders, made = {"page": PAGE, "golden": GOLDEN, "dev": GOLDEN}, {"/page/player.html": lambda: page}
+    with serve(folders, made | served, locked={"dev": KEY}) as site:
         yield f"{site.url}/page/player.html?src=/golden/fox/"
 
 
@@ -74,5 +99,15 @@ def test_what_is_lacking_is_said_on_the_screen(site, what):
     assert report["width"] > 200 and report["height"] > 100
 
 
-def test_where_nothing_is_lacking_nothing_is_said(site):
-    assert "text" not in visit(site).report
+@pytest.mark.parametrize("src", ["/golden/fox/", f"/dev/fox/manifest.mpd{KEY}"], ids=["plain", "query, unpacked"])
+def test_where_nothing_is_lacking_nothing_is_said(site, src):
+    assert "text" not in visit(site.replace("/golden/fox/", src)).report
+
+
+@pytest.mark.parametrize("name", [*SERVERS, "CORS"])
+def test_what_a_server_does_is_said_on_the_screen(site, name):
+    with plainly_serving(GOLDEN) as port:
+        src = f"/{name}/" if name in SERVERS else f"http://127.0.0.1:{port}/fox/"
+        report = visit(site.replace("/golden/fox/", src), IN_WORKERS % HASTE).report
+    words = SERVERS[name][2] if name in SERVERS else "is not for this page"
+    assert report["seen"] and words in report["text"] and "Try again" in report["text"]

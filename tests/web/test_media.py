@@ -1,5 +1,6 @@
 """The player's media part in a real browser: exact luma, frames as the decoder shows them, refusals, faults."""
 
+import gzip
 from dataclasses import replace
 from functools import partial
 from hashlib import sha256
@@ -245,6 +246,10 @@ FAULTS = {  # answers for the table of the first group -> (answers that were not
     "none": ([], 0, None),
     "wrong bytes": ([Answer(OTHER)], 1, None),
     "wrong length": ([Answer(TABLE_BYTES + b"more")], 1, None),
+    "unpacked by the browser": ([Answer(TABLE_BYTES, headers={"Content-Encoding": "gzip"})], 0, None),
+    "unpacked by the server": ([Answer(gzip.decompress(TABLE_BYTES))], 0, None),
+    "403": ([Answer(b"", 403)], 0, "missing_file"),
+    "always a page": ([Answer(b"<html>" * 999)] * 9, 1, "size_mismatch"),
     "truncated": ([Answer(TABLE_BYTES, lost=40)] * 2, 2, None),
     "500": ([Answer(b"", 500)], 1, None),
     "404": ([Answer(b"", 404)], 0, "missing_file"),

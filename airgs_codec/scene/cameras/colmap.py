@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from airgs_codec.media.image import Lens
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.posed import Posed, expect_any, undistorted
+from airgs_codec.scene.cameras.posed import Posed, as_path, expect_any, undistorted
 from airgs_codec.scene.files import Cursor, expecting
 
 WORDS = "a COLMAP reconstruction"
@@ -144,7 +144,11 @@ def _posed(image: _Image, camera: Camera, lens: Lens | None, held_out: set[str])
 
 def _held_out(folder: Path) -> set[str]:
     path = folder / TEST_NAME
-    return {line.strip() for line in path.read_text(encoding="utf-8").splitlines()} if path.is_file() else set()
+    return (
+        {as_path(line.strip()) for line in path.read_text(encoding="utf-8-sig").splitlines()}
+        if path.is_file()
+        else set()
+    )
 
 
 def _sensors_of_binary(folder: Path) -> Iterator[tuple[int, _Sensor]]:
@@ -171,7 +175,7 @@ def _images_of_binary(folder: Path) -> Iterator[_Image]:
     cursor = Cursor.open(folder / "images.bin")
     for _ in range(*cursor.take("Q")):
         _, *pose, sensor = cursor.take("I7dI")
-        name = cursor.text()
+        name = as_path(cursor.text())
         cursor.skip(POINT2D_BYTES * cursor.take("Q")[0])
         yield _Image(name, sensor, tuple(pose))
 
@@ -182,12 +186,12 @@ def _images_of_text(folder: Path) -> Iterator[_Image]:
         if _is_empty(line):
             continue
         _, *pose, sensor, name = line.split(maxsplit=9)
-        yield _Image(name.strip(), int(sensor), tuple(map(float, pose)))
+        yield _Image(as_path(name.strip()), int(sensor), tuple(map(float, pose)))
         next(lines, None)  # its points in the picture, which may be an empty line
 
 
 def _lines(path: Path) -> Iterator[str]:
-    with path.open(encoding="utf-8") as file:
+    with path.open(encoding="utf-8-sig") as file:
         yield from file
 
 

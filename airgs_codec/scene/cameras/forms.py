@@ -33,7 +33,7 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
-from airgs_codec.scene.cameras.posed import Posed, expect_any, inverse, undistorted
+from airgs_codec.scene.cameras.posed import Posed, as_path, expect_any, inverse, undistorted
 from airgs_codec.scene.files import Cursor, expecting, read_json, read_object
 
 TRANSFORMS, INRIA, LLFF = "transforms.json", "cameras.json", "poses_bounds.npy"
@@ -64,7 +64,7 @@ def read_transforms(path: Path) -> list[Posed]:
     data = read_object(path)
     with expecting(path, f"a nerfstudio {TRANSFORMS}"):
         entries = [ChainMap(entry, data) for entry in data["frames"]]
-        held_out = {*data.get("test_filenames", ()), *data.get("val_filenames", ())}
+        held_out = {*map(as_path, [*data.get("test_filenames", ()), *data.get("val_filenames", ())])}
         posed = [_of_entry(name, e, held_out) for name, e in zip(_names(entries), entries, strict=True)]
     return expect_any(posed, path, "at least one picture under 'frames'")
 
@@ -72,21 +72,21 @@ def read_transforms(path: Path) -> list[Posed]:
 def _names(entries: Sequence[_Entry]) -> list[str]:
     """A name for each entry: its `camera`, else its picture's, or its picture's folder where there are pictures over
     time in several folders."""
-    paths = [PurePosixPath(str(entry.get("file_path", ""))) for entry in entries]
+    paths = [PurePosixPath(as_path(entry.get("file_path", ""))) for entry in entries]
     moving = len({_time(entry) for entry in entries}) > 1 and len({path.parent for path in paths}) > 1
     given = [path.parent.name if moving else path.stem for path in paths]
     return [str(entry.get("camera", given[i] or f"view{i:03d}")) for i, entry in enumerate(entries)]
 
 
 def _of_entry(name: str, entry: _Entry, held_out: set[str]) -> Posed:
-    picture = str(entry.get("file_path", ""))
+    picture = as_path(entry.get("file_path", ""))
     to_world = np.asarray(entry.maps[0]["transform_matrix"], np.float64).reshape(4, 4)
     width, height, fx, fy, cx, cy = (float(entry[key]) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"))
     to_camera = inverse(to_world @ OPENGL_TO_OPENCV)
     split, near = str(entry.get("split", "test" if picture in held_out else "train")), _near(entry)
     taken = Camera(name, int(width), int(height), fx, fy, cx, cy, to_camera, split, near)
     camera, lens = _without_lens(taken, entry)
-    mask = str(entry["mask_path"]) if "mask_path" in entry else None
+    mask = as_path(entry["mask_path"]) if "mask_path" in entry else None
     return Posed(camera, picture, lens, _time(entry), mask, "camera" in entry)
 
 
@@ -134,7 +134,7 @@ def _inria_cameras(path: Path, data: Any) -> list[Posed]:
     posed: list[Posed] = []
     with expecting(path, "INRIA's cameras.json"):
         for number, entry in enumerate(data):
-            picture = str(entry.get("img_name", f"view{number:03d}"))
+            picture = as_path(entry.get("img_name", f"view{number:03d}"))
             width, height = int(entry["width"]), int(entry["height"])
             shown = min(width, MOST_WIDE)
             tall = int(height * shown / width)  # cut off, not rounded
@@ -185,7 +185,7 @@ def _panoptic_cameras(path: Path, split: str) -> list[Posed]:
                 m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
                 lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
                 camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
-                posed.append(Posed(camera, str(file), time=time, fixed=True))
+                posed.append(Posed(camera, as_path(file), time=time, fixed=True))
     return expect_any(posed, path, "at least one frame")
 
 

@@ -16,6 +16,11 @@ from airgs_codec.scene.camera import Camera, check_camera
 MOST_LETTERS = 255  # of a name in any file system
 
 
+def as_path(text: object) -> str:
+    """A path as a file has it, with the separators of every system as "/"."""
+    return str(text).replace("\\", "/")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
     """A camera as a file describes it, and the picture that it belongs to.
@@ -66,9 +71,25 @@ def undistorted(camera: Camera, coefficients: NDArray[np.float64], fisheye: bool
     if not np.isfinite(coefficients).all():
         raise ValueError(f"camera {camera.name} has a lens that is not finite")
     matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
-    lens = fit_lens((camera.width, camera.height), matrix, coefficients, fisheye)
+    try:
+        lens = fit_lens((camera.width, camera.height), matrix, coefficients, fisheye)
+    except ValueError as error:
+        numbers = ", ".join(f"{number:g}" for number in (camera.fx, camera.fy, camera.cx, camera.cy, *coefficients))
+        raise ValueError(
+            f"camera {camera.name}: {error}, got {'a fisheye' if fisheye else 'one'} of {numbers}"
+        ) from error
     (fx, _, cx), (_, fy, cy), _ = lens.pinhole
     return replace(camera, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy)), lens
+
+
+def told_of_lenses(posed: Iterable[Posed]) -> tuple[str, ...]:
+    """What people should know of the lenses of cameras: a line, or none."""
+    cut = {p.camera.name: p.camera for p in posed if p.lens and p.lens.cut}
+    angles = [np.degrees(2 * np.arctan(max(c.width / 2 / c.fx, c.height / 2 / c.fy))) for c in cut.values()]
+    if not cut:
+        return ()
+    left = f"the middle {min(angles):.0f} degrees of what they see are used, the rest is cut off"
+    return (f"{len(cut)} cameras, such as {next(iter(cut))}, have wide or strongly bending lenses: {left}",)
 
 
 def inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:

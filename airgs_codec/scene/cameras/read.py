@@ -10,7 +10,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import colmap, forms
 from airgs_codec.scene.cameras.posed import Posed, distinct
-from airgs_codec.scene.files import expecting, read_json
+from airgs_codec.scene.files import BOM, expecting, read_json
 
 Reader = Callable[[Path], list[Posed]]
 
@@ -25,7 +25,6 @@ BY_JSON: tuple[tuple[Callable[[Any], bool], Reader], ...] = (
 )
 NAMES = (forms.TRANSFORMS, forms.INRIA, "sparse", forms.PANOPTIC)  # what is looked for beside a scene, in this order
 SUFFIXES = (".json", ".splatv", ".npy")  # of files that may have cameras under another name
-BOM = b"\xef\xbb\xbf"  # that Windows puts before UTF-8
 WORDS = (
     "cameras (transforms.json, INRIA's cameras.json, COLMAP's sparse/, Panoptic's train_meta.json, poses_bounds.npy "
     "or .splatv)"

@@ -49,6 +49,7 @@ class Holds:
     sh_degree: int = 3
     rounding: str = ""  # what is rounded to how many bits
     keeps_rows: bool = True  # whether row n is the same Gaussian in all frames
+    doubles: bool = False  # whether positions may be float64
     ranges: tuple[tuple[str, float, float], ...] = ()  # an attribute of Gaussians, its least and largest value
 
 
@@ -66,7 +67,7 @@ class Clip:
 
     headers: tuple[FrameHeader, ...]  # of the frames
     fps: Fraction  # frames a second
-    read: Callable[[Path, int], Gaussians]  # a frame of its file, wherever that is, unrepaired; raises SceneError
+    read: Callable[[Path, int], Gaussians]  # a frame of its file, as `FrameFormat.read`; raises SceneError
     note: str  # what was read, and how it became frames, for people
 
 
@@ -88,7 +89,7 @@ class FrameFormat(Format):
     writer: str = ""  # the library that `write` needs
     axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
     read_header: Callable[[Path], FrameHeader]
-    read: Callable[[Path], Gaussians]
+    read: Callable[[Path], Gaussians]  # its positions may be float64
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
 
 

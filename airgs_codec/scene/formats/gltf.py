@@ -66,7 +66,10 @@ def read_gltf_header(path: Path) -> FrameHeader:
 
 
 def read_gltf(path: Path) -> Gaussians:
-    """The splats of all nodes of the scene, one after another. Raises SceneError."""
+    """The splats of all nodes of the scene, one after another; positions are float64 where a node moves them.
+
+    Raises SceneError.
+    """
     with expecting(path, _WORDS):
         document = _open(path)
         primitives = list(_splats(document.json))
@@ -244,11 +247,13 @@ def _read(document: dict[str, Any], buffers: list[bytes], primitive: _Placed, de
         raise ValueError(f"{len(means)} rows of every attribute")
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         log_scales = logs_of(scales) + math.log(primitive.scale)
-        placed_means = means @ primitive.matrix.T + primitive.translation
+        placed_means: NDArray[Any] = means @ primitive.matrix.T + primitive.translation
+        if not primitive.translation.any():
+            placed_means = placed_means.astype(np.float32)
     quaternions = multiply(np.broadcast_to(primitive.rotation, rotations.shape), rotations)
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
-    columns = (placed_means, quaternions, log_scales, logits_of(alpha), dc, sh)
-    return Gaussians(*(np.asarray(part, np.float32) for part in columns))
+    columns = (quaternions, log_scales, logits_of(alpha), dc, sh)
+    return Gaussians(placed_means, *(np.asarray(part, np.float32) for part in columns))
 
 
 def write_glb(path: Path, gaussians: Gaussians) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.form import FrameFormat, FrameHeader
+from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds
 from airgs_codec.scene.formats.ply_elements import BLOCK, Element, Header, read_columns, read_header, write_floats
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
@@ -75,7 +75,7 @@ def _rest_names(k: int) -> list[str]:
 
 
 def read_ply(path: Path) -> Gaussians:
-    """Read one frame as its file has it.
+    """Read one frame as its file has it: positions are float64 where float32 cannot hold the type that they have.
 
     Gaussians of two axes have no size along the third. Raises SceneError for a file that is missing, truncated or not a
     Gaussian .ply.
@@ -91,19 +91,28 @@ def read_ply(path: Path) -> Gaussians:
 
 
 def write_ply(path: Path, gaussians: Gaussians) -> None:
-    """Write one frame as binary little-endian INRIA .ply; the normals that INRIA writes are zero."""
+    """Write one frame as binary little-endian INRIA .ply; the normals that INRIA writes are zero.
+
+    Positions are doubles in the file where they are float64.
+    """
     k = gaussians.sh_rest.shape[1]
     names = [*_MEANS, *_NORMALS, *_DC, *(f"f_rest_{i}" for i in range(3 * k)), *_OPACITY, *_SCALES, *_ROTATION]
     with path.open("wb") as file:
-        write_floats(file, names, _blocks(gaussians), len(gaussians))
+        write_floats(file, names, _blocks(gaussians), len(gaussians), 3 * (gaussians.means.dtype == np.float64))
 
 
 INRIA = FrameFormat(
-    name="INRIA .ply", key="ply", suffixes=(".ply",), read_header=read_ply_header, read=read_ply, write=write_ply
+    name="INRIA .ply",
+    key="ply",
+    suffixes=(".ply",),
+    read_header=read_ply_header,
+    read=read_ply,
+    write=write_ply,
+    holds=Holds(doubles=True),
 )
 
 
-def _blocks(gaussians: Gaussians) -> Iterator[NDArray[np.float32]]:
+def _blocks(gaussians: Gaussians) -> Iterator[NDArray[np.floating]]:
     """The rows of a file, (n, 17 + 3 K) each."""
     for start in range(0, len(gaussians), BLOCK):
         g = gaussians.take(slice(start, start + BLOCK))
@@ -112,7 +121,7 @@ def _blocks(gaussians: Gaussians) -> Iterator[NDArray[np.float32]]:
         yield np.concatenate(parts, axis=1)
 
 
-def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+def read_points(path: Path) -> tuple[NDArray[np.floating], NDArray[np.float32] | None]:
     """Positions (N, 3) of a point cloud, and RGB of [0, 1] (N, 3) if it has any.
 
     Whole-number colours are divided by the largest of their type. Raises SceneError for a file that is missing,
@@ -126,4 +135,4 @@ def read_points(path: Path) -> tuple[NDArray[np.float32], NDArray[np.float32] | 
         return read_columns(path, header, vertex, (_MEANS,))[0], None
     positions, colours = read_columns(path, header, vertex, (_MEANS, _COLOUR))
     kind = types["red"]
-    return positions, colours if kind.kind == "f" else colours / np.float32(np.iinfo(kind).max)
+    return positions, (colours if kind.kind == "f" else colours / np.float32(np.iinfo(kind).max)).astype(np.float32)

@@ -12,13 +12,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.files import expecting, reading
+from airgs_codec.scene.files import BOM, expecting, reading
 
 BLOCK = 1 << 14  # rows read at once: some MB
 MAX_HEADER = 1 << 20  # bytes
@@ -83,7 +83,7 @@ def read_header(path: Path) -> Header:
     """
     with reading(path), path.open("rb") as file:
         head = file.read(1 << 12)
-        newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.startswith(b"ply" + end)), b"")
+        newline = next((end for end in (b"\r\n", b"\n", b"\r") if head.removeprefix(BOM).startswith(b"ply" + end)), b"")
         last = newline + HEADER_END + newline
         while newline and last not in head and len(head) < MAX_HEADER and (more := file.read(len(head))):
             head += more
@@ -132,10 +132,10 @@ def _type(name: str, form: str) -> np.dtype:
     return np.dtype(_BYTE_ORDERS[form] + _TYPES[name])
 
 
-def read_columns(
-    path: Path, header: Header, element: Element, groups: Sequence[Sequence[str]]
-) -> list[NDArray[np.float32]]:
+def read_columns(path: Path, header: Header, element: Element, groups: Sequence[Sequence[str]]) -> list[NDArray[Any]]:
     """An (N, len(names)) array for each group of property names; elements that follow are not looked at.
+
+    It is float32, but the first float64 where its properties do not fit that.
 
     Raises SceneError when the element has lists, or the file ends before its last row.
     """
@@ -143,11 +143,15 @@ def read_columns(
         raise SceneError(f"{path}: expected {element.name} rows of single values, got a list property")
     with expecting(path, f"{element.count} {element.name} rows, got a broken or truncated file"):
         blocks = _text_blocks(path, header, element) if header.ascii else _binary_blocks(path, header, element)
+        types = {p.name: p.type for p in element.properties}
+        kinds = [np.result_type(np.float32, *map(types.__getitem__, groups[0])), *[np.float32] * (len(groups) - 1)]
         columns = None
         start = 0
         for rows in blocks:
             if columns is None:  # from here on the file is known to be as long as its header says
-                columns = [np.empty((element.count, len(names)), np.float32) for names in groups]
+                columns = [
+                    np.empty((element.count, len(names)), kind) for names, kind in zip(groups, kinds, strict=True)
+                ]
             for names, column in zip(groups, columns, strict=True):
                 for i, name in enumerate(names):
                     column[start : start + len(rows), i] = rows[name]  # a double past float32 is Inf
@@ -219,10 +223,18 @@ def _text_blocks(path: Path, header: Header, element: Element) -> Iterator[NDArr
             yield np.loadtxt(taken, row, comments=None, ndmin=1)
 
 
-def write_floats(file: BinaryIO, names: Sequence[str], blocks: Iterator[NDArray[np.float32]], count: int) -> None:
-    """Write one element `vertex` of `count` rows, float properties, binary little-endian; blocks are (n, P)."""
+def write_floats(
+    file: BinaryIO, names: Sequence[str], blocks: Iterator[NDArray[np.floating]], count: int, doubles: int = 0
+) -> None:
+    """Write one element `vertex` of `count` rows, binary little-endian; blocks are (n, P).
+
+    Its first `doubles` properties are double, the others float.
+    """
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    lines += [*(f"property float {name}" for name in names), "end_header", ""]
-    file.write("\n".join(lines).encode())
+    lines += [f"property {'double' if i < doubles else 'float'} {name}" for i, name in enumerate(names)]
+    file.write("\n".join([*lines, "end_header", ""]).encode())
+    row = np.dtype([("doubles", "<f8", doubles), ("floats", "<f4", len(names) - doubles)])
     for block in blocks:
-        file.write(np.ascontiguousarray(block, "<f4").data)
+        rows = np.empty(len(block), row)
+        rows["doubles"], rows["floats"] = block[:, :doubles], block[:, doubles:]
+        file.write(rows.tobytes())

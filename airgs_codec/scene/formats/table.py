@@ -16,6 +16,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
@@ -34,6 +36,7 @@ from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
 from airgs_codec.scene.formats.splat import SPLAT
 from airgs_codec.scene.formats.spz import SPZ
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.origin import ZERO, Origin, choose_origin, in_world, narrowed
 
 FRAMES = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
 CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, SPACETIME_PLY)
@@ -99,7 +102,7 @@ def read_frame_header(path: Path) -> FrameHeader:
 
 
 def read_frame(path: Path) -> Gaussians:
-    """A frame of any format, as its file has it. Raises SceneError."""
+    """A frame of any format, as its file has it, with positions in float64 where it has such. Raises SceneError."""
     with reading(path):
         return format_of(path).read(path)
 
@@ -107,12 +110,16 @@ def read_frame(path: Path) -> Gaussians:
 def read(path: str | Path) -> Gaussians:
     """One frame from a file or folder of any format that holds one, as it is stored.
 
-    Raises SceneError for one that is broken, of no format, or holds other than one frame (`open_sequence` reads those).
+    Raises SceneError for one that is broken, of no format, whose positions float32 cannot hold, or holds other than one
+    frame (`open_sequence` reads both).
     """
     found = find_frames(Path(path_argument("path", path)))
     if len(found.paths) != 1:
         raise SceneError(f"{path}: expected one frame, got {len(found.paths)}")
-    return read_frame(found.paths[0])
+    g = read_frame(found.paths[0])
+    if g.means.dtype != np.float32 and choose_origin(g) != ZERO:
+        raise SceneError(f"{path}: expected positions near zero, got some that float32 cannot hold: open_sequence can")
+    return narrowed(g, np.zeros(3), found.paths[0])
 
 
 def is_frame(path: Path) -> bool:
@@ -253,29 +260,39 @@ def _check(place: str, target: Target, frames: int) -> None:
 
 
 def write_frames(
-    target: Target, frames: Iterable[Numbered], fps: Fraction, background: Background = BLACK
+    target: Target,
+    frames: Iterable[Numbered],
+    fps: Fraction,
+    background: Background = BLACK,
+    origin: Origin = ZERO,
 ) -> list[str]:
     """Write numbered frames, so many a second; returns what is lost of them, a line for each kind.
 
-    A folder of frames without a sequence.json gets one, with the frame rate and the background.
+    A folder of frames without a sequence.json gets one, with the frame rate and the background. Where the positions of
+    frames are from an `origin`, a format of doubles has that added; for others sequence.json has it.
 
     A file or folder that is there keeps what it has until all frames are written, and then what is not replaced by a
     frame of the same name. Raises SceneError, and what the iterator of frames raises.
     """
-    losses = Losses(target.form.holds, target.form.name)
+    losses, doubles = Losses(target.form.holds, target.form.name), target.form.holds.doubles
     fitted = ((number, losses.fit(g, f"frame {number}")) for number, g in frames)
+    if doubles and origin != ZERO:
+        fitted = ((number, in_world(g, origin)) for number, g in fitted)
+    beside = Settings(fps, background=background, origin=ZERO if doubles else origin)
+    told = target.folder and target.form is not SOG_FOLDER and not (target.path / SETTINGS_NAME).exists()
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
         try:
             if target.folder and target.form is not SOG_FOLDER:
                 for number, gaussians in fitted:
                     target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
-                if not (target.path / SETTINGS_NAME).exists():
-                    write_settings(temporary, Settings(fps, background=background))
+                if told:
+                    write_settings(temporary, beside)
             else:
                 target.form.write(temporary, *(g for _, g in fitted))
         except SceneError as error:  # of a name that nobody has given
             raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
-    return losses.lines()
+    way = f"{SETTINGS_NAME} says it" if told else "add that"
+    return losses.lines() + [f"{target.form.name} has positions from {origin}: {way}"] * (beside.origin != ZERO)
 
 
 def write(gaussians: Gaussians | Mapping[str, Any], path: str | Path) -> list[str]:

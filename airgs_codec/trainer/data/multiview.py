@@ -24,9 +24,10 @@ from airgs_codec.errors import SceneError
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import Lens, check_picture, read_picture, to_bytes
 from airgs_codec.media.movie import VideoReader
-from airgs_codec.scene.camera import BLACK, Background, Camera, at_scale, rig_scale
+from airgs_codec.scene.camera import BLACK, Background, Camera, at_scale, cameras_from, rig_scale
 from airgs_codec.scene.cameras.posed import Posed
 from airgs_codec.scene.files import expecting
+from airgs_codec.scene.origin import MOVED, ZERO, Origin, rounded_middle
 from airgs_codec.scene.sequence import GaussianSequence
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ class Shot:
 class Points:
     """A cloud of points to start the first frame from."""
 
-    positions: NDArray[np.float32]  # (P, 3) world units
+    positions: NDArray[np.floating]  # (P, 3) world units
     colours: NDArray[np.float32] | None  # (P, 3) RGB, 0..1; None: not known
 
 
@@ -129,6 +130,7 @@ class MultiviewScene:
     given: GaussianSequence | None = None  # what its pictures are drawn from, where they are (`drawn_scene`)
     offsets: Mapping[str, float] = field(default_factory=dict)  # frames that cameras were late, of `sync.in_step`
     notes: tuple[str, ...] = ()  # what was changed or guessed when it was opened, in whole lines
+    origin: Origin = ZERO  # in the world, that cameras and points are from
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -162,6 +164,22 @@ def frames_of(scene: MultiviewScene, span: tuple[int, int | None]) -> tuple[int,
 def seen_until(scene: MultiviewScene, stop: int) -> int:
     """Where the frames end whose pictures show those before `stop`: one further where cameras are early."""
     return min(len(scene), stop + any(shot.after < 0 for shot in scene.frames[0]))
+
+
+def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
+    """The scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size.
+
+    That is zero where it may be.
+    """
+    places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
+    origin = rounded_middle(places)
+    cameras = cameras_from(origin, scene.cameras)
+    pixel = rig_scale(cameras, None) / max(camera.fx for camera in cameras)
+    if np.spacing(np.float32(np.abs(origin).max())) / 2 > MOVED * pixel:
+        shifted = scene.points and replace(scene.points, positions=scene.points.positions - origin)
+        scene = _with_cameras(replace(scene, points=shifted, origin=origin), lambda c: cameras_from(origin, [c])[0])
+    points = scene.points and replace(scene.points, positions=scene.points.positions.astype(np.float32))
+    return replace(scene, points=points)
 
 
 def with_near_planes(scene: MultiviewScene) -> MultiviewScene:

@@ -29,7 +29,7 @@ from airgs_codec.media.image import is_turned
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import colmap, forms
-from airgs_codec.scene.cameras.posed import Posed
+from airgs_codec.scene.cameras.posed import Posed, as_path
 from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames, natural_key
@@ -39,6 +39,7 @@ from airgs_codec.trainer.data.multiview import (
     Shot,
     Source,
     frames_of,
+    from_own_origin,
     in_frames,
     open_video,
     with_near_planes,
@@ -85,9 +86,9 @@ def _named_points(folder: Path, name: object) -> Points | None:
     if name is None:
         return None
     with expecting(folder / forms.TRANSFORMS, "the points of ply_file_path"):
-        if not isinstance(name, str) or not (folder / name).is_file():
+        if not isinstance(name, str) or not (folder / as_path(name)).is_file():
             raise ValueError(f"got no file {name}")
-    return Points(*read_points(folder / name))
+    return Points(*read_points(folder / as_path(name)))
 
 
 def _picture_shot(folder: Path, posed: Posed) -> Shot:
@@ -280,8 +281,8 @@ def read_points3d(model: Path) -> Points | None:
         path = model / name
         if path.is_file():
             with expecting(path, "points of a COLMAP reconstruction"):
-                table = np.array(list(rows(path)), np.float32).reshape(-1, 6)
-            return Points(table[:, :3], table[:, 3:] / np.float32(255))
+                table = np.array(list(rows(path)), np.float64).reshape(-1, 6)
+            return Points(table[:, :3], table[:, 3:].astype(np.float32) / np.float32(255))
     return None
 
 
@@ -295,7 +296,7 @@ def _rows_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
 
 
 def _rows_of_text(path: Path) -> Iterator[tuple[float, ...]]:
-    with path.open(encoding="utf-8") as file:
+    with path.open(encoding="utf-8-sig") as file:
         for line in file:
             if line.strip() and not line.startswith("#"):
                 x, y, z, red, green, blue = map(float, line.split(maxsplit=7)[1:7])
@@ -380,7 +381,7 @@ def open_scene(
         note = f"pictures are taken as they are stored, not as their EXIF orientation has it: {shortened(turned)}"
         scene = replace(scene, notes=(*scene.notes, note))
     found = replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
-    return with_near_planes(found)
+    return with_near_planes(from_own_origin(found))
 
 
 def _read(folder: Path) -> MultiviewScene:
@@ -399,7 +400,7 @@ def _read_points(folder: Path) -> Points | None:
         return Points(*read_points(path))
     with expecting(path, "rows of x, y, z [, r, g, b]"), path.open("rb") as file:
         loaded = np.load(file, allow_pickle=False)
-        table = (loaded if isinstance(loaded, np.ndarray) else loaded["data"]).astype(np.float32)
+        table = (loaded if isinstance(loaded, np.ndarray) else loaded["data"]).astype(np.float64)
         if table.ndim != 2 or table.shape[1] < 3:
             raise ValueError(f"got an array of shape {table.shape}")
-        return Points(table[:, :3], table[:, 3:6] if table.shape[1] >= 6 else None)
+        return Points(table[:, :3], table[:, 3:6].astype(np.float32) if table.shape[1] >= 6 else None)

@@ -65,6 +65,7 @@ class Coding:
     factor: float
     gain: float
     transform: Sequence[Sequence[float]]  # K, C x C
+    unit: float = 1.0  # world units that log-scales of keys are coded in
 
     def values(self, codes: Sequence[float], step: str) -> list[float]:
         return [code * self.steps[step] * self.factor / self.gain for code in codes]
@@ -88,7 +89,7 @@ def key_row(codes: Sequence[float], coding: Coding, mean: Sequence[float] = (0.0
     return Row(
         means=[total([v]) for v in mean],
         quaternions=rotation(coding.values(codes[3:6], "quaternions")),
-        log_scales=[total([v]) for v in coding.values(codes[:3], "log_scales")],
+        log_scales=[total([math.log(coding.unit), v]) for v in coding.values(codes[:3], "log_scales")],
         alpha=total(coding.values(codes[6:7], "opacity")),
         colours=coding.colours(codes[7:]),
     )

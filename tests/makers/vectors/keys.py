@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from airgs_codec.package.tables import Grid
 from tests.makers.vectors.formulas import Coding, Steps, key_row, listed, pack_transform
+from tests.makers.vectors.positions import ANY
 from tests.makers.vectors.text import Table
 
 STEPS = {"quaternions": 0.025, "log_scales": 0.08, "opacity": 0.014, "sh_dc": 0.036, "sh_rest": 0.04}
@@ -42,6 +45,7 @@ def table() -> Table:
         "cases": [
             *plain,
             _case("all codes 0", 0, [[0] * 10], rng=rng),
+            _case("sizes in another unit", 0, [[0] * 10, [99] * 10], rng=rng, grid=Grid([0, 0, 0], 0.003, -7)),
             _case("large codes", 0, [[2**24 + 1] * 3 + [0] * 7, [-(2**30)] * 3 + [0] * 4 + [2**20] * 3], rng=rng),
             _case("turns about 0, π, 2π and more", 0, [[0] * 3 + turn + [0] * 4 for turn in turns], rng=rng),
             _case("tiny turns", 0, [[0] * 3 + [1, 2, -2] + [0] * 4], rng=rng, steps=STEPS | {"quaternions": 1e-12}),
@@ -58,9 +62,10 @@ def _case(
     rng: np.random.Generator,
     factor: float = 1.0,
     steps: Steps = STEPS,
+    grid: Grid = ANY,
 ) -> dict[str, Any]:
     text, transform = pack_transform(rotated(COLOURS[degree], rng))
-    coding = Coding(steps, factor, 6.0, transform)
+    coding = Coding(steps, factor, 6.0, transform, grid.unit)
     expected: dict[str, Any] = listed([key_row(row, coding) for row in codes], limit=False)
     for part in expected.values():
         part.pop("means")
@@ -68,6 +73,7 @@ def _case(
         "name": name,
         "sh_degree": degree,
         "steps": steps,
+        "grid": asdict(grid),
         "factor": factor,
         "gain": coding.gain,
         "colour_transform": text,

@@ -182,8 +182,8 @@ def _key_rows(t: Tables, package: Package, of: tuple[int, int, int]) -> list[tup
             pairs = zip(there, codes.T.tolist(), strict=True)
             there = [(state_row(row, line, change, motion), motion) for (row, motion), line in pairs]
         return [(*one, depth) for one, depth in zip(there, depths, strict=True)]
-    means = grid_means(sidecar.codes, sidecar.classes, grid, named["coarser"]).tolist()
-    key = Coding(table["key_steps"], factor, t.root["key_gain"], _transform(t, group))
+    means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, named["coarser"]).tolist()
+    key = Coding(table["key_steps"], factor, t.root["key_gain"], _transform(t, group), grid.unit)
     rows = [key_row(line, key, mean) for line, mean in zip(codes.T.tolist(), means, strict=True)]
     return list(zip(rows, sidecar.classes.tolist(), depths, strict=True))
 

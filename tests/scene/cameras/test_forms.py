@@ -9,7 +9,7 @@ import pytest
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.cameras.forms import INRIA_NEAR, PANOPTIC_NEAR, PLACEHOLDER
-from airgs_codec.scene.cameras.read import read_cameras
+from airgs_codec.scene.cameras.read import read_cameras, read_posed
 from tests.support.camera_files import (
     FORMS,
     as_inria,
@@ -26,6 +26,22 @@ from tests.support.views import ring
 def test_near_planes_are_those_that_a_form_implies(tmp_path, form):
     near = {"inria": INRIA_NEAR, "splatv": INRIA_NEAR, "panoptic": PANOPTIC_NEAR}.get(form, 0)
     assert {c.near for c in read_cameras(FORMS[form](tmp_path, ring(2)))} == {near}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_files_that_windows_wrote_are_read_alike(tmp_path, form):
+    """With a byte-order mark, lines that end in CR LF, and backslashes in paths."""
+    for name in "ab":
+        (tmp_path / name).mkdir()
+    plain = read_posed(FORMS[form](tmp_path / "a", ring(4, held_out=1)))
+    place = FORMS[form](tmp_path / "b", ring(4, held_out=1))
+    for path in place.parent.rglob("*"):
+        if path.suffix in (".json", ".txt"):
+            text = path.read_text().replace("images/", "images\\\\").replace("\n", "\r\n")
+            path.write_bytes(b"\xef\xbb\xbf" + text.encode())
+    for a, b in zip(plain, read_posed(place), strict=True):
+        assert (a.picture, a.camera.name, a.camera.split) == (b.picture, b.camera.name, b.camera.split)
+        np.testing.assert_array_equal(a.camera.world_to_camera, b.camera.world_to_camera)
 
 
 def entries_of(cameras, **fields):

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
+from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import SH_C0, Gaussians, sigmoid
 from tests.support.effort import few_calls
 from tests.support.mutations import edit_tables
@@ -72,13 +74,42 @@ def test_no_harmonics_are_dropped(tmp_path, form, degree):
     assert read_frame(tmp_path / f"a{form}").sh_degree == read_frame_header(tmp_path / f"a{form}").sh_degree == degree
 
 
-def test_saturated_opacities_stay_finite(tmp_path, suffix):
+LIMITS = {  # of logits of alpha 0 and 1, and the thinnest axis, for forms that have no zero
+    ".ply": (20, None),
+    ".compressed.ply": (6.93, -20),
+    ".v2.spz": (6.93, -10),
+    ".v3.spz": (6.93, -10),
+    ".v4.spz": (6.93, -10),
+}
+
+
+@pytest.mark.parametrize("form", [".ply", *SUFFIXES])
+def test_the_same_values_mean_the_same_in_every_form(tmp_path, form):
+    """Row 1 is flat, 2 is gone, 3 is opaque, 4 has no rotation, 5 is nowhere; rotations are told apart by their order.
+
+    SOG has none of these but alpha: its writer makes no file of them.
+    """
     g = small(300, 0)
-    logits = np.where(np.arange(300) % 2, np.float32(40), np.float32(-40))
-    (tmp_path / f"a{suffix}").write_bytes(splat_bytes(Gaussians(*(
-        logits if n == "opacity_logits" else getattr(g, n) for n in g.__slots__)), suffix))  # fmt: skip
-    back = read_frame(tmp_path / f"a{suffix}")
-    assert np.isfinite(back.opacity_logits).all() and 5 < np.abs(back.opacity_logits).max() < 41
+    g = Gaussians(*(getattr(g, name).copy() for name in g.__slots__))
+    g.means[:, 0] = np.arange(300) / 10
+    g.opacity_logits[2:4] = -40, 40
+    if form != ".sog":
+        g.log_scales[1, 0], g.opacity_logits[2], g.opacity_logits[3] = -np.inf, -np.inf, np.inf
+    if form in (".ply", ".splat"):  # others hold no such rows
+        g.quaternions[4], g.means[5, 1] = 0, np.nan
+    path = tmp_path / f"a{form}"
+    write_ply(path, g) if form == ".ply" else path.write_bytes(splat_bytes(g, form))
+    back = read_frame(path)
+    done = repair([back.take(np.argsort(back.means[:, 0]))], "a")
+    shown, (most, thin) = done.frames[0], LIMITS.get(form, (6.93, None))
+    assert -most - 0.01 <= shown.opacity_logits[2] < -5.5 and 5.5 < shown.opacity_logits[3] <= most + 0.01
+    if form != ".sog":
+        assert shown.log_scales[1, 0] == pytest.approx(thin or g.log_scales[1].max() + np.log(1e-3), abs=0.1)
+    turns = np.abs((shown.quaternions * g.quaternions).sum(axis=1))
+    assert np.delete(turns, [4, 5]).min() > 0.995
+    if form in (".ply", ".splat"):
+        assert abs(shown.quaternions[4, 0]) == 1 and shown.opacity_logits[5] == -20
+        assert "1 Gaussians that are not finite" in done.notes[0] and "without thickness" in done.notes[-1]
 
 
 def test_the_library_writes_nothing_to_standard_output(tmp_path, capfd):
@@ -89,26 +120,12 @@ def test_the_library_writes_nothing_to_standard_output(tmp_path, capfd):
 
 
 def test_a_splat_row_is_pinned(tmp_path):
-    row = struct.pack("<6f8B", 1, 2, 3, 1, 0, np.e, 255, 0, 51, 255, 255, 128, 128, 0)
+    row = struct.pack("<6f8B", 1, 2, 3, -1, 0, np.e, 255, 0, 51, 255, 255, 128, 128, 0)
     (tmp_path / "a.splat").write_bytes(row)
     g = read_frame(tmp_path / "a.splat")
     assert g.means.tolist() == [[1, 2, 3]] and g.quaternions.tolist() == [[127 / 128, 0, 0, -1]]
-    np.testing.assert_allclose(g.log_scales[0], [0, -np.inf, 1], atol=1e-6)
+    np.testing.assert_allclose(g.log_scales[0], [np.nan, -np.inf, 1], atol=1e-6)
     np.testing.assert_allclose(g.sh_dc[0] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
-
-
-def test_a_size_that_is_none_is_not_made_one(tmp_path):
-    rows = np.frombuffer(splat_bytes(small(4, 0), ".splat"), np.uint8).reshape(4, 32).copy()
-    rows[:, 12:16] = np.array([[1.0], [-1.0], [0.0], [1e-20]], "<f4").view(np.uint8)
-    rows.tofile(tmp_path / "a.splat")
-    glb = edited_glb(lambda d: None)
-    sizes = np.exp(small(3, 0).log_scales).tobytes()
-    assert sizes in glb
-    (tmp_path / "a.glb").write_bytes(glb.replace(sizes, np.full((3, 3), -1, "<f4").tobytes()))
-    np.testing.assert_allclose(
-        read_frame(tmp_path / "a.splat").log_scales[:, 0], [0, np.nan, -np.inf, np.log(1e-20)], rtol=1e-6
-    )
-    assert np.isnan(read_frame(tmp_path / "a.glb").log_scales).all()
 
 
 def test_a_node_moves_turns_and_scales_its_splats(tmp_path):

@@ -59,8 +59,7 @@ def test_ascii_little_and_big_endian_give_the_same_table(tmp_path_factory, data)
     comments = data.draw(
         st.lists(st.sampled_from(["comment", "comment end_header", "obj_info property float x"]), max_size=3)
     )
-    with np.errstate(over="ignore"):  # doubles past float32
-        wanted = np.array([np.array(c.values, TYPES[c.type]).astype("f4") for c in vertex]).T
+    wanted = np.array([np.array(c.values, np.result_type("f4", *(TYPES[c.type] for c in vertex))) for c in vertex]).T
     for form in ORDERS:
         for newline in ("\n", "\r\n"):
             path.write_bytes(ply_bytes(elements, form, newline, comments))

@@ -175,7 +175,7 @@ def code_keys(sample: CalibrationSample, factor: float) -> Judged:
     """Keys at steps times a factor: largest error in steps, and the bytes."""
     steps = StepSettings()
     transform = unpack_matrix(colour_transform(sample.key, steps.key), 3)
-    values = key_channels(sample.key, transform, steps.key)
+    values = key_channels(sample.key, transform, steps.key, steps.grid)
     units = KEY.steps(steps.key, 3) * factor
     sizes, decoded = encode_and_decode(values[None], units, key_codec(PRESET))
     rounding = ROUNDING * float((np.abs(values) / units[:, None]).max())
@@ -209,18 +209,19 @@ def klt_error(decades: float, invert: bool) -> Judged:
 
 
 def judge_classes(decades: float) -> Judged:
-    """Whether motion units follow row sensitivities that range over so many decades; the bits of the grid's codes."""
+    """Whether motion units follow row sensitivities that range over so many decades; the grid steps they span."""
     sensitivity: NDArray[np.float64] = np.geomspace(10.0**-decades, 1.0, ROWS)
     classes = motion_classes(sensitivity, FLOOR * float(np.median(sensitivity)))
     wanted, unit = sensitivity**-0.25, motion_units(classes).astype(np.float64)
     off = float(np.abs(np.log2(unit / wanted)).max())
     grid = fit_grid(cloud().means, classes, StepSettings().grid)
-    if not np.isfinite(unit).all() or not 0 < grid.bits <= 21:
+    if not np.isfinite(unit).all():
         return NOT_FINITE, off, ""
+    steps = float(np.ptp(cloud().means)) / grid.step
     if off <= 0.5 + 1e-6:
-        return EXACT, float(grid.bits), ""
+        return EXACT, steps, ""
     kinds = len(np.unique(classes))
-    return BOUNDED, float(grid.bits), f"by {kinds} classes; rows under a hundredth of the median share the coarsest"
+    return BOUNDED, steps, f"by {kinds} classes; rows under a hundredth of the median share the coarsest"
 
 
 KINDS = ("one hardly matters", "one is everything", "evenly spread")

@@ -7,7 +7,7 @@ import { FormatError } from "./errors.ts";
 import { type Media, readMedia, type Sample } from "./mp4.ts";
 import { keyMediaPath, keySidecarPath, stateMediaPath } from "./paths.ts";
 import { ColumnReader } from "./rangecoder.ts";
-import { canonicalMeans, motionUnits, readDetail, readSidecar } from "./sidecar.ts";
+import { canonicalMeans, type Escapes, motionUnits, readDetail, readEscapes, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 
 /** What a key tier without a picture has of one. */
@@ -132,33 +132,6 @@ export function checkCount(root: Root, table: Group, level: number, tiers: numbe
     const detail = `the sidecars give ${count} rows, the table ${expected}`;
     throw new FormatError("count_mismatch", `levels[${level}]`, detail);
   }
-}
-
-/** The jumps of the bases of a segment or of a key picture. */
-export interface Escapes {
-  /** (E) ascending flat indices (t · P + p) · N + i. */
-  index: Float64Array;
-  /** (E) by how much bases change. */
-  jumps: Int32Array;
-}
-
-/** The escapes that `reader` reads next. Throws FormatError(bad_sidecar). */
-export function readEscapes(reader: ColumnReader, frames: number, planes: number, rows: number): Escapes {
-  const samples = frames * planes * rows; // at most 10⁶ · 55 · 2²⁴: exact
-  const number = reader.wide(1, 0);
-  const count = number.hi[0]! * 2 ** 32 + number.lo[0]!;
-  if (count > samples) throw reader.refuse(`expected at most ${samples} escapes, got ${count}`);
-  const gaps = reader.wide(count, 0);
-  const zigzag = reader.column(count, 1);
-  const index = new Float64Array(count);
-  let at = 0;
-  for (let e = 0; e < count; e++) {
-    const gap = gaps.hi[e]! * 2 ** 32 + gaps.lo[e]!;
-    at += gap;
-    if ((e && !gap) || at >= samples) throw reader.refuse("escapes are not in ascending order inside the segment");
-    index[e] = at;
-  }
-  return { index, jumps: Int32Array.from(zigzag, (z) => (z >>> 1) ^ -(z & 1)) };
 }
 
 /** The bases of an atlas from picture to picture; every picture of a file is to be asked for, in order. */

@@ -4,7 +4,7 @@ import { KEY_AT, OPACITY_MARGIN, SMALL_ANGLE, STATE_AT } from "../generated/cons
 import { atlasSamples, basesAfter, readCodes } from "./atlas.ts";
 import { FormatError } from "./errors.ts";
 import { levelRows } from "./files.ts";
-import { colourChannels, colourMatrix, colourSteps, differenceSteps, keySteps, stateSteps } from "./steps.ts";
+import { colourChannels, colourMatrix, colourSteps, differenceSteps, gridUnit, keySteps, stateSteps } from "./steps.ts";
 import type { Canonical, Gaussians, Group, KeyPart, Root } from "./types.ts";
 
 /** What codes of a key or of a state count in. */
@@ -48,7 +48,8 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
     );
   for (const part of canonical.parts) {
     const { atlas, factor, difference } = part;
-    setKey(gaussians, first, codesOf(part), coding(keySteps(root, group, canonical.quality), factor));
+    const own = coding(keySteps(root, group, canonical.quality), factor);
+    setKey(gaussians, first, codesOf(part), own, Math.log(gridUnit(group)));
     if (difference) {
       const steps = differenceSteps(root, group, canonical.quality).fill(0, 0, 3); // means have it already
       const rows = Uint32Array.from({ length: atlas.rows }, (_, i) => first + i);
@@ -62,13 +63,14 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
 
 type Codes = Int32Array | Float64Array;
 
-/** Writes n rows from `first` on: what (7 + C · n) key codes decode to. */
-function setKey(gaussians: Gaussians, first: number, codes: Codes, { steps, colours }: Coding): void {
+/** Writes n rows from `first` on: what (7 + C · n) key codes decode to. Log-scales are more than coded by `size`. */
+function setKey(gaussians: Gaussians, first: number, codes: Codes, { steps, colours }: Coding, size: number): void {
   const rows = codes.length / steps.length;
   const value = (channel: number, i: number) => codes[channel * rows + i]! * steps[channel]!;
   for (let i = 0; i < rows; i++) {
     const row = first + i;
-    for (let axis = 0; axis < 3; axis++) gaussians.logScales[3 * row + axis] = value(KEY_AT.log_scales + axis, i);
+    for (let axis = 0; axis < 3; axis++)
+      gaussians.logScales[3 * row + axis] = size + value(KEY_AT.log_scales + axis, i);
     gaussians.quaternions.set(rotation(value, KEY_AT.quaternions, i), 4 * row);
     gaussians.alpha[row] = value(KEY_AT.opacity, i);
   }

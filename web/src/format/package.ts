@@ -5,12 +5,22 @@ import { group as groupSchema, page as pageSchema } from "../generated/schema.ts
 import { FormatError } from "./errors.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { inflate, parseRoot, parseTable } from "./parse.ts";
-import { groupPath, keyMediaPath, keySidecarPath, locate, pagePath, soundPath, stateMediaPath } from "./paths.ts";
+import {
+  groupPath,
+  isPacked,
+  keyMediaPath,
+  keySidecarPath,
+  locate,
+  pagePath,
+  soundPath,
+  stateMediaPath,
+} from "./paths.ts";
 import { Recent } from "./recent.ts";
 import { checkBase, checkGroup, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 
 const MOST_TABLES = 1024; // tables of groups
+const BRACE = 0x7b; // begins JSON
 /** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
 
@@ -52,10 +62,11 @@ export class Tables {
   }
 
   /** Takes in the bytes of a group's table, whose digest was checked. Throws FormatError; MissingTableError. */
-  async addGroup(number: number, bytes: Uint8Array): Promise<Group> {
+  async addGroup(number: number, bytes: Uint8Array, unpacked = false): Promise<Group> {
     const where = groupPath(number + 1);
     const entry = this.index.entry(number);
-    const table = parseTable(await inflate(bytes, where), groupSchema, where) as Group;
+    const text = unpacked ? bytes : await inflate(bytes, where);
+    const table = parseTable(text, groupSchema, where) as Group;
     checkGroup(this.root, entry, table, number);
     const others = new Map(this.#groups.entries()).set(number, table);
     for (const [n, one] of others) {
@@ -65,13 +76,17 @@ export class Tables {
     return this.#groups.set(number, table);
   }
 
-  /** Takes in a page or the table of a group, whose digest it checks; other paths are left alone. */
+  /** Takes in a page or the table of a group, whose digest it checks, unless a server had it unpacked, as its first byte
+   * tells; other paths are left alone.
+   */
   async add(path: string, bytes: Uint8Array): Promise<void> {
     const found = locate(path);
     if (found?.what !== "page" && found?.what !== "group") return;
-    await Tables.check(path, this.entry(path), bytes);
+    const entry = this.entry(path);
+    const unpacked = isPacked(path) && bytes[0] === BRACE && bytes.length !== entry.bytes;
+    if (!unpacked) await Tables.check(path, entry, bytes);
     if (found.what === "page") this.addPage(path, bytes);
-    else await this.addGroup(found.numbers[0]! - 1, bytes);
+    else await this.addGroup(found.numbers[0]! - 1, bytes, unpacked);
   }
 
   has(number: number): boolean {

@@ -27,6 +27,7 @@ export const keySidecarPath = (tier: number, number: number) => `key/T${tier}/${
 export const keyMediaPath = (tier: number, quality: number, number: number) => `key/T${tier}/Q${quality}/${number}.m4s`;
 export const stateMediaPath = (level: number, number: number) => `state/L${level}/${number}.m4s`;
 
+export const isPacked = (path: string): boolean => path.endsWith(".gz");
 export const isSound = (path: string): boolean => locate(path)?.what === "sound";
 /** Whether a file is a page of the index or the table of a group. */
 export const isTable = (path: string): boolean => ["group", "page"].includes(locate(path)?.what ?? "");

@@ -20,7 +20,7 @@ import { type Entry, sum } from "./index.ts";
 import { groupPath } from "./paths.ts";
 import { isSimilarity } from "./region.ts";
 import { packetsOf } from "./sound.ts";
-import { colourChannels } from "./steps.ts";
+import { colourChannels, gridUnit } from "./steps.ts";
 import type { Atlas, FileEntry, Group, Page, Region, Root, Segment } from "./types.ts";
 
 const bad = (where: string, detail: string) => new FormatError("bad_value", where, detail);
@@ -159,7 +159,7 @@ export function checkBase(group: Group, base: Group, where: string): void {
 /** All that is equal in a group and its base, whatever the order of fields is. */
 const laidOut = (group: Group) =>
   JSON.stringify(group, [
-    ...["grid", "origin", "step", "bits", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
+    ...["grid", "origin", "step", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
     ...["colour_transform", "tiers", "count", "factor"],
   ]);
 
@@ -185,7 +185,7 @@ function checkCounts(root: Root, group: Group, place: Place): void {
 
 function checkAtlases(root: Root, group: Group, place: Place): void {
   const colours = colourChannels(root.sh_degree);
-  if (group.keeps) place.within("grid.step", group.grid.step * 2 ** -group.grid.finest, 1e-30, 1e30);
+  place.within("grid.step", gridUnit(group), 1e-30, 1e30);
   const [first, attributes] = group.keeps ? [STATE_AT.colour, STATE_ATTRIBUTES] : [KEY_AT.colour, KEY_ATTRIBUTES];
   for (const [t, tier] of group.tiers.entries()) {
     for (const [q, atlas] of tier.qualities.entries()) {

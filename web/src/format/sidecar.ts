@@ -1,5 +1,5 @@
-// Positions, motion classes and depths of rows: FORMAT.md, section 3. N rows of a tier.
-import { LEAST_CLASS, MOST_CLASS, STATIC } from "../generated/constants.ts";
+// Positions, motion classes and depths of rows, and escapes: FORMAT.md, sections 3 and 6. N rows of a tier.
+import { LEAST_CLASS, LIMITS, MOST_CLASS, MOST_WIDER, STATIC } from "../generated/constants.ts";
 import { type ColumnReader, ColumnReader as Reader, type Wide } from "./rangecoder.ts";
 import type { Grid } from "./types.ts";
 
@@ -9,6 +9,8 @@ export interface TierRows {
   codes: Wide;
   /** (M) motion classes, LEAST_CLASS … MOST_CLASS. */
   classes: Int16Array;
+  /** (M) e of the grid, 2^e times as wide, that a row lies in. */
+  wider: Int32Array;
   /** (N) deepest level that carries a row; STATIC: none. */
   depths: Uint8Array;
 }
@@ -19,10 +21,42 @@ export interface TierCounts {
   placed: number;
 }
 
-/** b of a row: its cell is 2^b steps of the grid wide. `coarser` is that of a key quality. */
-export function cellBits(motionClass: number, grid: Grid, coarser: number): number {
-  const k = Math.min(Math.max(motionClass - grid.finest, 0), grid.bits);
-  return Math.min(k + coarser, grid.bits);
+/** The jumps of the bases of a segment or of a key picture; of a sidecar the e of rows (T = P = 1). */
+export interface Escapes {
+  /** (E) ascending flat indices (t · P + p) · N + i. */
+  index: Float64Array;
+  /** (E) by how much bases change. */
+  jumps: Int32Array;
+}
+
+/** The escapes that `reader` reads next. Throws FormatError(bad_sidecar). */
+export function readEscapes(reader: ColumnReader, frames: number, planes: number, rows: number): Escapes {
+  const samples = frames * planes * rows; // at most 10⁶ · 55 · 2²⁴: exact
+  const number = reader.wide(1, 0);
+  const count = number.hi[0]! * 2 ** 32 + number.lo[0]!;
+  if (count > samples) throw reader.refuse(`expected at most ${samples} escapes, got ${count}`);
+  const gaps = reader.wide(count, 0);
+  const zigzag = reader.column(count, 1);
+  const index = new Float64Array(count);
+  let at = 0;
+  for (let e = 0; e < count; e++) {
+    const gap = gaps.hi[e]! * 2 ** 32 + gaps.lo[e]!;
+    at += gap;
+    if ((e && !gap) || at >= samples) throw reader.refuse("escapes are not in ascending order inside the segment");
+    index[e] = at;
+  }
+  return { index, jumps: Int32Array.from(zigzag, (z) => (z >>> 1) ^ -(z & 1)) };
+}
+
+/** b of the i-th row: its cell is 2^b steps of its grid wide. `coarser` is that of a key quality. */
+function cellBits(
+  { classes, wider }: Pick<TierRows, "classes" | "wider">,
+  i: number,
+  grid: Grid,
+  coarser: number,
+): number {
+  const k = Math.min(Math.max(classes[i]! - wider[i]! - grid.finest, 0), LIMITS.bits);
+  return Math.min(k + coarser, LIMITS.bits);
 }
 
 /** A sidecar, with codes of the last quality, `coarsest` its `coarser`. Throws FormatError(bad_sidecar). */
@@ -41,24 +75,35 @@ export function readSidecar(
   const carried = reader.column(count, 1);
   if (carried.some((depth) => depth > STATIC)) throw reader.refuse(`expected depths up to ${STATIC}`);
   depths.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
+  const wider = new Int32Array(placed);
+  if (placed) {
+    const { index, jumps } = readEscapes(reader, 1, 1, placed);
+    index.forEach((row, n) => {
+      wider[row] = jumps[n]!;
+    });
+  }
   reader.close();
+  if (wider.some((e) => e < 0 || e > MOST_WIDER))
+    throw reader.refuse(`expected grids up to 2^${MOST_WIDER} times as wide`);
   const classes = new Int16Array(placed);
   for (let i = 0; i < placed; i++) {
     const motionClass = least + above[i]!;
     if (motionClass > MOST_CLASS) throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
     classes[i] = motionClass;
   }
-  if (!sumGaps(codes, classes, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * grid.bits} bits`);
-  return { codes, classes, depths };
+  const rows = { codes, classes, wider, depths };
+  if (!sumGaps(rows, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * LIMITS.bits} bits`);
+  return rows;
 }
 
 /** Turns gaps between neighbours into Morton codes. False when a code does not fit the grid. */
-function sumGaps({ lo, hi }: Wide, classes: Int16Array, grid: Grid, coarsest: number): boolean {
+function sumGaps(rows: TierRows, grid: Grid, coarsest: number): boolean {
+  const { lo, hi } = rows.codes;
   let low = 0;
   let high = 0;
   for (let i = 0; i < lo.length; i++) {
-    const shift = 3 * cellBits(classes[i]!, grid, coarsest);
-    const room = 3 * grid.bits - shift; // bits of a code without those of its cell
+    const shift = 3 * cellBits(rows, i, grid, coarsest);
+    const room = 3 * LIMITS.bits - shift; // bits of a code without those of its cell
     // Codes shifted by the bits of the cell, as two halves, and their sum.
     const before = shift >= 32 ? high >>> (shift - 32) : shift ? (low >>> shift) | (high << (32 - shift)) : low;
     const sum = (before >>> 0) + lo[i]!;
@@ -86,8 +131,8 @@ export function readDetail(
   const codes = reader.wide(shared.classes.length, 0);
   const { lo, hi } = codes;
   for (let i = 0; i < lo.length; i++) {
-    const shift = 3 * cellBits(shared.classes[i]!, grid, coarser);
-    const room = 3 * cellBits(shared.classes[i]!, grid, coarsest) - shift;
+    const shift = 3 * cellBits(shared, i, grid, coarser);
+    const room = 3 * cellBits(shared, i, grid, coarsest) - shift;
     const low = lo[i]!;
     const high = hi[i]!;
     if (room < 32 ? high || low >= 2 ** room : high >= 2 ** (room - 32)) {
@@ -122,13 +167,16 @@ export function mortonIndex(lo: number, hi: number, axis: number): number {
 const topBit = (hi: number, axis: number) => ((hi >>> (28 + axis)) & 1) << 20;
 
 /** (3N) canonical means of a key quality, world units. */
-export function canonicalMeans({ codes, classes }: TierRows, grid: Grid, coarser: number): Float64Array {
-  const means = new Float64Array(3 * classes.length);
-  for (let i = 0; i < classes.length; i++) {
-    const cell = 1 << cellBits(classes[i]!, grid, coarser);
+export function canonicalMeans(rows: TierRows, grid: Grid, coarser: number): Float64Array {
+  const { codes, wider } = rows;
+  const half = 2 ** (LIMITS.bits - 1);
+  const means = new Float64Array(3 * wider.length);
+  for (let i = 0; i < wider.length; i++) {
+    const cell = 1 << cellBits(rows, i, grid, coarser);
     for (let axis = 0; axis < 3; axis++) {
       const index = mortonIndex(codes.lo[i]!, codes.hi[i]!, axis);
-      means[3 * i + axis] = grid.origin[axis]! + grid.step * (index + cell / 2);
+      const away = (index + cell / 2 - half) * 2 ** wider[i]!;
+      means[3 * i + axis] = grid.step * (grid.origin[axis]! + half + away);
     }
   }
   return means;

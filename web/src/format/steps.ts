@@ -12,10 +12,12 @@ export function keySteps(root: Root, group: Group, quality: number): Float32Arra
   return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 
+/** World units that a cell of motion class 0 is wide; sizes are coded in it. */
+export const gridUnit = ({ grid }: Group) => grid.step * 2 ** -grid.finest;
+
 /** (10 + C) the same of keys that are differences; of a mean in motion units of its row. */
 export function differenceSteps(root: Root, group: Group, quality: number): Float32Array {
-  const { step, finest } = group.grid;
-  const steps = STATE_CHANNELS.map((name) => (name === "means" ? step * 2 ** -finest : group.key_steps[name]));
+  const steps = STATE_CHANNELS.map((name) => (name === "means" ? gridUnit(group) : group.key_steps[name]));
   return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 

@@ -8,6 +8,7 @@ export const BLOCK = 16;
 export const STATIC = 255;
 export const LEAST_CLASS = -128;
 export const MOST_CLASS = 127;
+export const MOST_WIDER = 255;
 export const TRANSFORM_UNITS = 32767;
 export const LIMITS = {"bits": 21, "side": 4096, "macroblocks": 36864, "pages": 128} as const;
 export const MIN_PICTURE_SIDE = 64;
@@ -83,7 +84,7 @@ export const BRIGHTEST = 235;
 export const PSNR_CAP = 100.0;
 
 // airgs_codec.render.cpu
-export const FAR = 10000000000.0;
+export const FAR = 1e+18;
 export const DILATION = 0.3;
 
 // airgs_codec.render.cpu_kernels
@@ -141,7 +142,7 @@ export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decod
 export const BUSY: readonly number[] = [429, 502, 503, 504];
 export const GARBLED = ["size_mismatch", "hash_mismatch", "not_json"] as const;
 export const LONGEST_PAUSE_S = 4.0;
-export const LEAST_BYTES = 4096;
-export const TIMEOUT_S = 30.0;
+export const LEAST_BYTES = 1024;
+export const TIMEOUT_S = 8.0;
 export const ATTEMPTS = 4;
 export const BACKOFF_S = 0.25;

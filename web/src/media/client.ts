@@ -39,6 +39,8 @@ export interface OpenOptions {
   keptBytes?: number;
   attempts?: number;
   onPoster?: (poster: Blob) => void;
+  /** Hears what is wrong with an answer before it is asked for again, as long as the package is open. */
+  onPassing?: (words: string) => void;
 }
 
 /** An open package. Groups, segments, levels and qualities count from 0. */
@@ -58,17 +60,17 @@ export class Media {
     this.#caller = caller;
   }
 
-  /** Opens the package in a folder, or whose airgs.json is at `url`; relative addresses are of the page. `onPoster` hears
+  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`; relative addresses are of the page. `onPoster` hears
    * of the poster before.
    *
    * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play
    * packages.
    */
   static async open(url: string, options: OpenOptions = {}): Promise<Media> {
-    const { aheadBytes = AHEAD_BYTES, keptBytes = KEPT_BYTES, attempts = ATTEMPTS, onPoster } = options;
+    const { aheadBytes = AHEAD_BYTES, keptBytes = KEPT_BYTES, attempts = ATTEMPTS, onPoster, onPassing } = options;
     let first: Media["first"] = null;
     checkBrowser();
-    const caller = new Caller(start);
+    const caller = new Caller(start, onPassing);
     try {
       const onEvent = ({ poster, seconds }: Poster) => {
         first = { bytes: poster.length, seconds };
@@ -168,8 +170,8 @@ function folder(url: string): string {
   const whole = new URL(url, document.baseURI);
   if (!/^https?:$/.test(whole.protocol))
     throw new UnsupportedError(`expected an address with http or https, got ${whole}`);
-  whole.pathname = whole.pathname.replace(/(^|\/)airgs\.json$/, "$1").replace(/\/?$/, "/");
-  whole.search = whole.hash = "";
+  whole.pathname = whole.pathname.replace(/\/+((airgs\.json|manifest\.mpd)\/*)?$|$/, "/");
+  whole.hash = "";
   return whole.href;
 }
 
@@ -200,7 +202,10 @@ class Caller {
   #ended: Error | null = null;
 
   /** Throws UnsupportedError where no worker can be started. */
-  constructor(start: () => Worker) {
+  constructor(
+    start: () => Worker,
+    private readonly onPassing: (words: string) => void = () => {},
+  ) {
     try {
       this.#worker = start();
     } catch (error) {
@@ -245,6 +250,10 @@ class Caller {
   }
 
   #hear(reply: Reply): void {
+    if ("passing" in reply) {
+      this.onPassing(reply.passing);
+      return;
+    }
     const waiting = this.#waiting.get(reply.id);
     if (!waiting) return;
     if ("event" in reply) {

@@ -2,7 +2,7 @@
 import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
-import { isTable, soundPath } from "../format/paths.ts";
+import { isPacked, isTable, soundPath } from "../format/paths.ts";
 import { Recent } from "../format/recent.ts";
 import type { Canonical, CanonicalName, FileEntry, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
@@ -48,15 +48,17 @@ export class Engine {
   static async open(
     { url, attempts, ...limits }: Calls["open"]["args"],
     { signal, emit }: Pick<Context<Poster>, "signal" | "emit">,
+    onPassing?: (words: string) => void,
   ): Promise<{ engine: Engine; opened: Opened }> {
     const probing = probeBrowser();
     probing.catch(() => {}); // it is waited for below
-    const client = new FileClient(url);
+    const client = new FileClient(url, onPassing);
     const found: Tables[] = [];
     const batch = await fetchRoot(client, attempts, false, signal, (bytes) => found.push(Tables.parse(bytes)));
     const [tables] = found;
     const poster = tables?.root.poster;
-    if (poster) await fetchPoster(client, poster, signal, emit); // for long the browser is still being looked at
+    // For long the browser is still being looked at. Where there is no poster, the package plays as well.
+    if (poster) await fetchPoster(client, poster, signal, emit).catch(() => {});
     const probe = await probing;
     for (const [, error] of batch.refused) throw fromWire(error);
     if (!tables) throw aborted();
@@ -80,7 +82,7 @@ export class Engine {
         refused.set(path, unknown ? new FormatError("missing_entry", path, error.message) : error);
       }
     }
-    const expected = asks.reduce((sum, { limit }) => sum + limit + HEADER_BYTES, 0);
+    const expected = asks.reduce((sum, { path }) => sum + this.tables.entry(path).bytes + HEADER_BYTES, 0);
     const batch = await fetchBatch(this.client, asks, signal, (bytes) => emit({ bytes, expected }));
     return {
       ...batch,
@@ -151,7 +153,8 @@ export class Engine {
       if (!isTable(path)) this.#kept.set(path, bytes);
       came.set(path, bytes);
     };
-    return { path, limit: entry.bytes, attempts, patient: true, changing: false, accept };
+    const limit = isPacked(path) ? MAX_TABLE_BYTES : entry.bytes; // a server may unpack it
+    return { path, limit, attempts, patient: true, changing: false, accept };
   }
 
   /** Resolves to what reads files; those that others took the place of are fetched again. Throws FormatError. */

@@ -1,7 +1,7 @@
 // Single files over HTTP: asked for again, later and later, until what comes is right or it is no use.
 //
-// A server that cannot be reached, or says that it is busy, is waited for. Any other fault is the file's: after some of
-// them the file cannot be had, as one with status 404 at once. Redirects are followed, as a browser does: what other
+// A server that cannot be reached, or says that it is busy, is waited for, and people are told. Any other fault is the
+// file's: after some of them the file cannot be had, as one with status 404 at once. Redirects are followed, as a browser does: what other
 // origins answer is read only where their CORS headers allow it, without cookies, and is checked like all else.
 import { concat } from "../format/concat.ts";
 import { FormatError, type Reason } from "../format/errors.ts";
@@ -17,6 +17,7 @@ import {
 import { untilOnline } from "./bell.ts";
 import { TransportError } from "./errors.ts";
 
+const MOST_AFTER_S = 3600; // a server that wants more is asked before
 const TO_ASK_AGAIN: readonly Reason[] = GARBLED;
 
 export interface Retry {
@@ -52,6 +53,8 @@ class PassingError extends FormatError {
     words: string,
     /** Why it is the server's fault: it is busy, or perhaps cannot be reached. */
     readonly away: "busy" | "unreachable" | null = null,
+    /** When it wants to be asked again, seconds. */
+    readonly afterS = 0,
   ) {
     super("missing_file", path, words);
   }
@@ -61,8 +64,11 @@ export class FileClient {
   /** When the server last gave an answer that was its own. */
   #answeredMs = Number.NEGATIVE_INFINITY;
 
-  /** `base` is the address of the folder, with a slash at the end. */
-  constructor(readonly base: string) {}
+  /** `base` is the address of the folder, with a slash at the end of its path; its query goes with every file. */
+  constructor(
+    readonly base: string,
+    private readonly onPassing: (words: string) => void = () => {},
+  ) {}
 
   /** Resolves to why a file cannot be had; null: taken in or given up. Throws TransportError unless patient. */
   async get(ask: Ask): Promise<FormatError | null> {
@@ -79,23 +85,31 @@ export class FileClient {
       const cause = error instanceof PassingError ? error.away : null;
       // A server that has answered others since is not away: the fault is the file's.
       const away = cause === "busy" || (cause === "unreachable" && this.#answeredMs < askedMs);
-      if (away && !patient) throw new TransportError(`${this.base}${path}: ${error.detail}`);
+      if (away && !patient) throw new TransportError(`${this.base.split("?")[0]}${path}: ${error.detail}`);
       if (!away) faults++;
-      const passing = error instanceof PassingError || TO_ASK_AGAIN.includes(error.reason);
-      if (faults === attempts || !passing) return new FormatError(error.reason, error.where, error.detail);
+      const passing = error instanceof PassingError ? error : null;
+      if (faults === attempts || !(passing || TO_ASK_AGAIN.includes(error.reason)))
+        return new FormatError(error.reason, error.where, error.detail);
       ask.onRetry({ path, why: error.detail, bytes });
-      const longest = 1e3 * Math.min(LONGEST_PAUSE_S, BACKOFF_S * 2 ** tries);
-      await untilOnline(longest * (0.5 + 0.5 * Math.random()), signal); // not the same for all who lost the server
+      if (passing) this.onPassing(`${path}: ${error.detail}, trying again`);
+      const longestS = Math.min(LONGEST_PAUSE_S, BACKOFF_S * 2 ** tries);
+      const pauseS = Math.max(passing?.afterS ?? 0, longestS * (0.5 + 0.5 * Math.random())); // not the same for all
+      await untilOnline(1e3 * pauseS, signal);
     }
   }
 
   async #fault(ask: Ask, again: boolean): Promise<FormatError | null> {
     try {
-      const url = new URL(ask.path, this.base).href;
+      const url = new URL(ask.path, this.base);
+      url.search = new URL(this.base).search;
       const { bytes, headers } = await receive(url, ask, again, () => {
         this.#answeredMs = performance.now();
       });
-      await ask.accept(bytes, headers);
+      await ask.accept(bytes, headers).catch((error) => {
+        if (error instanceof FormatError && /^\s*</.test(new TextDecoder().decode(bytes.subarray(0, 64))))
+          throw new FormatError(error.reason, error.where, "expected a file, got a web page");
+        throw error;
+      });
       return null;
     } catch (error) {
       if (error instanceof FormatError) return error;
@@ -110,7 +124,7 @@ export class FileClient {
  * Throws PassingError, FormatError(missing_file).
  */
 async function receive(
-  url: string,
+  url: URL,
   { path, limit, changing, signal, onAsk, onBytes }: Ask,
   again: boolean,
   onAnswer: () => void,
@@ -120,28 +134,38 @@ async function receive(
   signal.addEventListener("abort", end);
   if (signal.aborted) end();
   let patience: ReturnType<typeof setTimeout> | undefined;
+  let silent = false;
   let came = 0; // of the next LEAST_BYTES
   const wait = () => {
     clearTimeout(patience);
-    patience = setTimeout(end, 1e3 * TIMEOUT_S);
+    patience = setTimeout(() => {
+      silent = true;
+      end();
+    }, 1e3 * TIMEOUT_S);
     came = 0;
   };
+  const why = (words: string, error: unknown) =>
+    silent ? `the server is silent: fewer than ${LEAST_BYTES} bytes in ${TIMEOUT_S} s` : `${words}: ${reason(error)}`;
   try {
-    onAsk(url);
+    onAsk(url.href);
     wait();
     const cache = again ? "reload" : changing ? "no-cache" : "default";
-    const response = await fetch(url, { cache, signal: ending.signal }).catch((error: unknown) => {
-      throw new PassingError(path, `the server cannot be reached: ${reason(error)}`, "unreachable");
+    const response = await fetch(url, { cache, signal: ending.signal }).catch(async (error: unknown) => {
+      const { origin } = globalThis;
+      const foreign = url.origin !== origin && !ending.signal.aborted;
+      const there = foreign && (await fetch(url, { mode: "no-cors", signal: ending.signal }).catch(() => null));
+      if (there) throw new PassingError(path, `the server lets no page of ${origin} read it (CORS)`);
+      throw new PassingError(path, why("the server cannot be reached", error), "unreachable");
     });
     wait();
     if (!BUSY.includes(response.status)) onAnswer();
     onBytes(HEADER_BYTES); // pages are not told how many there were
-    if (response.status !== 200) throw refusal(path, response.status);
+    if (response.status !== 200) throw refusal(path, response);
     const parts: Uint8Array[] = [];
     const reader = response.body?.getReader();
     for (let size = 0; reader && size <= limit; ) {
       const { done, value } = await reader.read().catch((error: unknown) => {
-        throw new PassingError(path, `broken off: ${reason(error)}`);
+        throw new PassingError(path, why("broken off", error));
       });
       if (done) break;
       came += value.length;
@@ -158,9 +182,10 @@ async function receive(
   }
 }
 
-function refusal(path: string, status: number): FormatError {
+function refusal(path: string, { status, headers }: Response): FormatError {
   const words = `expected a file, got status ${status}`;
-  if (BUSY.includes(status)) return new PassingError(path, words, "busy");
+  if (BUSY.includes(status))
+    return new PassingError(path, words, "busy", Math.min(Number(headers.get("Retry-After")) || 0, MOST_AFTER_S));
   return status >= 500 ? new PassingError(path, words) : new FormatError("missing_file", path, words);
 }
 

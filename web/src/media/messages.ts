@@ -53,7 +53,9 @@ export interface Request<K extends Call = Call> {
   args: Calls[K]["args"];
 }
 
+/** `passing`: what was wrong with an answer, of whatever call, before it is asked for again. */
 export type Reply =
+  | { passing: string }
   | { id: number; value: Calls[Call]["value"] }
   | { id: number; error: WireError }
   | { id: number; event: Calls[Call]["event"] };

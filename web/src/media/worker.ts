@@ -13,7 +13,7 @@ function say(reply: Reply): void {
 async function answer({ id, call, args }: Request, signal: AbortSignal): Promise<Calls[typeof call]["value"]> {
   const context = { id, signal, emit: (event: Calls[typeof call]["event"]) => say({ id, event }) };
   if (call === "open") {
-    const found = await Engine.open(args as Calls["open"]["args"], context);
+    const found = await Engine.open(args as Calls["open"]["args"], context, (passing) => say({ passing }));
     engine = found.engine;
     return found.opened;
   }

@@ -85,6 +85,7 @@ export class Playback {
   readonly #waits: Waits;
   readonly #held: Held;
   readonly #feed: Feed;
+  readonly #stores: Stores;
   readonly #pipeline: Pipeline;
   readonly rungs: RungTotals;
   /** Shows the scene in place of the page while there is one. */
@@ -114,6 +115,7 @@ export class Playback {
     const { bufferS, target } = wishes;
     const settings = sessionSettings({ bufferS, pipelined: false });
     const stores = new Stores(offers);
+    this.#stores = stores;
     if (media.first) stores.first = media.first;
     const playout = new Playout(offers, settings, this.#lastPosition());
     const parts = { media, offers, stores, playout };
@@ -261,6 +263,8 @@ export class Playback {
 
   #hear(event: SessionEvent): void {
     if (event.type === "arrived") this.statistics.arrived(event);
+    const why = event.type === "lost" && this.#stores.whyLost(event.position);
+    if (why) this.#problem(why, false);
     if (event.type === "cut") this.#problem(new TransportError(event.why), false);
     this.tell("progress");
   }

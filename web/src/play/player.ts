@@ -41,7 +41,7 @@ export class Player extends EventTarget {
     this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
   }
 
-  /** Open a package by the address of its folder, or of its airgs.json. Its first picture is shown; it moves after
+  /** Open a package by the address of its folder, its airgs.json or its manifest.mpd. Its first picture is shown; it moves after
    * `play`.
    *
    * Throws FormatError for what is no package, TransportError where it cannot be fetched, UnsupportedError where the
@@ -50,7 +50,8 @@ export class Player extends EventTarget {
   async open(src: string): Promise<void> {
     const turn = ++this.#opened;
     const onPoster = (poster: Blob) => turn === this.#opened && this.#tell("poster", poster);
-    const media = await Media.open(src, { ...this.#wishes, onPoster });
+    const onPassing = (words: string) => turn === this.#opened && this.#tell("problem", problemOf(words));
+    const media = await Media.open(src, { ...this.#wishes, onPoster, onPassing });
     try {
       const offers = new Offers(media.tables, HEADER_BYTES, this.#wishes.budget);
       await joinNewest(offers, media);

@@ -272,7 +272,7 @@ export class Session {
   private async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
     const { downloader, stores } = this.parts;
     const arrival = await downloader.fetch(request, giveUp, this.signal);
-    for (const path of arrival.refused.keys()) if (!isSound(path)) stores.unusable.add(path);
+    for (const [path, why] of arrival.refused) if (!isSound(path)) stores.unusable.set(path, why);
     this.nowS = arrival.atS;
     stores.tables.add(arrival);
     const { atS, firstByteS, bytes } = arrival;

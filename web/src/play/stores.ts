@@ -1,10 +1,11 @@
 // What a player has of a package beside states: which tables it has read, which key tiers it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
+import type { FormatError } from "../format/errors.ts";
 import { groupPath, isSound, isTable } from "../format/paths.ts";
 import { Recent } from "../format/recent.ts";
 import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
-import { type Batch, missing, type Offers, optionsOf } from "./offers.ts";
+import { type Batch, filesOf, missing, type Offers, optionsOf } from "./offers.ts";
 import type { Download } from "./policies/state.ts";
 
 /** Files that are known to have come; those of more were played long ago. */
@@ -131,12 +132,20 @@ export class Stores {
   readonly downloads: { atS: number; download: Download }[] = [];
   /** The fastest of tables and poster, the wait for its first byte included. */
   first: Download = { bytes: 0, seconds: 1 };
-  readonly unusable = new Set<string>();
+  /** Files that cannot be had, and why. */
+  readonly unusable = new Map<string, FormatError>();
   /** When airgs.json was asked for; null: not yet. */
   rootS: number | null = null;
 
-  constructor(offers: Offers) {
+  constructor(private readonly offers: Offers) {
     this.tables = new TableStore(offers);
     this.keys = new KeyStore(offers);
+  }
+
+  /** Why no rung of the segment at a position can be had; undefined: nobody knows. */
+  whyLost(position: number): FormatError | undefined {
+    const tables = this.tables.missing(position, position + 1);
+    const least = tables.length ? tables : filesOf(this.keys.missing(position, this.offers.rungs.length - 1));
+    return least.map((path) => this.unusable.get(path)).find(Boolean);
   }
 }

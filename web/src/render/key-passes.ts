@@ -22,6 +22,8 @@ export interface RowTextures {
  */
 export interface KeyCoding {
   steps: Float32Array;
+  /** ln of the unit of the grid, in which log-scales are coded. */
+  unit: number;
   differenceSteps: Float32Array;
   tintSteps: [number, number];
   transform: Texture;
@@ -127,6 +129,7 @@ export class KeyPasses {
         setCodes(gl, (name) => at(name + (n ? 2 : "")), codes, samples);
       });
       gl.uniform2f(at("tintSteps"), ...this.coding.tintSteps);
+      gl.uniform1f(at("unit"), this.coding.unit);
       gl.uniform2i(at("span"), first, rows);
       const line = Math.floor(first / ROW_WIDTH);
       gl.scissor(0, line, ROW_WIDTH, Math.ceil((first + rows) / ROW_WIDTH) - line);

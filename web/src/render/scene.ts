@@ -1,7 +1,15 @@
 // What the GPU holds of a group: the canonical space, the picture of a state, an order. N rows, C colour channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
-import { colourChannels, colourMatrix, colourSteps, differenceSteps, keySteps, stateSteps } from "../format/steps.ts";
+import {
+  colourChannels,
+  colourMatrix,
+  colourSteps,
+  differenceSteps,
+  gridUnit,
+  keySteps,
+  stateSteps,
+} from "../format/steps.ts";
 import type { Atlas, BaseChanges, Canonical, Group, Root } from "../format/types.ts";
 import { STATE_AT, STATIC } from "../generated/constants.ts";
 import { KeyPasses } from "./key-passes.ts";
@@ -75,6 +83,7 @@ export class Scene {
     this.tintSteps = dcAndRest(group.state_steps, channels);
     const coding = {
       steps: keySteps(root, group, canonical.quality),
+      unit: Math.log(gridUnit(group)),
       differenceSteps: differenceSteps(root, group, canonical.quality),
       tintSteps: dcAndRest(group.key_steps, channels),
       transform: this.transform,

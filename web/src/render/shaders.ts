@@ -86,6 +86,7 @@ int row() {
 
 export const KEY_GEOMETRY = `${HEAD}${both(CODES)}${TURNS}${ROW}
 uniform ivec4 entries[${KEY_AT.colour}], entries2[${STATE_AT.colour}];
+uniform float unit; // ln of that of the grid
 layout(location = 0) out uvec4 rotation;
 layout(location = 1) out uvec4 size;
 void main() {
@@ -93,7 +94,7 @@ void main() {
   if (i < 0) discard;
   ${both("ivec2 at = place(i);")}
   rotation = floatBitsToUint(product(turn(${second(three(STATE_AT.quaternions))}), turn(${three(KEY_AT.quaternions)})));
-  size = floatBitsToUint(${size(KEY_AT)} + ${second(size(STATE_AT))});
+  size = floatBitsToUint(vec4(vec3(unit), 0.0) + ${size(KEY_AT)} + ${second(size(STATE_AT))});
 }`;
 
 /** Colour channels that may differ from 0: their code table, and which line of the transform each is. */

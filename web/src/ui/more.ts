@@ -15,7 +15,7 @@ export async function showTrouble(
   { src, again, signal }: { src: string; again: () => void; signal: AbortSignal },
 ): Promise<void> {
   const more = await loadMore().catch(() => null);
-  if (signal.aborted) return;
+  if (signal.aborted || !frame.classList.contains("broken")) return; // meanwhile there is a picture
   frame.querySelector(".card")?.remove();
   if (!more) {
     frame.append(make("div", { class: "card", role: "alert" }, String(error ?? "This browser cannot play it.")));

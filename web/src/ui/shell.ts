@@ -25,7 +25,12 @@ export interface Looks {
 }
 
 function nameOf(src: string): string {
-  const last = new URL(src).pathname.split("/").filter(Boolean).pop() ?? "";
+  const { pathname } = new URL(src);
+  const last =
+    pathname
+      .replace(/\/*(airgs\.json|manifest\.mpd)?\/*$/, "")
+      .split("/")
+      .pop() ?? "";
   try {
     return decodeURIComponent(last).replace(/\.airgs$/, "");
   } catch {
@@ -146,7 +151,15 @@ export class Shell {
     this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / contain no-repeat`;
   }
 
+  /** Whether there was neither a picture nor a trouble yet. */
+  get blank(): boolean {
+    return this.#blank;
+  }
+
+  /** Takes back a trouble that there was before. */
   showPicture(): void {
+    this.frame.classList.remove("broken");
+    this.frame.querySelector(".card")?.remove();
     this.#poster.classList.add("gone");
     this.#blank = false;
     this.waiting = false;

@@ -18,6 +18,20 @@ const INEXACT =
   "What it decodes is not what was sent, so that the scene would fall apart. Chrome and Edge decode exactly.";
 const UNREACHED =
   "Look at the address and the connection. From another site, its server has to allow this page (CORS).";
+/** What servers do, as http.ts says it: a title, and what that means. */
+const SERVERS: readonly (readonly [RegExp, string, string])[] = [
+  [/ status 401/, "The package needs a sign-in", "Its server asks who you are (status 401)."],
+  [
+    / status 403/,
+    "The package may not be read",
+    "Its server refuses (status 403). A key in the address, after the ?, may be missing or too old.",
+  ],
+  [/ status (429|50\d)/, "The server is busy", "Try again in a while."],
+  [/ status (?!404|410)/, "The server does not give it", "Look at the address."],
+  [/ a web page/, "A web page is there", "The server sends one in place of the package. Look at the address."],
+  [/ \(CORS\)/, "The package is not for this page", "Whoever runs its server has to allow that."],
+  [/ server is silent/, "The server does not answer", "It takes requests, and then nothing comes."],
+];
 const UNPLAYED = "This browser cannot play it";
 const UNDRAWN = [
   OTHERS.browser,
@@ -59,6 +73,8 @@ export function troubleOf(error: unknown, src: string): Trouble {
   const name = error instanceof Error ? error.name : "Error";
   const message = error instanceof Error ? error.message : String(error);
   const told = telling(`${name}: ${message}\n${src}\n${navigator.userAgent}`);
+  const [, title, means] = SERVERS.find(([pattern]) => pattern.test(message)) ?? [];
+  if (title) return told(OTHERS.offline, title, `${message.replace(/ \(\w+_\w+\)$/, "")}. ${means}`, true);
   if (name === "FormatError") {
     const { reason, where } = error as FormatError;
     const nothing = where.endsWith("airgs.json") && reason === "missing_file";
@@ -73,7 +89,7 @@ export function troubleOf(error: unknown, src: string): Trouble {
   }
   if (name === "TransportError" || error instanceof TypeError) {
     const title = navigator.onLine ? "The package cannot be reached" : "There is no network";
-    return told(OTHERS.offline, title, UNREACHED, true);
+    return told(OTHERS.offline, title, `${message}. ${UNREACHED}`, true);
   }
   if (name === "ConfigError") return told(OTHERS.warn, "It cannot be played with these settings", message);
   if (/\bWebGL2\b/.test(message)) return told(...UNDRAWN, true);

@@ -1,5 +1,6 @@
 // One life of the element: from a source to a player, a camera and controls, until it is closed.
 
+import { FormatError } from "../format/errors.ts";
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import { rungColours } from "./colours.ts";
@@ -401,7 +402,7 @@ export class View {
   }
 
   #problem({ message, fatal, error }: Problem): void {
-    if (fatal) this.#fail(error ?? new Error(message));
+    if (fatal || (this.#shell.blank && error instanceof FormatError)) this.#fail(error ?? new Error(message));
     else if ((error as Error | null)?.name === "UnsupportedError") this.#say("sound", message);
     else this.#shell.notes.show("network", navigator.onLine ? message : OFFLINE);
   }

@@ -1,9 +1,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
-import { readEscapes } from "../../src/format/files.ts";
 import { ColumnReader } from "../../src/format/rangecoder.ts";
-import { canonicalMeans, mortonIndex, readDetail, readSidecar } from "../../src/format/sidecar.ts";
+import { canonicalMeans, mortonIndex, readDetail, readEscapes, readSidecar } from "../../src/format/sidecar.ts";
 import { fromBase64, joined, readVectors, runs } from "./files.ts";
 
 const refused = { name: "FormatError", reason: "bad_sidecar" };
@@ -66,12 +65,13 @@ test("morton codes", () => {
   }
 });
 
-for (const { name, grid, rows, data, classes, depths, qualities } of positions.tiers) {
+for (const { name, grid, rows, data, classes, depths, wider, qualities } of positions.tiers) {
   test(`tier: ${name}`, () => {
     const coarsest = qualities.at(-1).coarser;
     const shared = readSidecar(fromBase64(data), { count: rows, placed: rows }, grid, coarsest, "file");
     assert.deepEqual([...shared.classes], runs(classes));
     assert.deepEqual([...shared.depths], runs(depths));
+    assert.deepEqual([...shared.wider], runs(wider));
     for (const quality of qualities) {
       const reader = new ColumnReader(fromBase64(quality.data), "file");
       const tier = readDetail(reader, shared, grid, quality.coarser, coarsest);

@@ -25,7 +25,7 @@ for (const { name, data, columns } of readVectors("columns").cases) {
   });
 }
 
-const GRID = { origin: [0, 0, 0], step: 1, bits: 4, finest: 0 };
+const GRID = { origin: [0, 0, 0], step: 1, finest: 0 };
 const readDepths = (data: Uint8Array, count: number) => readSidecar(data, { count, placed: 0 }, GRID, 0, "file");
 
 test("a sidecar of a difference has depths alone", () => {
@@ -99,7 +99,7 @@ test("a base must be there, keep none itself and be laid out alike, whichever is
   await assert.rejects(tables.addGroup(1, packed(alone)), refused); // channels of differences to nobody
   await assert.rejects(tables.addGroup(0, packed({ ...first, keeps: 1 })), refused); // of itself
   const changed: Record<string, (table: Group) => void> = {
-    grid: (table) => Object.assign(table.grid, { bits: 3 }),
+    grid: (table) => Object.assign(table.grid, { finest: 3 }),
     key_steps: (table) => Object.assign(table.key_steps, { opacity: 0.5 }),
     colour_transform: (table) => Object.assign(table, { colour_transform: "" }),
     factor: (table) => Object.assign(table.tiers[1]!, { factor: 2.5 }),
@@ -136,7 +136,7 @@ test("what differs is added to the base: scales, alpha and colours by sum, rotat
   const whole = Int16Array.from([1, 0, 0, 0, 1, 0, 0, 0, 1], (number) => 32767 * number);
   const group = {
     key_steps: { log_scales: 1, quaternions: Math.PI / 2, opacity: 0.5, sh_dc: 5, sh_rest: 1 },
-    grid: { origin: [0, 0, 0], step: 1, bits: 4, finest: 0 },
+    grid: { origin: [0, 0, 0], step: 1, finest: 0 },
     colour_transform: Buffer.from(whole.buffer).toString("base64"),
   } as unknown as Group;
   const rows = (numbers: number[]) => [0, 1, 2].map((row) => numbers.map((number) => row * number));

@@ -12,10 +12,10 @@ import {
   rowOffsets,
   slopeCodes,
 } from "../../src/format/atlas.ts";
-import { Bases, levelRows, readEscapes } from "../../src/format/files.ts";
+import { Bases, levelRows } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { ColumnReader } from "../../src/format/rangecoder.ts";
-import { motionUnits } from "../../src/format/sidecar.ts";
+import { motionUnits, readEscapes } from "../../src/format/sidecar.ts";
 import type { Atlas, BaseChanges, Canonical, Gaussians, Group, Root } from "../../src/format/types.ts";
 import { fromBase64, readVectors, runs } from "./files.ts";
 
@@ -26,14 +26,16 @@ interface Case {
   factor: number;
   gain: number;
   colour_transform: string;
+  grid?: Group["grid"];
 }
 type Values = Record<"means" | "quaternions" | "log_scales" | "alpha" | "colours", number[][]>;
 
 /** As much of the tables as the values of a case depend on. */
-function tables({ sh_degree, steps, factor, gain, colour_transform }: Case): [Root, Group] {
+function tables({ sh_degree, steps, factor, gain, colour_transform, grid }: Case): [Root, Group] {
   const ladder = { qualities: [{ factor }], levels: new Array(8).fill({ factor }) };
   const root = { sh_degree, key_gain: gain, state_gain: gain, ...ladder };
-  return [root as unknown as Root, { key_steps: steps, state_steps: steps, colour_transform } as unknown as Group];
+  const group = { key_steps: steps, state_steps: steps, colour_transform, grid };
+  return [root as unknown as Root, group as unknown as Group];
 }
 
 /** The codes of a case, channels after one another. */
