@@ -71,7 +71,6 @@ pytest: .venv/installed
 # on. Hours in all.
 soak: .venv/installed
 	$(BIN)/python -m tests.long.fuzz
-	$(BIN)/python -m tests.long.kill
 	$(BIN)/python -m tests.long.faults
 	rm -rf build/lab/soak-farm
 	$(BIN)/python -m tools.lab soak-farm

@@ -1,7 +1,6 @@
 """A sample of mutants; `python -m tests.long.fuzz` tries a hundred thousand."""
 
-from tests.long.fuzz import Tally
-from tests.long.targets import TARGETS
+from tests.long.fuzz import TARGETS, Tally
 
 
 def test_mutants_are_read_or_refused():

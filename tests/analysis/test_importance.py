@@ -21,10 +21,13 @@ from airgs_codec.analysis.importance import (
     pooled_within,
     select_omissions,
 )
-from airgs_codec.analysis.sensitivity import CODING_VARIANCE, MAX_VIEWS, measure_sensitivity
+from airgs_codec.analysis.sensitivity import CODING_VARIANCE, measure_sensitivity, measure_views
+from airgs_codec.coding.motion import channel_weights, motion_classes, motion_units, withheld_error
 from airgs_codec.media.metrics import mse
+from airgs_codec.package.tables import StateSteps
 from airgs_codec.render import render
 from airgs_codec.scene.camera import training_views
+from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply, sigmoid
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
@@ -57,7 +60,6 @@ def test_removed_rows_cost_what_was_allowed(scene):
 
 
 def test_rows_that_no_ranking_picture_showed_stay_if_others_show_them(scene):
-    """Rows of importance 0 go first, but not past what pictures that did not rank allow."""
     cameras, frames = scene
     views = [(frames[0], camera) for camera in cameras[:3]]
     shown = np.flatnonzero(measure_usage([frames[0]], cameras[:3]).total > 0)
@@ -104,49 +106,20 @@ def test_a_row_is_as_important_as_it_is_seen_and_as_its_alpha_counts():
 
 
 def test_the_worst_pictures_weigh_more_in_a_pooled_error():
+    """No more are drawn of what is sure to be beyond: the first two of four suffice for the root of 0.25 / 4, 0.25."""
     assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
-    assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pytest.approx(2.0)  # their mean is 1, the worst 4
+    assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
+    for allowed, drawn, rest in ((0.28, True, []), (0.249, False, [0.1, 0.2])):
+        errors = iter([0.3, 0.4, 0.1, 0.2])
+        assert (pooled_within(errors, 4, allowed) < math.inf) == drawn and list(errors) == rest
 
 
-def test_no_more_pictures_are_drawn_of_what_is_sure_to_be_beyond():
-    """The root of (0.3^2 + 0.4^2) / 4 is 0.25: the first two of four are enough to know that it is more than less."""
-    errors = iter([0.3, 0.4, 0.1, 0.2])
-    assert pooled_within(errors, 4, 0.28) < math.inf and list(errors) == []
-    errors = iter([0.3, 0.4, 0.1, 0.2])
-    assert pooled_within(errors, 4, 0.249) == math.inf and list(errors) == [0.1, 0.2]
-    assert pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
-
-
-def test_where_no_line_tells_the_number_of_rows_it_is_halved(monkeypatch):
-    """Nothing is lost by 436 rows of 1000, and everything by one more: found to one per cent of the rows."""
-    pruning, looked = RowPruning([], np.ones(1000), {}), []
-
-    def error(count):
-        looked.append(count)
-        return pruning._errors.setdefault(count, float(count > 436))
-
-    monkeypatch.setattr(pruning, "_error", error)
-    assert len(pruning.within(0.5).rows) == 1000 - 436
-    assert looked == [999, 499, 249, 374, 436, 467, 451, 443]
-    assert len(pruning.within(0.5).rows) == 1000 - 436 and len(looked) == 8  # nothing is drawn again
+def test_where_no_line_tells_the_number_of_rows_it_is_found_to_one_per_cent(monkeypatch):
+    """Nothing is lost by 436 rows of 1000, and everything by one more."""
+    pruning = RowPruning([], np.ones(1000), {})
+    monkeypatch.setattr(pruning, "_error", lambda count: pruning._errors.setdefault(count, float(count > 436)))
+    assert len(pruning.within(0.5).rows) == 1000 - 436 and len(pruning._errors) <= 10
     assert len(pruning.within(2.0).rows) == 1
-
-
-def test_the_error_of_leaving_one_row_out_is_known_without_rendering(scene):
-    """A picture is linear in an alpha; what is left is the chance in the signs of `measure_sensitivity`."""
-    training, (_, frame, _) = scene
-    s = measure_sensitivity([frame], training)
-    expected = s.opacity * frame.opacities().astype(np.float64) ** 2
-    seen = np.argsort(-measure_usage([frame], training).total)[:40]
-    cameras = [training[i] for i in evenly_spaced(len(training), MAX_VIEWS)]
-    full = [render(frame, c).rgb for c in cameras]
-    rendered = []
-    for row in seen:
-        without = frame.take(np.delete(np.arange(len(frame)), row))
-        rendered.append(
-            np.mean([np.mean((render(without, c).rgb - a) ** 2) for c, a in zip(cameras, full, strict=True)])
-        )
-    assert expected[seen].sum() == pytest.approx(sum(rendered), rel=0.25)
 
 
 def test_things_go_as_long_as_they_pay():
@@ -156,25 +129,21 @@ def test_things_go_as_long_as_they_pay():
         assert most == 0.5 * sizes[chosen].sum()
         return float(errors[chosen].sum())
 
+    def chosen(guesses, error):
+        return select_omissions(sizes, guesses, error, 1.0)[0].tolist()
+
     assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
-    assert select_omissions(sizes, errors, error, 1.0)[0].tolist() == [True, False, True]
-    # guesses that are too low: fewer are left out
-    assert select_omissions(sizes, np.zeros(3), error, 1.0)[0].tolist() == [True, False, False]
-    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 1e9, 1.0)[0].tolist() == [False] * 3
-    # at half of what their bytes are worth, and no dearer
-    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 4.9 * chosen.sum(), 1.0)[0].tolist() == [True] * 3
-    assert select_omissions(sizes, np.zeros(3), lambda chosen, _: 5.1 * chosen.sum(), 1.0)[0].tolist() == [False] * 3
+    assert chosen(errors, error) == [True, False, True]
+    assert chosen(np.zeros(3), error) == [True, False, False]  # guesses that are too low: fewer are left out
+    assert chosen(sizes, lambda some, _: 0.0) == [False] * 3  # a guess that is no less than the price
+    for price, kept in ((1e9, False), (5.0, True), (5.1, False)):  # at half of what their bytes are worth, no dearer
+        assert chosen(np.zeros(3), lambda some, _, price=price: price * some.sum()) == [kept] * 3
 
 
 def test_what_pays_most_goes_first_and_the_half_of_it_where_all_is_too_dear():
     sizes, guesses = np.array([100.0, 10.0]), np.array([40.0, 5.0])
     chosen, cost = select_omissions(sizes, guesses, lambda chosen, _: 60.0 if chosen.all() else 40.0, 1.0)
     assert (chosen.tolist(), cost) == ([True, False], 40.0) and chosen.dtype == bool
-    four = np.full(4, 10.0)
-    chosen, _ = select_omissions(four, np.arange(4.0), lambda chosen, _: 5.0 * 2 if chosen.sum() <= 2 else 1e9, 1.0)
-    assert chosen.tolist() == [True, True, False, False]  # at exactly half the price of their bytes
-    nothing, cost = select_omissions(four, four, lambda chosen, _: 0.0, 1.0)  # a guess that is no less than the price
-    assert (nothing.tolist(), nothing.dtype, cost) == ([False] * 4, bool, 0.0)
     alike = select_omissions(np.ones(64), np.zeros(64), lambda chosen, _: 0.0 if chosen.sum() < 40 else 1e9, 1.0)[0]
     assert alike.tolist() == [True] * 32 + [False] * 32  # the first of equals
 
@@ -207,3 +176,82 @@ def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_th
     )
     seldom = np.arange(8.0)[None, None]  # each of them once: three bits a row
     assert estimate_cost(seldom, np.zeros(1), ones)[0].tolist() == [3.0]
+
+
+@pytest.fixture(scope="module")
+def measured():
+    sequence = open_sequence(FOX)
+    frame = sequence.load([4]).frames[0]
+    cameras = list(sequence.cameras)[:4]
+    return frame, cameras, measure_sensitivity([frame] * 8, cameras)
+
+
+def jittered(g: Gaussians, name: str, size: float) -> Gaussians:
+    rng = np.random.default_rng(7)
+    if name == "quaternions":
+        turn = from_rotation_vector(rng.normal(0, size, (len(g), 3)))
+        return replace(g, quaternions=multiply(turn, g.quaternions.astype(np.float64)).astype(np.float32))
+    if name == "opacity":
+        alpha = np.clip(sigmoid(g.opacity_logits.astype(np.float64)) + rng.normal(0, size, len(g)), 1e-6, 1 - 1e-6)
+        return replace(g, opacity_logits=np.log(alpha / (1 - alpha)).astype(np.float32))
+    value = getattr(g, name)
+    return replace(g, **{name: (value + rng.normal(0, size, value.shape)).astype(np.float32)})
+
+
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [("means", 3e-4), ("log_scales", 3e-2), *((n, 1e-2) for n in ("quaternions", "opacity", "sh_dc", "sh_rest"))],
+)
+def test_errors_of_the_size_of_a_step_make_the_error_that_was_predicted(measured, name, size):
+    frame, cameras, s = measured
+    worse = jittered(frame, name, size)
+    rendered = np.mean([mse(render(worse, c).rgb, render(frame, c).rgb) for c in cameras])
+    assert size**2 * getattr(s, name).sum() == pytest.approx(rendered, rel=0.2)
+
+
+def test_the_cost_of_withholding_is_the_rendered_one(measured):
+    frame, cameras, s = measured
+    steps = StateSteps(means=1e-4, quaternions=0.01, log_scales=0.02, opacity=1e-3, sh_dc=0.01, sh_rest=0.01)
+    classes = motion_classes(s.means, 1e-2 * float(np.median(s.means)))
+    channels = 10 + 3 * (1 + frame.sh_rest.shape[1])
+    moved = np.random.default_rng(0).normal(0, 1, (1, channels, len(frame)))
+    weights = channel_weights(classes, s.by_attribute(), steps, np.eye(channels - 10))
+    for start, stop, name in ((0, 3, "means"), (3, 6, "log_scales"), (10, channels, "sh_dc")):
+        changes = np.zeros_like(moved)
+        changes[:, start:stop] = moved[:, start:stop]
+        unit = motion_units(classes)[:, None] if name == "means" else 1.0
+        by = {name: getattr(steps, name) * unit * changes[0, start : min(stop, start + 3)].T}
+        if name == "sh_dc":
+            by["sh_rest"] = steps.sh_rest * changes[0, 13:].T.reshape(frame.sh_rest.shape)
+        other = replace(frame, **{n: (getattr(frame, n) + value).astype(np.float32) for n, value in by.items()})
+        rendered = np.mean([mse(render(other, c).rgb, render(frame, c).rgb) for c in cameras])
+        assert withheld_error(changes, weights).sum() == pytest.approx(rendered, rel=0.3), name
+
+
+def test_what_is_behind_the_scene_counts(measured):
+    """A black row changes nothing before black, whatever its opacity; before white it does."""
+    frame, cameras, _ = measured
+    one = frame.take(np.argsort(frame.opacity_logits)[-1:])
+    black = replace(one, sh_rest=0 * one.sh_rest, sh_dc=np.full((1, 3), -10, np.float32))
+    white = [replace(view, background=(1.0, 1.0, 1.0)) for view in cameras]
+    assert measure_sensitivity([black], cameras).opacity.max() == 0 < measure_sensitivity([black], white).opacity.max()
+
+
+def test_views_and_frames_are_averaged(measured):
+    frame, cameras, _ = measured
+    once, twice = (measure_sensitivity(frames, cameras[:1]) for frames in ([frame], [frame, frame]))
+    assert twice.sh_dc.sum() == pytest.approx(once.sh_dc.sum(), rel=0.1)
+    assert replace(once).take(np.array([2, 0])).opacity.tolist() == [once.opacity[2], once.opacity[0]]
+
+
+def test_every_picture_has_a_frame_and_a_camera_of_its_own(measured):
+    """A row counts in the frames in which it is seen, by the camera that was paired with them."""
+    frame, cameras, _ = measured
+    away = replace(frame, means=frame.means + np.float32(1e5))
+    seen, unseen = measure_usage([frame], cameras[:1]), measure_usage([frame], cameras[1:2])
+    usage, s = measure_views([(frame, cameras[0]), (away, cameras[1])])
+    np.testing.assert_array_equal(usage.hits, seen.hits)
+    assert (usage.hits != unseen.hits).any()
+    alone = measure_views([(frame, cameras[0])])[1]
+    for name in s.__slots__:
+        assert getattr(s, name).sum() == pytest.approx(getattr(alone, name).sum() / 2)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.rows import outlook, restore_rows
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
@@ -19,7 +19,6 @@ def shuffled(frames, which):
 
 
 def noisy(frames):
-    """Frames as if each had been made by itself."""
     return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
 
 
@@ -46,10 +45,26 @@ def test_frames_that_keep_a_new_order_are_matched_once(tmp_path):
     np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
 
 
-def test_tracked_sequences_stay_as_they_are(tmp_path):
-    for folder in (FOX, write_sequence(tmp_path, moving_frames(200, 4))):
-        restored = restore_rows(open_sequence(folder))
-        assert not restored.sequence.orders and restored.sequence.breaks == () and restored.notes == []
+@pytest.mark.parametrize(
+    ("frames", "keyframes", "mode"),
+    [
+        (moving_frames(200, 4), None, "auto"),
+        (moving_frames(200, 4), None, "match"),
+        (moving_frames(50, 1), None, "auto"),
+        (moving_frames(50, 2), None, "auto"),
+        (moving_frames(90, 2) + moving_frames(120, 2), None, "auto"),
+        (moving_frames(300, 2) + moving_frames(300, 2, seed=1), [0, 2], "auto"),
+    ],
+    ids=["tracked", "matched", "one frame", "two frames", "grown", "another scene at a keyframe"],
+)
+def test_where_nothing_is_lost_all_stays_as_it_is(tmp_path, frames, keyframes, mode):
+    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames, keyframes=keyframes)), mode)
+    assert not restored.sequence.orders and restored.notes == []
+    assert restored.sequence.breaks == ((2,) if len(frames[0]) < len(frames[-1]) else ())
+
+
+def test_the_rows_of_the_embedded_scene_stay_as_they_are():
+    assert restore_rows(open_sequence(FOX)).notes == []
 
 
 def test_frames_that_nothing_joins_start_groups(tmp_path):
@@ -61,11 +76,11 @@ def test_frames_that_nothing_joins_start_groups(tmp_path):
 
 
 def test_other_counts_every_frame_are_said_and_not_matched(tmp_path):
-    frames = [random_gaussians(300 + i, seed=i) for i in range(3)]
-    restored = restore_rows(open_sequence(write_sequence(tmp_path / "a", frames)))
+    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300 + i, seed=i) for i in range(3)]))
+    restored = restore_rows(sequence)
     assert restored.alone == (0, 1, 2) and "another number of Gaussians" in restored.notes[0]
-    grown = moving_frames(90, 2) + moving_frames(120, 2)
-    assert restore_rows(open_sequence(write_sequence(tmp_path / "b", grown))).notes == []
+    [note] = restore_rows(sequence, frames=range(1, 2)).notes  # of a sequence that grows
+    assert note.startswith("frame 1: each has another number of Gaussians than the frames beside it")
 
 
 def thinned(frames, share=0.1):
@@ -113,21 +128,10 @@ def test_a_broken_row_does_not_stand_in_for_those_that_are_missing(tmp_path):
     assert len(loaded.frames[0]) == restored.sequence.count(0) and len(loaded.notes) == 1
 
 
-def test_nothing_is_matched_across_a_keyframe(tmp_path):
-    frames = moving_frames(300, 2) + moving_frames(300, 2, seed=1)
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames, keyframes=[0, 2])))
-    assert restored.notes == [] and restored.sequence.breaks == ()
-
-
-def test_rows_are_kept_or_matched_on_demand(tmp_path):
-    frames = moving_frames(300, 3)
-    lost = open_sequence(write_sequence(tmp_path / "a", shuffled(frames, {1})))
-    assert restore_rows(lost, "keep").sequence is lost
-
-
-def test_only_the_frames_that_are_asked_for_are_looked_at(tmp_path):
+def test_only_the_frames_that_are_asked_for_are_looked_at_and_none_where_rows_are_to_be_kept(tmp_path):
     sequence = open_sequence(write_sequence(tmp_path, shuffled(moving_frames(300, 6), {1, 4})))
     assert restore_rows(sequence, frames=range(3, 6)).matched == (4, 5)
+    assert restore_rows(sequence, "keep").sequence is sequence
 
 
 def test_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
@@ -138,19 +142,12 @@ def test_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
     assert restore_rows(sequence).sequence.usage(0, 2) is None
 
 
-@pytest.mark.parametrize("frames", [1, 2])
-def test_short_sequences_have_nothing_to_restore(tmp_path, frames):
-    assert restore_rows(open_sequence(write_sequence(tmp_path, moving_frames(50, frames)))).notes == []
-
-
 def test_rows_that_all_are_matched_are_out_of_order_only_where_they_were(tmp_path):
     """`match` finds the order that files have: nothing was put into another, and what the trainer measured counts."""
     frames = moving_frames(300, 4)
     restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2}))), "match")
     assert restored.matched == (2, 3) and sorted(restored.sequence.orders) == [2]
     np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
-    ordered = restore_rows(open_sequence(write_sequence(tmp_path / "ordered", frames)), "match")
-    assert ordered.notes == [] and not ordered.sequence.orders
 
 
 def test_rows_are_looked_for_where_they_would_go_on_to(tmp_path):
@@ -162,12 +159,6 @@ def test_rows_are_looked_for_where_they_would_go_on_to(tmp_path):
     frames = [Gaussians(np.add(lattice, [place, 0, 0]).astype(np.float32), *looks) for place in places]
     restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2, 5, 6}))), "match")
     np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
-
-
-def test_frames_of_a_growing_sequence_that_are_alone_are_said_one_by_one(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300 + i, seed=i) for i in range(3)]))
-    [note] = restore_rows(sequence, frames=range(1, 2)).notes
-    assert note.startswith("frame 1: each has another number of Gaussians than the frames beside it")
 
 
 def test_frames_that_a_file_says_are_unlike_those_before_have_no_other_number(tmp_path):
@@ -191,3 +182,35 @@ def test_the_first_frames_tell_what_rows_will_cost(tmp_path, frames, words):
     found = outlook(open_sequence(write_sequence(tmp_path, frames)))
     assert found.words.startswith(words) and bool(found.words) == bool(words)
     assert found.shared == (words in ("", "rows: out of order"))
+
+
+def test_keyframes_of_the_embedded_scene_start_its_groups():
+    assert plan_groups(open_sequence(FOX)).spans == [(0, 5), (5, 10)]
+
+
+def test_groups_start_where_the_count_changes_and_long_runs_are_cut_evenly(tmp_path):
+    frames = moving_frames(9, 33) + moving_frames(12, 4)
+    assert plan_groups(open_sequence(write_sequence(tmp_path, frames))).spans == [(0, 16), (16, 33), (33, 37)]
+
+
+def test_a_count_that_changes_inside_a_given_group_is_noted(tmp_path):
+    frames = moving_frames(9, 2) + moving_frames(12, 2)
+    grouping = plan_groups(open_sequence(write_sequence(tmp_path, frames, keyframes=[0])))
+    assert grouping.spans == [(0, 2), (2, 4)]
+    assert "frame 2" in grouping.notes[0]
+
+
+def test_groups_start_where_rows_are_not_those_of_the_frame_before(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path, moving_frames(9, 7)))
+    assert plan_groups(replace(sequence, breaks=(2,)), 3).spans == [(0, 2), (2, 4), (4, 7)]
+    assert plan_groups(replace(sequence, breaks=(2,), keyframes=(0, 4))).spans == [(0, 2), (2, 4), (4, 7)]
+
+
+def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(tmp_path):
+    sequence = open_sequence(write_sequence(tmp_path / "a", moving_frames(9, 8) + moving_frames(12, 2)))
+    assert plan_groups(sequence, 3).spans == [(0, 2), (2, 5), (5, 8), (8, 10)]
+    assert closed_groups(sequence, 0, 3, done=False) == [(0, 3), (3, 6), (6, 9)]  # whether rows match is seen later
+    assert closed_groups(sequence, 6, 3, done=True) == [(6, 9), (9, 10)]
+    named = open_sequence(write_sequence(tmp_path / "b", moving_frames(9, 8), keyframes=[0, 5]))
+    assert closed_groups(named, 0, 3, done=False) == [(0, 5)]
+    assert closed_groups(named, 5, 3, done=True) == [(5, 8)]

@@ -4,15 +4,71 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from airgs_codec.analysis.region import region_around
+from airgs_codec.analysis.up import AXES, Subject, find_floor, find_front, guess_up
 from airgs_codec.analysis.viewpoints import AROUND, find_viewpoints
-from airgs_codec.errors import SceneError
+from airgs_codec.errors import ConfigError, SceneError
+from airgs_codec.package.region import place_view
+from airgs_codec.package.tables import MAX_PLACES
 from airgs_codec.render import render
+from airgs_codec.scene.camera import MARGIN, look_at
 from airgs_codec.scene.formats.ply import read_ply
+from airgs_codec.scene.gaussians import Gaussians, multiply
+from airgs_codec.trainer.fit.points import from_points
 from tests.support.paths import FOX
-from tests.support.places import ball, filmed_room, floor, needles
 from tests.support.scenes import random_gaussians
-from tests.support.views import joined
+from tests.support.views import joined, ring
+
+
+def discs(means, normals, size, thickness=0.05):
+    """Opaque discs of radius `size`, upright on their normals (N, 3), of `thickness` radii."""
+    count, rng = len(means), np.random.default_rng(len(means))
+    quaternions = np.concatenate([1 + normals[:, 2:], -normals[:, 1:2], normals[:, :1], np.zeros((count, 1))], axis=1)
+    quaternions[np.linalg.norm(quaternions, axis=1) < 1e-6] = (0, 1, 0, 0)  # turns z to -z
+    scales = np.log(size) + np.array([0, 0, np.log(thickness)])
+    colours = rng.normal(size=(count, 3)) * 0.3
+    return _gaussians(means, quaternions, np.tile(scales, (count, 1)), np.full(count, 4.0), colours)
+
+
+def ball(count=3000, radius=0.5):
+    directions = np.random.default_rng(1).normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return discs(radius * directions, directions, 2 * radius / np.sqrt(count))
+
+
+def floor(height, count=2000):
+    """A square floor of 2 x 2 units at y = `height`."""
+    x, z = np.random.default_rng(2).uniform(-1, 1, (2, count))
+    return discs(np.stack([x, np.full(count, height), z], axis=1), np.tile([0.0, 1.0, 0.0], (count, 1)), 0.05)
+
+
+def needles(count=3000, seed=0, length=0.5):
+    """What is left of a scene in which nothing was understood: long needles in every direction."""
+    rng = np.random.default_rng(seed)
+    scales = np.log(length * np.array([1, 0.06, 0.06])) + rng.normal(size=(count, 3)) * 0.2
+    means, quaternions, colours = rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
+    return _gaussians(means, quaternions, scales, rng.normal(size=count) + 1, colours)
+
+
+def filmed_room():
+    """A room filmed from its middle towards the wall at z = 4: small discs there, needles behind and all around."""
+    rng = np.random.default_rng(3)
+    x, y = rng.uniform(-4, 4, (2, 6000))
+    depth = 4 + 0.3 * np.sin(x) + 0.2 * np.cos(2 * y)
+    wall = discs(np.stack([x, y, depth], axis=1), np.tile([0.0, 0.0, -1.0], (6000, 1)), 0.07)
+    shell = needles(3000, length=1.5)
+    around = rng.uniform(-5, 5, (3000, 3))
+    side = rng.integers(0, 3, 3000)
+    around[np.arange(3000), side] = rng.choice([-1, 1], 3000) * rng.uniform(4.5, 5.5, 3000)
+    return joined(wall, replace(shell, means=around.astype(np.float32)))
+
+
+def _gaussians(means, quaternions, log_scales, logits, dc):
+    empty = np.zeros((len(means), 0, 3), np.float32)
+    columns = [column.astype(np.float32) for column in (means, quaternions, log_scales, logits, dc)]
+    return Gaussians(*columns, empty)
 
 
 def places_of(found):
@@ -86,29 +142,212 @@ def test_an_object_in_a_haze_is_not_taken_for_a_place():
     assert found.cameras[0].name == "front"
 
 
-def test_broken_rows_are_passed_over():
+def test_broken_rows_and_huge_numbers_are_passed_over():
     g = ball()
-    means, quaternions = g.means.copy(), g.quaternions.copy()
-    means[:20], quaternions[20:40] = np.nan, 0
-    found = find_viewpoints([replace(g, means=means, quaternions=quaternions)])
-    assert found.confident and np.isfinite(places_of(found)).all()
+    means, quaternions, scales = g.means.copy(), g.quaternions.copy(), g.log_scales.copy()
+    means[:20], quaternions[20:40], means[40], scales[41] = np.nan, 0, 1e30, 60
+    found = find_viewpoints([replace(g, means=means, quaternions=quaternions, log_scales=scales)])
+    assert all(np.isfinite(camera.world_to_camera).all() for camera in found.cameras)
 
 
 def test_a_scene_that_cannot_be_seen_has_views_all_the_same():
     g = random_gaussians(10)
-    found = find_viewpoints([replace(g, opacity_logits=np.full(10, -20, np.float32))])
-    assert not found.confident
-
-
-def test_huge_numbers_do_not_confuse_it():
-    g = ball(300)
-    means, scales = g.means.copy(), g.log_scales.copy()
-    means[0], scales[1] = 1e30, 60
-    found = find_viewpoints([replace(g, means=means, log_scales=scales)])
-    assert all(np.isfinite(camera.world_to_camera).all() for camera in found.cameras)
+    assert not find_viewpoints([replace(g, opacity_logits=np.full(10, -20, np.float32))]).confident
 
 
 def test_a_frame_without_finite_rows_is_refused():
     g = random_gaussians(4)
     with pytest.raises(SceneError, match="finite"):
         find_viewpoints([replace(g, means=np.full((4, 3), np.nan, np.float32))])
+
+
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def tube(centre, half, count):
+    """The surface of an ellipsoid with half axes (3,)."""
+    normals = np.random.default_rng(count).normal(size=(count, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return discs(np.array(centre) + np.array(half) * normals, normals, 0.05)
+
+
+def animal():
+    """A body on four legs, with a head whose colours vary; it looks along z, and y is up."""
+    legs = [tube((x, 0.3, z), (0.06, 0.3, 0.06), 200) for x in (-0.2, 0.2) for z in (-0.4, 0.4)]
+    head = tube((0, 1.05, 0.7), (0.15, 0.15, 0.2), 400)
+    speckled = replace(head, sh_dc=8 * head.sh_dc)
+    plain = [replace(part, sh_dc=0 * part.sh_dc) for part in (tube((0, 0.75, 0), (0.25, 0.2, 0.6), 1200), *legs)]
+    return joined(joined(*plain[:2]), joined(joined(*plain[2:4]), joined(plain[4], speckled)))
+
+
+def turned(g, turn):
+    quaternion = np.roll(turn.as_quat(), 1)
+    turns = np.tile(quaternion, (len(g), 1))
+    return replace(
+        g,
+        means=(g.means @ turn.as_matrix().T).astype(np.float32),
+        quaternions=multiply(turns, g.quaternions.astype(np.float64)).astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("turn", list(Rotation.create_group("O"))[::5], ids=lambda turn: str(turn.as_quat().round(1)))
+def test_an_animal_stands_on_its_feet_and_is_seen_from_in_front_however_it_is_turned(turn):
+    subject = Subject.of([turned(animal(), turn)])
+    up = guess_up(subject)
+    assert up == pytest.approx(turn.apply(UP), abs=1e-6)
+    assert find_front(subject, up) @ turn.apply([0, 0, 1]) > 0.9
+
+
+@pytest.mark.parametrize("lost", [0, 7], ids=["as many rows", "fewer rows"])
+@pytest.mark.parametrize("ordered", [True, False], ids=["in order", "shuffled"])
+def test_what_rests_is_below_what_moves(ordered, lost):
+    still = ball()
+    swayed = replace(still, means=still.means + np.maximum(still.means[:, :1] + 0.2, 0) * [0, 0.1, 0.2])
+    swayed = replace(swayed, means=swayed.means.astype(np.float32))
+    rows = np.arange(len(swayed)) if ordered else np.random.default_rng(1).permutation(len(swayed))
+    swayed = swayed.take(rows[: len(rows) - lost])
+    assert guess_up(Subject.of([still, swayed])) == pytest.approx([1, 0, 0])
+
+
+def test_a_floor_has_everything_on_one_side():
+    up = find_floor(joined(ball(), floor(-0.55)))
+    assert up is not None and up @ [0, 1, 0] > 0.99
+    assert find_floor(ball()) is None
+    assert find_floor(joined(ball(), floor(0.0))) is None, "as much below as above"
+
+
+@pytest.mark.parametrize("up", AXES[[1, 4]])
+def test_a_place_that_was_filmed_is_lighter_above(up):
+    room = filmed_room()
+    light = np.where((room.means @ up)[:, None] > 0, 1.0, -1.0).astype(np.float32) * np.ones_like(room.sh_dc)
+    assert guess_up(Subject.of([replace(room, sh_dc=light)]), filmed=True) == pytest.approx(up)
+
+
+def test_the_first_view_shows_the_whole_subject_with_a_margin():
+    g = animal()
+    camera = find_viewpoints([g], UP).cameras[0]
+    matrix = camera.world_to_camera
+    x, y, z = matrix[:3, :3] @ g.means.T + matrix[:3, 3:]
+    off = np.maximum(np.abs(x), np.abs(y)) / z * camera.fx * 2 / camera.width
+    assert (z > 0).all() and np.mean(off < 1) > 0.98 and 0.8 / MARGIN < np.quantile(off, 0.98) < 1.01 / MARGIN
+    assert matrix[1] @ [*UP, 0] < -0.9
+
+
+def test_the_first_view_shows_what_few_large_rows_make_of_the_subject():
+    normals = np.tile([0.0, 0, 1], (60, 1))
+    centres = np.linspace([-3.0, 0, 0], [3.0, 0, 0], 60)
+    wide = joined(animal(), discs(centres, normals, 0.5))
+    camera = find_viewpoints([wide], UP).cameras[0]
+    x, y, z = camera.world_to_camera[:3, :3] @ centres.T + camera.world_to_camera[:3, 3:]
+    assert (z > 0).all() and (np.maximum(np.abs(x), np.abs(y)) / z * camera.fx * 2 / camera.width < 1).all()
+
+
+def wall(z, *, side=3.0):
+    """Opaque blobs in a square of the plane at `z`, where cameras at z = 0 look."""
+    x, y = np.meshgrid(np.linspace(-side, side, 40), np.linspace(-side, side, 40))
+    means = np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1).astype(np.float32)
+    return from_points(means, np.zeros_like(means), 0, 0.9975, side / 20)
+
+
+def row(*xs, size=32):
+    up = np.array([0.0, -1.0, 0.0])
+    return [look_at(np.array([x, 0, 0.0]), np.array([x, 0, 1.0]), up, size=size, fov_y=0.6, name=f"x{x:g}") for x in xs]
+
+
+def reaches(region):
+    return [place.reach for place in region.places]
+
+
+def test_places_stand_at_the_cameras_and_look_at_the_content():
+    cameras = [replace(c, near=0.2) for c in row(-0.2, 0.2)]
+    found = region_around(cameras, wall(4.0))
+    assert (found.source, found.width, found.height, found.near) == ("cameras", 32, 32, 0.2)
+    assert found.fov_y == pytest.approx(np.degrees(0.6))
+    for place, camera in zip(found.places, cameras, strict=True):
+        assert place.focus == pytest.approx([*camera.position[:2], 4.0], abs=0.1)
+        view = place_view(found, place)
+        np.testing.assert_allclose(view.world_to_camera, camera.world_to_camera, atol=1e-5)
+        assert view.fy == pytest.approx(camera.fy)
+
+
+@pytest.mark.parametrize(
+    ("half", "margin"),
+    [
+        (0.1, 0.4),  # a tenth of the distance of 4
+        (1.2, 0.6),  # a quarter of the rig of 2.4
+        (2.4, 1.0),  # a quarter of the distance, though the rig is 4.8
+    ],
+)
+def test_the_default_margin(half, margin):
+    found = region_around(row(-half, half), wall(4.0, side=6.0))
+    assert reaches(found) == pytest.approx([margin] * 2, rel=0.03) and found.turn == 5
+    found = region_around(row(-half, half), wall(4.0), margin=0.0)
+    assert reaches(found) == [0, 0] and found.turn == 0
+
+
+@pytest.mark.parametrize("count", [9, 97])
+def test_viewers_begin_in_the_middle_of_the_cameras(count):
+    arc = np.radians(np.linspace(-35, 35, count))
+    up, focus = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 4.0])
+    around = [focus + 4 * np.array([np.sin(turn), 0, -np.cos(turn)]) for turn in arc]
+    cameras = [look_at(position, focus, up, size=32, fov_y=0.6, name="c") for position in around]
+    found = region_around(cameras, wall(4.0))
+    xs = [place.position[0] for place in found.places]
+    assert xs[0] == pytest.approx(0, abs=0.3) and xs[1:] == sorted(xs[1:]) and len(xs) == min(count, MAX_PLACES)
+    turning = [look_at(focus, position, up, size=32, fov_y=0.6, name="c") for position in around[:: count // 9]]
+    assert abs(region_around(turning, wall(0.0)).places[0].focus[0]) < 0.6, "in one place they look aside"
+
+
+def test_a_ring_of_cameras_has_no_middle():
+    """The one above it, which is nearest to all, shows what nobody would look at first."""
+    up, focus = np.array([0.0, -1.0, 0.0]), np.array([0.0, 0.0, 4.0])
+    around = [focus + 4 * np.array([np.sin(turn), -0.4, -np.cos(turn)]) for turn in np.radians(range(0, 360, 30))]
+    above = focus + np.array([0.1, -4.0, 0.0])
+    cameras = [look_at(position, focus, up, size=32, fov_y=0.6, name="c") for position in [*around, above]]
+    places = region_around(cameras, wall(4.0)).places
+    assert np.allclose(places[0].position, around[0], atol=0.01) and len(places) == 13
+
+
+def test_nobody_walks_into_what_he_sees():
+    beside = wall(4.0)
+    pole = wall(1.0, side=0.15)
+    close, free = (region_around(row(0.0), g, margin=1.5) for g in (joined(beside, pole), beside))
+    assert reaches(close) == pytest.approx([0.5], rel=0.05)
+    assert reaches(free) == pytest.approx([1.5], rel=0.05)
+    assert reaches(region_around(row(0.0), beside, margin=9.0)) == pytest.approx([2.0], rel=0.05)
+
+
+def test_many_cameras_leave_as_many_places_as_are_allowed():
+    cameras = ring(150)
+    found = region_around(cameras, wall(0.0, side=0.5))
+    assert len(found.places) == MAX_PLACES
+    positions = np.array([place.position for place in found.places])
+    for camera in cameras:  # whoever was left out has a neighbour
+        assert np.linalg.norm(positions - camera.position, axis=1).min() < 0.7
+
+
+def test_cameras_that_turn_about_one_point_are_all_places():
+    axes = [np.array([np.sin(a), 0.0, np.cos(a)]) for a in np.linspace(0, 1, 80)]
+    up = np.array([0.0, -1.0, 0.0])
+    head = [look_at(np.zeros(3), axis, up, size=16, fov_y=0.6, name="head") for axis in axes]
+    found = region_around(head, wall(4.0, side=6.0))
+    assert len({tuple(place.focus) for place in found.places}) == MAX_PLACES
+
+
+def test_a_camera_that_sees_nothing_and_a_scene_far_from_the_origin_give_directions():
+    behind = region_around(row(0.0), wall(-4.0))
+    assert behind.places[0].focus[2] > 0 and np.isfinite(reaches(behind)).all()
+    far = np.array([1e6, 0.0, 0.0])
+    (camera,) = row(0.0)
+    matrix = camera.world_to_camera.copy()
+    matrix[:3, 3] -= matrix[:3, :3] @ far
+    g = wall(4.0)
+    moved = replace(g, means=(g.means + far).astype(np.float32))
+    (place,) = region_around([replace(camera, world_to_camera=matrix)], moved).places
+    assert place.position == pytest.approx([1e6, 0, 0], abs=1e-4) and place.focus[2] == pytest.approx(4, abs=0.2)
+
+
+@pytest.mark.parametrize("margin", [-0.1, float("nan"), float("inf")])
+def test_a_margin_that_is_no_length_is_refused(margin):
+    with pytest.raises(ConfigError, match="margin: expected 0 or more world units"):
+        region_around(row(0.0), wall(4.0), margin=margin)

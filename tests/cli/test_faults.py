@@ -132,7 +132,7 @@ def test_absurd_counts_are_refused_with_little_memory(tmp_path, where, value):
 
 
 def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
-    """`python -m tests.long.kill` does it fifty times."""
+    """`python -m tests.long.faults` does it many times."""
     code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
     process = subprocess.Popen([sys.executable, "-c", code, str(FOX), "-o", str(target)], stdout=subprocess.DEVNULL)
     while process.poll() is None and not list(tmp_path.glob(".out.airgs.airgs-*/new")):

@@ -1,12 +1,23 @@
 """The public way in: one frame of a package, level and key quality by id or by index."""
 
+import json
+import subprocess
+import sys
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
+import airgs_codec
+from airgs_codec.coding import atlas, escapes, kernels, rangecoder
+from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.package import open_package
-from tests.support.paths import VALID
+from airgs_codec.media.h264 import open_segment
+from airgs_codec.package.manifest import Groups
+from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.tables import NO_FILE
+from tests.support.paths import GOLDEN, VALID
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +66,135 @@ def test_what_the_package_does_not_have_is_refused_in_one_line(package, choice, 
 def test_frames_that_the_package_does_not_have_are_refused_in_one_line(package, frames):
     with pytest.raises(ConfigError, match=f"^frames: expected a range inside 0:4, got {frames[0]}:{frames[1]}$"):
         next(decode_frames(package, *frames))
+
+
+ROOM = open_package(GOLDEN / "room")
+
+
+def test_a_tier_without_rows_decodes_to_none():
+    m = ROOM.manifest
+    emptied = Package(ROOM.files, replace(m, groups=Groups.of([_without_first(group) for group in m.groups])), 0)
+    alone = list(decode_frames(emptied, 0, m.frames, tiers=1))
+    assert [len(frame.gaussians) for frame in alone] == [0] * m.frames
+    both, second = decode_canonical(emptied, 0, 0, 2), decode_canonical(ROOM, 0, 0)
+    assert both.means.tolist() == second.means[m.groups[0].tiers[0].count :].tolist()
+
+
+def _without_first(group):
+    first, second = group.tiers
+    empty = replace(first, count=0, sidecar=NO_FILE, pictures=[NO_FILE] * len(first.pictures))
+    return replace(group, count=second.count, tiers=[empty, second])
+
+
+@pytest.mark.parametrize("tiers", [-1, 0, 3])
+def test_tiers_that_a_package_does_not_have_are_refused(tiers):
+    with pytest.raises(ConfigError, match=rf"tiers: expected 1\.\.2, got {tiers}"):
+        decode_canonical(ROOM, 0, 0, tiers)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_how_many_rows_are_decoded_together_changes_nothing(monkeypatch, level):
+    package, frames = open_package(GOLDEN / "fox"), []
+    for most in (kernels.LEAST, 1 << 24):
+        monkeypatch.setattr(kernels, "CHUNK", 1)
+        monkeypatch.setattr(kernels, "LEAST", most)
+        frames.append([frame.gaussians for frame in decode_frames(package, 0, 4, level=level)])
+    assert len(frames[0][0]) > 2 * 256
+    for a, b in zip(*frames, strict=True):
+        for f in fields(a):
+            np.testing.assert_array_equal(getattr(a, f.name), getattr(b, f.name))
+
+
+@pytest.mark.parametrize("case", sorted(path.stem for path in GOLDEN.glob("*.json")))
+def test_compiled_loops_give_the_bits_that_numpy_gives(monkeypatch, case):
+    frames = []
+    for compiled in (lambda loop, numbers: None, lambda loop, numbers: rangecoder._compiled(loop)):
+        for module in (atlas, kernels):
+            monkeypatch.setattr(module, "worth_compiling", compiled)
+        package = open_package(GOLDEN / case)
+        levels = range(len(package.manifest.levels))
+        stop = package.manifest.frames
+        frames.append([f.gaussians for level in levels for f in decode_frames(package, 0, stop, level=level)])
+    for a, b in zip(*frames, strict=True):
+        assert all(getattr(a, f.name).tobytes() == getattr(b, f.name).tobytes() for f in fields(a))
+
+
+REFUSED = (
+    "numba", "scipy", "torch", "colour", "cv2", "PIL", "matplotlib", "aiohttp", "hypercorn", "starlette", "tqdm",
+    "obstore",
+)  # fmt: skip
+BARE = f"""
+import sys
+
+class Refuses:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in {REFUSED}:
+            raise ModuleNotFoundError(f"refused: {{name}}", name=name)
+
+sys.meta_path.insert(0, Refuses())
+"""
+DECODES = """
+import airgs_codec, json
+package = airgs_codec.open_package(sys.argv[1])
+last = package.manifest.frames - 1
+airgs_codec.decode(package, last, level="L1", key_quality="Q1")
+print(json.dumps([name for name in sys.modules if name.split(".")[0] == "airgs_codec"]))
+"""
+
+
+def run_bare(code, *arguments):
+    done = subprocess.run([sys.executable, "-c", BARE + code, *arguments], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_decoding_loads_few_modules_and_no_library_but_numpy_and_av():
+    modules = json.loads(run_bare(DECODES, str(GOLDEN / "fox")))
+    folders = {name.split(".")[1] for name in modules if "." in name}
+    assert len(modules) <= 35, modules
+    assert not folders & {"render", "analysis", "encoder", "train", "play", "jobs", "inspect", "cli"}
+
+
+@pytest.mark.parametrize("case", sorted(path.stem for path in GOLDEN.glob("*.json")))
+def test_the_goldens_decode_to_the_recorded_codes_without_those_libraries(case):
+    code = "import json, sys\nfrom tests.support.digests import digests\n"
+    code += (
+        "from airgs_codec.package.package import open_package\nprint(json.dumps(digests(open_package(sys.argv[1]))))"
+    )
+    recorded = json.loads((GOLDEN / f"{case}.json").read_text())
+    assert len(recorded) > 10 and json.loads(run_bare(code, str(GOLDEN / case))) == recorded
+
+
+def test_the_goldens_have_escapes():
+    columns, _ = open_segment(open_package(GOLDEN / "fox-fine").read("state/L0/1.m4s"), "x")
+    assert ColumnReader(columns, "x").column(1, 0)[0] > 0
+
+
+def test_importing_the_package_loads_nothing():
+    assert run_bare("import airgs_codec; print(sorted({'numpy', 'av'} & sys.modules.keys()))").strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("case", "asked", "segments"),
+    [
+        ("fox", [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (-1, 0, 1), (0, 0, 1), (0, 0, 0)], None),
+        # A segment has two frames: its escapes are read whenever the segment or the level changes.
+        ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
+    ],
+)
+def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypatch, case, asked, segments):
+    """`asked`: frame, level and key quality. Frames may be written to, and escapes are read as seldom as can be."""
+
+    def decode(package, frame, level, quality):
+        return airgs_codec.decode(package, frame % package.manifest.frames, level=level, key_quality=quality)
+
+    fresh = [decode(open_package(GOLDEN / case), *which) for which in asked]
+    package, read, unpack = open_package(GOLDEN / case), [], escapes.unpack_segment
+    monkeypatch.setattr(escapes, "unpack_segment", lambda *arguments: read.append(arguments[-1]) or unpack(*arguments))
+    for which, expected in zip(asked, fresh, strict=True):
+        got = decode(package, *which)
+        for name in got.__slots__:
+            np.testing.assert_array_equal(getattr(got, name), getattr(expected, name))
+            getattr(got, name)[:] = np.nan
+    if segments:
+        assert read == [file for which in segments for file in package.manifest.state_files(*which)]

@@ -3,6 +3,7 @@
 import random
 import shutil
 from collections import Counter
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
+from airgs_codec.encoder.settings import LevelSettings
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.package.package import open_package
@@ -22,7 +23,7 @@ from airgs_codec.play.trace import Link, Trace
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.manifests import missing, with_segments
-from tests.support.regions import region
+from tests.support.regions import QUICK
 from tests.support.scenes import moving_frames, write_sequence
 
 
@@ -33,18 +34,7 @@ def package(tmp_path_factory):
     turn = [*range(40), *range(38, 0, -1)]
     scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(600)])
     levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
-    settings = EncodeSettings(
-        calibrate="none",
-        region=region(),
-        decide_pictures=2,
-        measure_pictures=0,
-        group_frames=30,
-        keys="apart",
-        preset="ultrafast",
-        keep_all=True,
-        levels=levels,
-        threads=2,
-    )
+    settings = replace(QUICK, preset="ultrafast", group_frames=30, keys="apart", levels=levels, threads=2)
     encode(open_sequence(scene), folder / "out", settings)
     return open_package(folder / "out"), open_sequence(scene)
 
@@ -74,33 +64,28 @@ class Viewer:
 
     def __init__(self, package):
         self.package = package
-        self.tiers = {}  # (group, quality) -> how many of its tiers are decoded, from the first on
-
-    def fetch_keys(self, group, quality, wanted):
-        have = self.tiers.get((group, quality), 0)
-        while have < wanted:
-            try:
-                decode_key(self.package, group, have, quality)
-            except FormatError as error:
-                assert error.reason == "missing_file"
-                break
-            have += 1
-        self.tiers[group, quality] = have
-        return have
+        self.tiers = Counter()  # (group, quality) -> how many of its tiers are decoded, from the first on
 
     def show(self, index, quality, level):
         """Frames of a segment, or None where a file is missing without which nothing can be shown."""
         m = self.package.manifest
-        segment = m.segments[index]
-        have = self.fetch_keys(m.group_of(index), quality, m.levels[level].tiers)
-        if not have:
-            return None
-        base = decode_canonical(self.package, m.group_of(index), quality, have)
-        try:
-            return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
-        except FormatError as error:
-            assert error.reason == "missing_file"
-            return None
+        segment, group, wanted = m.segments[index], m.group_of(index), m.levels[level].tiers
+        with may_be_missing():
+            for tier in range(self.tiers[group, quality], wanted):
+                decode_key(self.package, group, tier, quality)
+                self.tiers[group, quality] += 1
+        with may_be_missing():
+            if have := self.tiers[group, quality]:
+                base = decode_canonical(self.package, group, quality, have)
+                return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
+
+
+@contextmanager
+def may_be_missing():
+    try:
+        yield
+    except FormatError as error:
+        assert error.reason == "missing_file"
 
 
 def expected(package, index, quality, level, have):

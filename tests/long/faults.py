@@ -1,15 +1,17 @@
-"""Faults beside the work: a disk that is full, SIGINT, a clock that jumps, a store that fails.
+"""Faults beside the work: a disk that is full, SIGINT, kill -9, a clock that jumps, a store that fails.
 
     python -m tests.long.faults [--rounds 20] [--seed 0]
 
 After each the command has said one line and ended with 2 (130 after SIGINT), or has done its work; what was there is
-whole, nothing half-written lies beside it, and the same command does its work when the fault is over. Prints a line a
-fault; exit 1 if it was otherwise. A full disk is a small tmpfs, which only root can mount.
+whole, nothing half-written lies beside it, and the same command does its work when the fault is over. Trainings that
+are killed and resumed until they end have the frames and the record of an unbroken one. Prints a line a fault; exit 1
+if it was otherwise. A full disk is a small tmpfs, which only root can mount.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import random
 import shutil
@@ -19,7 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import partial
@@ -42,7 +44,8 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.scene.sequence import GrowingFolder, open_sequence
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
-from tests.support.mutations import read_files
+from tests.support.mutations import Files, read_files
+from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import moving_frames, write_sequence
 
 OPTIONS = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0"]
@@ -52,9 +55,10 @@ SETTINGS = EncodeSettings(
 PLACES = ("target", "--work", "TMPDIR", "XDG_CACHE_HOME")  # what lies on the disk that is full
 
 
-def begin(scene: Path, target: Path, *more: str, **environment: str) -> subprocess.Popen[str]:
-    code = "import sys; from airgs_codec.cli.encode import main; sys.exit(main(sys.argv[1:]))"
-    words = [sys.executable, "-c", code, str(scene), "-o", str(target), *OPTIONS, *more]
+def begin(scene: Path, target: Path, *more: str, command: str = "encode", **environment: str) -> subprocess.Popen[str]:
+    code = f"import sys; from airgs_codec.cli.{command} import main; sys.exit(main(sys.argv[1:]))"
+    options = OPTIONS if command == "encode" else ["--json", "--iterations", "120,60,30", "--budget", "1500"]
+    words = [sys.executable, "-c", code, str(scene), "-o", str(target), *options, *more]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE}
     reset = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)  # which a shell ignores for what is in the background
     return subprocess.Popen(words, **pipes, preexec_fn=reset, text=True, env=os.environ | environment)  # type: ignore[call-overload]
@@ -106,7 +110,7 @@ def resize(disk: Path, size: str) -> None:
 
 
 def interrupt(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
-    """SIGINT at any moment of an encode after its imports, in which Python itself ends with a traceback."""
+    """SIGINT at any moment of an encode after its imports, in which Python ends with a traceback; kill -9 at any."""
     target = folder / "interrupted" / "out.airgs"
     target.parent.mkdir()
     began = time.perf_counter()
@@ -115,19 +119,47 @@ def interrupt(rounds: int, chance: random.Random, scene: Path, folder: Path) -> 
     began = time.perf_counter()
     assert begin(scene, target, "--quality", "none").wait() == 2  # after the imports
     idle = time.perf_counter() - began
-    for number in range(rounds):
-        after = chance.uniform(idle, 1.1 * whole)
-        process = begin(scene, target, *(["--jobs", "2"] if number % 3 == 2 else []))
+    for number in range(2 * rounds):
+        sent = (signal.SIGINT, signal.SIGKILL)[number % 2]
+        into = target if number % 5 else target.with_name("fresh.airgs")
+        after = chance.uniform(idle if sent == signal.SIGINT else 0.1, 1.1 * whole)
+        process = begin(scene, into, *(["--jobs", "2"] if number % 3 == 2 else []))
         time.sleep(after)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(sent)
         said = process.communicate()[1]
-        beside = [path for path in target.parent.iterdir() if path != target]
+        beside = [path for path in target.parent.iterdir() if path.suffix != ".airgs" and sent == signal.SIGINT]
         yield (
-            f"SIGINT after {after:.2f} s of {whole:.2f}: {process.returncode}, {said.strip()[-100:]}",
-            judge(process.returncode, said, (0, 130, -signal.SIGINT), target, beside),
+            f"{sent.name} after {after:.2f} s of {whole:.2f}: {process.returncode}, {said.strip()[-100:]}",
+            judge(process.returncode, said, (0, 130, -sent), into, beside),
         )
-    process = begin(scene, target)
-    yield "once more", judge(process.wait(), process.communicate()[1], (0,), target)
+        process = begin(scene, into)
+        yield "once more", judge(process.wait(), process.communicate()[1], (0,), into)
+
+
+def kill_trainings(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+    """kill -9 at any moment of trainings of the embedded views, which are resumed until they end."""
+    began, kills, run = time.perf_counter(), 0, 0
+    assert begin(FOX_VIEWS, folder / "unbroken", command="train").wait() == 0
+    whole, expected = time.perf_counter() - began, trained(folder / "unbroken")
+    while kills < rounds:
+        run, code = run + 1, -signal.SIGKILL
+        while code == -signal.SIGKILL:
+            process = begin(FOX_VIEWS, folder / f"run{run}", "--resume", command="train")
+            with suppress(subprocess.TimeoutExpired):
+                process.communicate(timeout=chance.uniform(0.1, 0.8 * whole))
+            process.kill()
+            kills += (code := process.wait()) == -signal.SIGKILL
+        same = code == 0 and trained(folder / f"run{run}") == expected
+        yield f"training {run}, {kills} kills so far", "" if same else f"exit code {code}, or another end"
+
+
+def trained(model: Path) -> tuple[Files, dict[str, object]]:
+    """The frames and the record that a training ends with, without the seconds, which are the machine's."""
+    found = {name: data for name, data in read_files(model).items() if name.endswith(".ply")}
+    record = json.loads((model / "training.json").read_text())
+    for frame in record["frames"]:
+        del frame["seconds"]
+    return found, record
 
 
 @dataclass
@@ -262,7 +294,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     args = parser.parse_args()
     findings = 0
-    for faults in (fill_disks, interrupt, jump, fail):
+    for faults in (fill_disks, interrupt, kill_trainings, jump, fail):
         with tempfile.TemporaryDirectory() as name:
             folder, chance = Path(name), random.Random(args.seed)
             scene = write_sequence(folder / "scene", moving_frames(500, 6))

@@ -83,7 +83,6 @@ def test_no_views_are_refused_before_anything_is_drawn():
 
 @pytest.mark.parametrize("other", [(1, 1), (12, 17), (16, 12)])
 def test_pictures_of_different_sizes_are_refused(other):
-    """One pixel is not spread over a picture."""
     with pytest.raises(ConfigError, match=f"^frame 0, camera cam00: expected 16x12 pixels, got {other[1]}x{other[0]}$"):
         list(compare(files([constant(0.5)]), files([constant(0.5, *other)]), [(0, SIDE)], Picture.mse))
 

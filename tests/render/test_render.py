@@ -1,12 +1,15 @@
 """The CPU renderer against its plain float64 definition: pictures, gradients, statistics, extremes."""
 
+import importlib.machinery
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import Camera, measure_contribution, read_cameras, render, render_views
+from airgs_codec.errors import ConfigError
+from airgs_codec.render import Camera, backend, measure_contribution, render, render_views
 from airgs_codec.render.cpu import (
     RasterInputs,
     Redraw,
@@ -19,9 +22,6 @@ from airgs_codec.render.cpu import (
 )
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.reference import blending_weights, render_reference
-from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.scene.gaussians import Gaussians
-from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 
 # Single pixels flip at alpha = 1/255 between float32 and float64: one flip moves a pixel by up to 4e-3.
@@ -82,19 +82,14 @@ def shuffled(sizes):
     return np.stack([rng.permutation(sizes) for _ in range(200)])
 
 
+LENGTHS = np.repeat([1e-10, 0.0, 1.0, 5.0], 50)[:, None]
 EXTREMES = {
     "needles, ratio 1e4": ({"scales": shuffled([1.0, 1e-4, 1e-4])}, 4.0),
     "needles of 30 x 3e-3": ({"scales": np.tile([30.0, 3e-3, 3e-3], (200, 1))}, 4.0),
     "scales over six decades": ({"scales": np.exp(np.random.default_rng(0).normal(size=(200, 3)) * 3 - 4)}, 4.0),
     "opacity 0 and 1": ({"opacities": np.repeat([1.0, 0.0], 100)}, 4.0),
     "opacity above the clamp": ({"opacities": np.full(200, 0.9995)}, 4.0),
-    "tiny and zero quaternions": (
-        {
-            "quaternions": np.random.default_rng(1).normal(size=(200, 4))
-            * np.repeat([1e-10, 0.0, 1.0, 5.0], 50)[:, None]
-        },
-        4.0,
-    ),
+    "tiny and zero quaternions": ({"quaternions": np.random.default_rng(1).normal(size=(200, 4)) * LENGTHS}, 4.0),
     "camera inside the scene": ({}, 0.3),
 }
 
@@ -228,36 +223,6 @@ def test_no_gaussians_give_the_background():
     np.testing.assert_allclose(picture.rgb, np.broadcast_to(np.float32([0.1, 0.2, 0.3]), picture.rgb.shape))
 
 
-def test_the_embedded_scene_equals_the_reference():
-    g = read_ply(FOX / "000005.ply")
-    whole = next(c for c in read_cameras(FOX / "transforms.json") if c.held_out)
-    small = Camera("small", 40, 40, whole.fx / 8, whole.fy / 8, whole.cx / 8, whole.cy / 8, whole.world_to_camera)
-    a = activate(g)
-    rgb, _ = render_reference(RasterInputs(*(torch.tensor(getattr(a, n)).double() for n in NAMES)), small)
-    error = np.abs(render(g, small).rgb - rgb.numpy())
-    assert error.mean() <= MEAN_ERROR and error.max() <= MAX_ERROR
-
-
-def test_camera_convention_on_a_known_projection():
-    """A point 2 right, 1 down and 4 ahead of an OpenGL camera at the origin lands at x / z in the picture."""
-    view = read_cameras(FOX / "transforms.json")[0]
-    centre = view.position
-    ahead = view.world_to_camera[2, :3]
-    g = random_gaussians(1)
-    point = Gaussians(
-        (centre + 4 * ahead + 0.5 * view.world_to_camera[0, :3])[None].astype(np.float32),
-        g.quaternions,
-        np.full((1, 3), -4.0, np.float32),
-        np.full(1, 5.0, np.float32),
-        np.ones((1, 3), np.float32),
-        g.sh_rest,
-    )
-    picture = render(point, view).rgb.sum(axis=2)
-    y, x = np.unravel_index(picture.argmax(), picture.shape)
-    assert x + 0.5 == pytest.approx(view.cx + view.fx * 0.5 / 4, abs=1.0)
-    assert y + 0.5 == pytest.approx(view.cy, abs=1.0)
-
-
 def test_only_some_tiles_are_drawn_again():
     """Picture and gradients are those of the whole picture where it is drawn, and the rest is what was there."""
     values, view = inputs(), camera()
@@ -280,3 +245,18 @@ def test_only_some_tiles_are_drawn_again():
         assert not x[~wanted].any()
     assert relative(parts.absolute[wanted], wholes.absolute[wanted]) < 1e-6
     assert len(part.projected.slots) < 0.7 * len(whole.projected.slots)
+
+
+def test_a_device_that_cannot_run_is_refused_and_auto_takes_the_cpu(monkeypatch):
+    monkeypatch.setattr(backend, "find_spec", lambda name: None if name == "gsplat" else importlib.machinery)
+    assert backend.open_renderer("auto") is backend.open_renderer("cpu") is backend.CPU
+    with pytest.raises(ConfigError, match="device cuda: gsplat is not installed: pip install"):
+        backend.open_renderer("cuda")
+    with pytest.raises(ConfigError, match="expected auto, cpu, cuda, got gpu"):
+        backend.open_renderer("gpu")
+
+
+def test_auto_takes_cuda_where_gsplat_runs(monkeypatch):
+    monkeypatch.setattr(backend, "_missing", lambda: None)
+    assert backend.open_renderer("auto").device == backend.open_renderer("cuda").device == "cuda"
+    assert "gsplat" not in sys.modules

@@ -16,11 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import GREY, line_times, plane_starts, row_places
-from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
-from airgs_codec.decoder.decode import decode_canonical, decode_frames
-from airgs_codec.media.h264 import open_segment
+from airgs_codec.coding.atlas import GREY, plane_starts, row_places
+from airgs_codec.decoder.decode import _read_key, decode_canonical, decode_frames
+from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import Atlas
 from airgs_codec.render import cpu
@@ -127,48 +125,28 @@ class _Writer:
 
     def _key(self, group: int, tier: int) -> Json | None:
         """The picture of a tier; None where it has none."""
-        m, quality = self.package.manifest, self.rung.quality
-        sidecar, *pictures = m.key_files(group, tier, quality)
-        table, coarsest = m.groups[group], m.qualities[-1].coarser
-        if not pictures:
-            return None
-        (media,), entry, differs = pictures, table.tiers[tier], table.keeps is not None
-        shared = unpack_key_sidecar(self.package.read(sidecar), entry.count, table.grid, coarsest, sidecar, differs)
-        atlas = entry.qualities[quality]
-        columns, shown = open_segment(self.package.read(media), media, atlas.pages)
-        reader = ColumnReader(columns, media)
-        read_detail(reader, shared, table.grid, coarsest if differs else m.qualities[quality].coarser, coarsest)
-        jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
-        return self._picture(next(iter(shown)), atlas, jumps, 0)
+        atlas = self.package.manifest.groups[group].tiers[tier].qualities[self.rung.quality]
+        shown, _ = _read_key(self.package, group, tier, self.rung.quality)
+        return None if shown is None else self._picture(shown[0], atlas, _dense(atlas, shown[1]))
 
     def _states(self, index: int) -> list[Json]:
         """Every frame of a segment; none where there is nothing to fetch."""
-        m, level = self.package.manifest, self.rung.level
-        out = []
-        for media in m.state_files(index, level):
-            span, atlas = m.segments[index], m.groups[m.group_of(index)].levels[level]
-            lined, frames = bool(span.levels[level].line), span.stop - span.start
-            columns, pictures = open_segment(self.package.read(media), media, atlas.pages)
-            shape = frames, len(atlas.planes), atlas.rows
-            rising, jumps = escapes.unpack_segment(columns, shape, lined, media)
-            slopes = None
-            if rising:
-                front, pictures = pictures.cut()
-                slopes = self.blob.add(self._slopes(next(iter(front)), atlas, rising.bases(0)))
-            times = line_times(frames) if lined else np.zeros(frames)
-            for t, picture in enumerate(pictures):
-                shown = self._picture(picture, atlas, jumps, t)
-                if slopes and not t:
-                    none = self.blob.add(np.empty(0, np.uint32)), self.blob.add(np.empty(0, np.int32))
-                    nothing = dict(zip(("texels", "bases"), none, strict=True))
-                    shown["changes"] = (shown["changes"] or nothing) | {"slopes": slopes}
-                out.append(shown | {"time": float(times[t])})
+        m, level, before = self.package.manifest, self.rung.level, None
+        out: list[Json] = []
+        if not m.state_files(index, level):
+            return out
+        frames = range(m.segments[index].stop - m.segments[index].start)
+        for state in decode_pictures(self.package, index, level, frames):
+            now = _dense(state.atlas, state.luma[1])
+            shown = self._picture(state.luma[0], state.atlas, now, before)
+            if state.slopes and not out:
+                slopes = self._cut(state.slopes[0], state.atlas).astype(np.int32) - GREY
+                slopes.ravel()[self._places(state.atlas)] += escapes.UNIT * _dense(state.atlas, state.slopes[1])
+                nothing = {"texels": self.blob.add(np.empty(0, np.uint32)), "bases": self.blob.add(now[:0].ravel())}
+                shown["changes"] = (shown["changes"] or nothing) | {"slopes": self.blob.add(slopes)}
+            out.append(shown | {"time": state.time})
+            before = now
         return out
-
-    def _slopes(self, picture: NDArray[np.uint8], atlas: Atlas, bases: NDArray[np.int32]) -> NDArray[np.int32]:
-        codes = self._cut(picture, atlas).astype(np.int32) - GREY
-        codes.ravel()[self._places(atlas)] += escapes.UNIT * bases
-        return codes
 
     def _cut(self, picture: NDArray[np.uint8], atlas: Atlas) -> NDArray[np.uint8]:
         height, lines = _page_height(atlas, self.pages), atlas.size[1]
@@ -177,16 +155,22 @@ class _Writer:
         return luma
 
     def _places(self, atlas: Atlas) -> NDArray[np.intp]:
-        starts = plane_starts(atlas, atlas.width)
-        return np.add.outer(starts, row_places(atlas.rows, atlas.plane_width, atlas.width))
+        return np.add.outer(plane_starts(atlas, atlas.width), row_places(atlas.rows, atlas.plane_width, atlas.width))
 
-    def _picture(self, picture: NDArray[np.uint8], atlas: Atlas, jumps: escapes.Escapes, frame: int) -> Json:
+    def _picture(
+        self, picture: NDArray[np.uint8], atlas: Atlas, now: NDArray[np.int32], before: NDArray[np.int32] | None = None
+    ) -> Json:
         """Luma cut into pages anew, and what changes of its bases."""
-        luma, places = self._cut(picture, atlas), self._places(atlas)
-        now = jumps.bases(frame)
-        changed = now != (jumps.bases(frame - 1) if frame else np.zeros_like(now))
-        changes = {"texels": self.blob.add(places[changed].astype(np.uint32)), "bases": self.blob.add(now[changed])}
-        return {"luma": self.blob.add(luma), "changes": changes if changed.any() else None}
+        changed = now != (0 if before is None else before)
+        texels = self._places(atlas)[changed].astype(np.uint32)
+        changes = {"texels": self.blob.add(texels), "bases": self.blob.add(now[changed])}
+        return {"luma": self.blob.add(self._cut(picture, atlas)), "changes": changes if changed.any() else None}
+
+
+def _dense(atlas: Atlas, bases: escapes.Bases) -> NDArray[np.int32]:
+    """(P, N) bases in force."""
+    rows = [np.zeros(atlas.rows, np.int32) if base is None else base for base in bases]
+    return np.array(rows, np.int32).reshape(len(atlas.planes), atlas.rows)
 
 
 def _page_height(atlas: Atlas, pages: int) -> int:

@@ -55,23 +55,13 @@ def joined(*parts: Gaussians) -> Gaussians:
 def moved(g: Gaussians, rows: slice, by: tuple[float, float, float]) -> Gaussians:
     means = g.means.copy()
     means[rows] += np.array(by, np.float32)
-    return Gaussians(means, *(getattr(g, n) for n in g.__slots__[1:]))
+    return replace(g, means=means)
 
 
 def appeared(count: int = 40) -> Gaussians:
     ball = coloured_cloud(count, seed=9)
-    means = (0.3 * ball.means + BALL).astype(np.float32)
-    return Gaussians(means, *ball_shape(ball))
-
-
-def ball_shape(ball: Gaussians) -> list[np.ndarray]:
-    return [
-        ball.quaternions,
-        ball.log_scales - 0.5,
-        ball.opacity_logits,
-        np.full_like(ball.sh_dc, 1.5),
-        ball.sh_rest,
-    ]
+    means, colours = (0.3 * ball.means + BALL).astype(np.float32), np.full_like(ball.sh_dc, 1.5)
+    return replace(ball, means=means, log_scales=ball.log_scales - 0.5, sh_dc=colours)
 
 
 def views_of(g: Gaussians, cameras: list[Camera]) -> list[View]:

@@ -28,7 +28,6 @@ def moving(tmp_path):
 
 @pytest.fixture(scope="session")
 def blobs(tmp_path_factory):
-    """The folder of `write_blobs`."""
     return write_blobs(tmp_path_factory.mktemp("scene") / "blobs")
 
 

@@ -1,22 +1,95 @@
 """The player on a page under conditions as people have them: links, servers, growing packages, undecided viewers."""
 
+import asyncio
 import time
-from contextlib import nullcontext
-from dataclasses import replace
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, field, replace
 from urllib.parse import urlencode
 
 import numpy as np
 import pytest
+from starlette.datastructures import MutableHeaders
+from starlette.responses import Response
 
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_json
 from airgs_codec.play.trace import Trace
 from tests.support.browser import WEB, build_pages, missing, serve, visit
-from tests.support.moods import SILENT, WRONG, Moods, moodily_serving, outage
 from tests.support.paths import GOLDEN
 from tests.support.repeated import write_repeated
+from tests.support.servers import serving
 from tools.lab.relay import shaped
+
+WRONG = 0  # in the place of a status: the file with a wrong byte
+SILENT = 1  # its headers, and no byte for as long as the answer to the next question is the same
+LOOK_S = 0.02
+Fault = Callable[[str, int], int | None]  # path below the package, number of the request -> status or one of these
+
+
+def outage(trigger, seconds, status):
+    """A fault of all answers for a while, from the first request for a file on."""
+    begun = []
+
+    def fault(path, _):
+        if path == trigger and not begun:
+            begun.append(time.monotonic())
+        return status if begun and time.monotonic() < begun[0] + seconds else None
+
+    return fault
+
+
+@dataclass
+class Moods:
+    """What a server does with requests, none of whose answers a browser keeps."""
+
+    fault: Fault = lambda path, number: None
+    asked: Counter[str] = field(default_factory=Counter)  # paths below the package
+
+    def around(self, app):
+        async def moody(scope, receive, send):
+            if scope["type"] != "http":
+                await app(scope, receive, send)
+                return
+            path = scope["path"].split("/", 2)[-1]
+            self.asked[path] += 1
+            fault = self.fault(path, self.asked[path])
+            if fault not in (None, WRONG, SILENT):
+                await Response("sorry", fault, {"Access-Control-Allow-Origin": "*"})(scope, receive, send)
+                return
+
+            async def send_on(message):
+                if message["type"] == "http.response.start":
+                    MutableHeaders(scope=message)["Cache-Control"] = "no-store"
+                elif fault == WRONG and message.get("body"):
+                    message["body"] = bytes([message["body"][0] ^ 1]) + message["body"][1:]
+                while message["type"] == "http.response.body" and self.fault(path, self.asked[path]) == SILENT:
+                    await asyncio.sleep(LOOK_S)
+                await send(message)
+
+            await app(scope, receive, send_on)
+
+        return moody
+
+
+class Switch(ExitStack):
+    """A server that can be away and come back at the same port."""
+
+    def __init__(self, folder, moods):
+        super().__init__()
+        self.folder, self.moods, self.port = folder, moods, 0
+        self.begin()
+
+    def begin(self):
+        self.port = self.enter_context(serving(self.folder, port=self.port, around=self.moods.around))
+        return b"begun"
+
+    def end(self):
+        self.close()
+        return b"ended"
+
 
 PAGE = (
     b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/conditions.js"></script>'
@@ -50,7 +123,7 @@ def look(folder, check, moods=None, link=None, known=(), **query):
     """What the page reports of a check on a package, and how often each file was asked for."""
     moods = moods or Moods()
     with (
-        moodily_serving(folder, moods) as server,
+        Switch(folder, moods) as server,
         shaped(server.port, link, 0.03) if link else nullcontext(server.port) as port,
     ):
         told = {"/page.html": lambda: PAGE, "/end": server.end, "/begin": server.begin}
@@ -104,17 +177,21 @@ def test_a_growing_package_is_joined_at_its_newest_group_and_followed_to_its_end
     assert report["currentTime"] == groups - 1 / FPS
 
 
-def check_whole_pass(report, frames):
+def check_end(report, frames):
     stats = report["stats"]
     assert report["events"][-1] == "ended"
     assert stats["framesShown"] <= frames <= stats["framesShown"] + stats["framesDropped"]
+
+
+def check_whole_pass(report, frames):
+    check_end(report, frames)
+    assert report["problems"] == []
     assert report["currentTime"] == pytest.approx((frames - 1) / FPS)
 
 
 def test_over_a_link_that_falls_and_rises_again_rungs_follow(fox):
     folder = fox(20)
     report = look(folder, "once", link=trace((5, 2e6), (7, 7e4), (9, 2e6)), buffer=3)
-    assert report["problems"] == []
     check_whole_pass(report, 20 * FPS)
     quality = [info["psnr"] for info in report["rungInfo"]]
     seen = [(one["atS"], quality[one["rung"]]) for one in report["looks"] if one["rung"] is not None]
@@ -124,48 +201,47 @@ def test_over_a_link_that_falls_and_rises_again_rungs_follow(fox):
     assert seen[0][1] and max(q for at, q in seen if at < 5) == best == seen[-1][1]
 
 
-def test_a_download_that_an_outage_cuts_is_given_up(fox):
-    report = look(fox(8), "once", Moods(outage("key/T0/6.bin", 3, SILENT)), buffer=3)
-    assert report["problems"] == []
-    check_whole_pass(report, 8 * FPS)
-    assert report["given"] > 0
+def wrong_once(path, number):
+    return WRONG if number == 1 and path != "airgs.json" else None
+
+
+@pytest.mark.parametrize(
+    ("seconds", "fault", "more", "then"),
+    [
+        (8, outage("key/T0/6.bin", 3, SILENT), {"buffer": 3}, lambda report: report["given"] > 0),
+        (
+            6,
+            outage("key/T0/4.bin", 3, 503),
+            {"buffer": 1.5, "known": AWAY},
+            lambda report: {"stall", "resume"} <= set(report["events"]),
+        ),
+        (
+            6,
+            lambda path, _: 404 if path.startswith("key/T0/Q0/") else None,
+            {"known": AWAY},
+            lambda report: all(name.startswith("Q1") for name in report["rungs"]),
+        ),
+        (4, wrong_once, {}, lambda report: report["asked"] >= {2}),
+    ],
+    ids=["an outage: given up", "busy: waited for", "no keys of a quality: not played", "wrong bytes: asked for again"],
+)
+def test_whatever_a_server_does_all_is_shown(fox, seconds, fault, more, then):
+    moods = Moods(fault)
+    report = look(fox(seconds), "once", moods, **more)
+    check_whole_pass(report, seconds * FPS)
+    assert then(report | {"asked": set(moods.asked.values())})
 
 
 def test_a_server_that_is_away_is_waited_for(fox):
     report = look(fox(6), "away", known=AWAY)
-    assert report["problems"] == []
+    assert {"stall", "resume"} <= set(report["events"])
     check_whole_pass(report, 6 * FPS)
-    assert "stall" in report["events"] and "resume" in report["events"]
-
-
-def test_a_server_that_is_busy_is_waited_for(fox):
-    report = look(fox(6), "once", Moods(outage("key/T0/4.bin", 3, 503)), buffer=1.5, known=AWAY)
-    assert report["problems"] == []
-    check_whole_pass(report, 6 * FPS)
-    assert "stall" in report["events"] and "resume" in report["events"]
 
 
 def test_a_state_that_stays_corrupt_is_lost_or_shown_in_another_rung(fox):
     bad = {f"state/L{level}/3.m4s": WRONG for level in range(2)} | {"state/L0/5.m4s": WRONG}
     report = look(fox(8), "once", Moods(lambda path, _: bad.get(path)))
-    stats = report["stats"]
-    assert report["events"][-1] == "ended"
-    assert stats["framesShown"] <= 8 * FPS <= stats["framesShown"] + stats["framesDropped"]
-
-
-def test_a_quality_whose_keys_are_not_there_is_not_played(fox):
-    report = look(fox(6), "once", Moods(lambda path, _: 404 if path.startswith("key/T0/Q0/") else None), known=AWAY)
-    assert report["problems"] == []
-    check_whole_pass(report, 6 * FPS)
-    assert all(name.startswith("Q1") for name in report["rungs"])
-
-
-def test_wrong_bytes_that_come_once_are_asked_for_again(fox):
-    moods = Moods(lambda path, number: WRONG if number == 1 and path != "airgs.json" else None)
-    report = look(fox(4), "once", moods)
-    assert report["problems"] == []
-    check_whole_pass(report, 4 * FPS)
-    assert set(moods.asked.values()) >= {2}
+    check_end(report, 8 * FPS)
 
 
 def test_speed_and_loop_may_change_at_any_time(fox):

@@ -41,10 +41,7 @@ def package(request):
 
 
 def look(folder, player, mpd=None, **query):
-    """What a player reports of the MPD in a folder, or of what `mpd` makes at each request.
-
-    The player must have found every file and complained of nothing.
-    """
+    """What a player that finds every file reports of the MPD in a folder, or of what `mpd` makes at each request."""
     path = f"/package/{MPD_NAME}"
     with serve({"web": WEB, "package": folder}, {path: mpd} if mpd else {}) as site:
         seen = visit(f"{site.url}/web/test/{player}.html?{urlencode({'mpd': path, **query})}")
@@ -89,32 +86,26 @@ def test_shaka_finds_what_the_tables_say(package):
         assert [s["start"] for s in r["segments"]] == pytest.approx([start for start, *_ in files], abs=TIGHT_S)
         assert {path for s in r["segments"] for path in paths(s["init"])} == {INIT_NAME}
         sets[r["set"]].append(r["id"])
-    assert sorted(map(sorted, sets.values())) == sorted(map(sorted, sets_of(streams)))
+    assert sorted(map(sorted, sets.values())) == sorted(sets_of(streams).values())
     assert all((package.files.path / files[0][2]).is_file() for files in streams.values())
 
 
-def role_of(name):
-    """What the AdaptationSet of a Representation says of it: the state, or a tier of the key."""
-    tier = re.match(r"T(\d+)/", name)
-    return f"key;tier={tier[1]}" if tier else "state"
-
-
 def sets_of(streams):
+    """Representations by what their AdaptationSet says of them: the state, or a tier of the key."""
     kinds = defaultdict(list)
-    for name in streams:
-        kinds[role_of(name)].append(name)
-    return kinds.values()
+    for name in sorted(streams):
+        tier = re.match(r"T(\d+)/", name)
+        kinds[f"key;tier={tier[1]}" if tier else "state"].append(name)
+    return kinds
 
 
 def test_dashjs_finds_the_sets_and_plays_the_state(package):
     report = look(package.files.path, "dashjs")
-    streams = expected(package.manifest)
-    roles = {tuple(s["role"]): sorted(s["representations"]) for s in report["sets"]}
-    assert set(roles) == {(role_of(name),) for name in streams}
-    assert sorted(roles.values()) == sorted(map(sorted, sets_of(streams)))
-    assert {f["id"] for f in report["fragments"]} <= set(
-        next(names for role, names in roles.items() if role[0].startswith("state"))
+    sets = sets_of(expected(package.manifest))
+    assert sorted((s["role"], sorted(s["representations"])) for s in report["sets"]) == sorted(
+        ([role], names) for role, names in sets.items()
     )
+    assert {f["id"] for f in report["fragments"]} <= {*sets["state"]}
     assert not report["live"]
 
 

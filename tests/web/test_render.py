@@ -63,6 +63,12 @@ def assert_near(report, rungs, frames, name):
     assert min(bytes_db.min(), floats_db.min()) >= LEAST_DB[report["target"]]
 
 
+def check_package(folder, package, rungs, cameras, frames, name, *, pages=1, **query):
+    """All of a package is drawn as the CPU renderer draws it."""
+    write_decoded(package, folder / "scene", rungs, cameras, pages=pages)
+    assert_near(look(folder, "pictures", **query), len(rungs), frames, name)
+
+
 def swaying(count, degree, reach, frames=4):
     """Rows that sway by up to `reach`, turn, grow, fade and change colour; each third one stands still."""
     g = random_gaussians(count, degree, seed=degree)
@@ -86,42 +92,29 @@ def ends(package):
     return [Rung(0, 0), Rung(len(package.manifest.qualities) - 1, len(package.manifest.levels) - 1)]
 
 
-@pytest.fixture(scope="module")
-def fox(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fox")
-    package = open_package(GOLDEN / "fox")
-    cameras = four_cameras(decode(package, 0))
-    write_decoded(package, folder / "scene", ends(package), cameras)
-    return folder
-
-
 @pytest.mark.parametrize("target", LEAST_DB)
-def test_the_fox_looks_as_the_cpu_renderer_draws_it(fox, target):
-    report = look(fox, "pictures", target=target)
-    assert report["target"] == target
-    assert_near(report, 2, range(4), f"fox-{target}")
+@pytest.mark.parametrize("tiers", [None, 1], ids=["whole", "one tier"])
+def test_the_fox_looks_as_the_cpu_renderer_draws_it(tmp_path, target, tiers):
+    package = open_package(GOLDEN / "fox")
+    rungs = [replace(rung, tiers=tiers) for rung in ends(package)]
+    cameras = four_cameras(decode(package, 0))
+    check_package(tmp_path, package, rungs, cameras, range(4), f"fox-{target}-{tiers}", target=target)
 
 
 def two_groups(folder, degree):
-    """A package of two groups of two frames and two levels, and its cameras."""
     frames = swaying(900, degree, 0.2)
     settings = replace(QUICK, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))
     return encoded(folder, frames, settings, keyframes=[0, 2]), four_cameras(frames[0])
 
 
-@pytest.fixture(scope="module", params=range(len(SH_REST)))
-def synthetic(request, tmp_path_factory):
-    """A scene of every SH degree, in two groups, and of two levels."""
-    folder = tmp_path_factory.mktemp(f"degree{request.param}")
-    package, cameras = two_groups(folder, request.param)
-    write_decoded(package, folder / "scene", ends(package), cameras)
-    return folder, request.param
-
-
-@pytest.mark.parametrize("target", LEAST_DB)
-def test_every_degree_of_spherical_harmonics(synthetic, target):
-    folder, degree = synthetic
-    assert_near(look(folder, "pictures", target=target), 2, range(4), f"degree{degree}-{target}")
+@pytest.mark.parametrize("degree", range(len(SH_REST)))
+def test_every_degree_of_spherical_harmonics(tmp_path, degree):
+    package, cameras = two_groups(tmp_path, degree)
+    write_decoded(package, tmp_path / "scene", ends(package), cameras)
+    for target in LEAST_DB:
+        report = look(tmp_path, "pictures", target=target)
+        assert report["target"] == target
+        assert_near(report, 2, range(4), f"degree{degree}-{target}")
 
 
 @pytest.fixture(scope="module")
@@ -172,56 +165,26 @@ def test_what_cannot_be_drawn_is_said(levels):
     ]
 
 
-@pytest.fixture(scope="module")
-def far(tmp_path_factory):
-    """Rows that move so far for their steps that bases jump."""
-    folder = tmp_path_factory.mktemp("far")
-    frames = swaying(700, 1, 3.0, frames=8)
-    package = encoded(folder, frames, replace(QUICK, quality=0.05, levels=(LevelSettings(0.0),)))
-    cameras = four_cameras(frames[0])
-    write_decoded(package, folder / "scene", [Rung(0, 0)], cameras)
-    write_decoded(package, folder / "paged", [Rung(0, 0)], cameras, pages=3)
-    return folder
-
-
-def jumping(folder):
-    """Frames of the segments in which a base changes, counted from the start of each."""
-    table = json.loads((folder / "scene.json").read_text())
+@pytest.mark.parametrize("every", [1, 3], ids=["every frame", "one in three"])
+@pytest.mark.parametrize("lined", [False, True], ids=["bases that jump", "a line in time"])
+def test_segments_are_drawn_from_atlases_of_one_page_and_of_several(tmp_path, lined, every):
+    if lined:
+        first, rng = random_gaussians(700), np.random.default_rng(0)
+        way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
+        frames = [frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]
+        settings = replace(QUICK, segment_s=1.0, levels=(LevelSettings(0.0),))
+    else:  # rows that move so far for their steps that bases jump
+        frames, settings = swaying(700, 1, 3.0, frames=8), replace(QUICK, quality=0.05, levels=(LevelSettings(0.0),))
+    package, heights = encoded(tmp_path, frames, settings), []
+    for pages in (1, 3):
+        shown, name = range(every - 1, 8, every), f"lined{lined}-{every}-{pages}"
+        check_package(tmp_path, package, [Rung(0, 0)], four_cameras(frames[0]), shown, name, pages=pages, every=every)
+        table = json.loads((tmp_path / "scene.json").read_text())
+        heights.append(table["groups"][0]["levels"][0]["height"])
     segments = [s for group in table["rungs"][0]["groups"] for s in group["segments"]]
-    return {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]}
-
-
-@pytest.mark.parametrize("every", [1, 3])
-def test_bases_jump_in_frames_that_are_shown_and_in_dropped_ones(far, every):
-    assert jumping(far) >= {1, 2}
-    assert_near(look(far, "pictures", every=every), 1, range(every - 1, 8, every), f"far{every}")
-
-
-def test_an_atlas_of_several_pages_shows_the_same(far):
-    atlas = json.loads((far / "paged.json").read_text())["groups"][0]["levels"][0]
-    whole = json.loads((far / "scene.json").read_text())["groups"][0]["levels"][0]
-    assert atlas["height"] < whole["height"] / 2
-    assert_near(look(far, "pictures", data="/data/paged"), 1, range(8), "paged")
-
-
-@pytest.mark.parametrize("every", [1, 3])
-def test_a_line_in_time_is_drawn_in_any_frame_of_its_segment(tmp_path, every):
-    first, rng = random_gaussians(700), np.random.default_rng(0)
-    way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
-    frames = [frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]
-    package = encoded(tmp_path, frames, replace(QUICK, segment_s=1.0, levels=(LevelSettings(0.0),)))
-    assert all(segment.levels[0].line for segment in package.manifest.segments)
-    for name, pages in (("scene", 1), ("paged", 3)):
-        write_decoded(package, tmp_path / name, [Rung(0, 0)], four_cameras(frames[0]), pages=pages)
-        report = look(tmp_path, "pictures", every=every, data=f"/data/{name}")
-        assert_near(report, 1, range(every - 1, 8, every), f"lined{every} {name}")
-
-
-def test_fewer_tiers_than_the_level_asks_for(tmp_path):
-    package = open_package(GOLDEN / "fox")
-    cameras = four_cameras(decode(package, 0))
-    write_decoded(package, tmp_path / "scene", [Rung(0, 0, tiers=1), Rung(1, 1, tiers=1)], cameras)
-    assert_near(look(tmp_path, "pictures"), 2, range(4), "one-tier")
+    jumping = {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]}
+    assert heights[1] < heights[0] / 2
+    assert all(s.levels[0].line for s in package.manifest.segments) if lined else jumping >= {1, 2}
 
 
 def blushing(gaussians, times):
@@ -232,20 +195,15 @@ def blushing(gaussians, times):
 
 
 def test_keys_that_are_differences_are_added_to_those_of_the_base(tmp_path):
-    """Three groups of a room, of which the second and third blush."""
     frames = [blushing(frame, t // 2) for t, frame in enumerate(room_frames(600, 6, 1))]
     package = encoded(tmp_path, frames, QUICK, keyframes=[0, 2, 4])
     groups = package.manifest.groups
     assert [g.keeps for g in groups] == [None, 1, 1]
     assert any(atlas.rows for tier in groups[1].tiers for atlas in tier.qualities)
-    cameras = four_cameras(frames[0])
-    write_decoded(package, tmp_path / "scene", ends(package), cameras)
-    assert_near(look(tmp_path, "pictures"), 2, range(6), "kept")
+    check_package(tmp_path, package, ends(package), four_cameras(frames[0]), range(6), "kept")
 
 
 def test_a_segment_without_pictures_shows_the_canonical_space(tmp_path):
     package = open_package(GOLDEN / "fox-fine")
     assert package.manifest.state_files(1, 0) == []
-    cameras = four_cameras(decode(package, 0))
-    write_decoded(package, tmp_path / "scene", [Rung(0, 0)], cameras)
-    assert_near(look(tmp_path, "pictures"), 1, range(3), "static")
+    check_package(tmp_path, package, [Rung(0, 0)], four_cameras(decode(package, 0)), range(3), "static")

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+from airgs_codec.render import cpu
 from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.trainer.fit.active import Resting, find_active
 from airgs_codec.trainer.fit.grow import (
     Densifier,
     Growth,
@@ -41,14 +43,6 @@ def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     assert torch.allclose(added["log_scales"][-1], sizes - math.log(1.6))
     spread = (added["means"][-1] - p["means"][-1]).norm()
     assert 0 < spread < 6 * p["log_scales"][-1].max().exp()
-
-
-def test_small_rows_are_cloned_in_place():
-    p = random_parameters(5)
-    parents = torch.tensor([False, True, False, False, False])
-    keep, added = split_or_clone(p, parents, torch.zeros(5, dtype=torch.bool), fixed=0, rng=np.random.default_rng(0))
-    assert keep.all()
-    assert all(torch.equal(added[name][0], value[1]) for name, value in p.items())
 
 
 def test_rows_without_a_gradient_are_never_parents():
@@ -102,3 +96,54 @@ def test_seeds_lie_in_what_appeared():
         assert seeds is None or 0 < len(seeds) <= most
     same = views_of(old, ring(8))
     assert residual_seeds(old, same, find_wrong(old, same), 120, 1.0, np.random.default_rng(0)) is None
+
+
+def case():
+    g = coloured_cloud(300)
+    order = np.argsort(np.linalg.norm(g.means - g.means[0], axis=1))
+    g = type(g)(*(getattr(g, n)[order] for n in g.__slots__))
+    after = moved(g, slice(0, 20), (0.05, 0.0, 0.0))
+    cameras = ring(8, size=96)
+    masks = [np.abs(cpu.render(g, c).rgb - cpu.render(after, c).rgb).max(axis=2) > 0.01 for c in cameras]
+    return g, views_of(after, cameras), masks
+
+
+def test_active_rows_are_those_that_make_what_moves():
+    active = find_active(*case())
+    assert np.isin(np.arange(20), active.rows).mean() > 0.9
+    assert len(active.rows) < 100
+
+
+def test_tiles_hold_all_that_moves_and_views_without_any_are_left_out():
+    g, views, masks = case()
+    masks[0][:] = False
+    masks = [m if i in (0, 1) else np.zeros_like(m) for i, m in enumerate(masks)]
+    active = find_active(g, views[:2], masks[:2])
+    drawn = {v.camera.name: v.redraw for v in active.views}
+    redraw = drawn[views[1].camera.name]
+    pixels = np.repeat(np.repeat(redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
+    assert pixels[masks[1]].all() and not redraw.tiles.all()
+    assert (redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
+    nothing = find_active(g, views, [np.zeros_like(m) for m in masks[:1]] * len(views))
+    assert not len(nothing.rows) and not nothing.views
+
+
+def test_weights_are_those_of_the_contribution():
+    g, views, masks = case()
+    w = cpu.weights(cpu.activate(g), views[0].camera, masks[0])
+    whole = cpu.measure_contribution(g, views[0].camera).total
+    np.testing.assert_allclose(np.bincount(w.ids, w.total, len(g)), whole, rtol=1e-4, atol=1e-4)
+    assert (w.inside <= w.total + 1e-4).all()
+    assert w.inside.sum() < 0.9 * w.total.sum()
+
+
+def test_rows_are_joined_and_picked_again():
+    rows = random_parameters(10)
+    resting = Resting(rows, torch.tensor([2, 5, 7]))
+    fitted = {name: value[:5] + 1 for name, value in random_parameters(5, seed=1).items()}
+    whole = resting.joined(fitted)
+    for name, value in whole.items():
+        assert len(value) == 12
+        assert torch.equal(resting.picked(value), fitted[name])
+        still = [0, 1, 3, 4, 6, 8, 9]
+        assert torch.equal(value[still], rows[name][still])
