@@ -1,6 +1,7 @@
 """The losses of pictures against their definitions, and what a change costs in codec steps."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,11 +10,21 @@ import torch
 from airgs_codec.coding.quantize import StepSettings
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import Target
-from airgs_codec.trainer.fit.losses import LAMBDA, _on_cuda, codec_steps, photometric, temporal_weights, windowed_ssim
+from airgs_codec.trainer.fit.losses import (
+    LAMBDA,
+    ExposureModel,
+    _on_cuda,
+    codec_steps,
+    matched_psnr,
+    mean_psnr,
+    photometric,
+    temporal_weights,
+    windowed_ssim,
+)
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES
 from airgs_codec.trainer.settings import Temporal
 from tests.support.scenes import random_gaussians
-from tests.support.views import ring
+from tests.support.views import coloured_cloud, ring, views_of
 
 
 @pytest.mark.parametrize("shape", [(16, 16), (7, 33), (40, 5), (1, 1)])
@@ -86,3 +97,24 @@ def test_temporal_weights_have_the_unit_they_say():
         pytest.approx([0.1] * 3),
     ]
     assert temporal_weights(Temporal(0.4, "raw"), steps)["means"].tolist() == [pytest.approx([0.4] * 3)] * 2
+
+
+@pytest.mark.parametrize(("sides", "differs"), [((1.05, 1.05), True), ((1.05, 0.95), False)])
+def test_exposure_is_one_only_where_both_halves_of_pictures_ask_for_it(sides, differs):
+    gains = np.repeat(sides, 8).astype(np.float32)[None, :, None]
+    grey = torch.full((8, 16, 3), 0.5)
+    model = ExposureModel(2, "cpu", looks=60)
+    for i in range(60):
+        target = grey.numpy() * (gains if i % 2 else 2 - gains)
+        (model.apply(grey, i % 2) - torch.from_numpy(target)).abs().mean().backward()
+        model.step()
+    assert model.differs == differs
+
+
+def test_gains_of_a_picture_are_matched_only_where_its_halves_agree():
+    g = coloured_cloud()
+    view = views_of(g, ring(1))[0]
+    for gain in (np.full(48, 0.7), np.repeat((0.7, 1.0), 24)):
+        dark = replace(view, picture=Target(view.target.rgb * gain.astype(np.float32)[None, :, None]))
+        better = matched_psnr(g, [dark]) - mean_psnr(g, [dark])
+        assert better > 20 if gain[-1] < 1 else better == 0
