@@ -52,9 +52,8 @@ def test_a_floater_before_a_held_out_camera_goes_and_what_is_there_stays(room, f
     gone = in_open_space(shown, cameras)
     assert gone[-1] and not gone[2500:-1].any()
     assert len(far) == 1 or not gone[:2500].any(), "a wall that several see stays, however near viewers come to it"
-    expected, before, after = (
-        render(g, held_out).rgb[16:48, 16:48] for g in (truth, shown, shown.take(np.flatnonzero(~gone)))
-    )
+    kept = shown.take(np.flatnonzero(~gone))
+    expected, before, after = (render(g, held_out).rgb[16:48, 16:48] for g in (truth, shown, kept))
     assert np.abs(before - expected).mean() > 10 * np.abs(after - expected).mean()
 
 
