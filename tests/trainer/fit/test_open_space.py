@@ -25,7 +25,7 @@ def seen_from(x, z, to):
     return replace(camera, near=0.02)
 
 
-CAMERAS = [seen_from(*c) for c in ((-1, -3, 4), (1, -3, 4), (0, 2.9, 4), (0.3, 2.9, 4), (1.5, 3.4, 3.4))]
+CAMERAS = [seen_from(*c) for c in ((-1.5, -3, 4), (1.5, -3, 4), (0, 2.9, 4), (0.3, 2.9, 4), (1.5, 3.4, 3.4))]
 
 
 def balls(places, colour, size, opacity=0.95):
