@@ -18,7 +18,7 @@ from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.trainer.fit.points import neighbours, project
 
 CHECKS = (0.3, 0.5, 0.7, 0.9)  # shares of the iterations of a fit at which it is removed: what stays fills in for it
-NEARER = 5.0  # times as near as any camera that sees it may a viewer come to a Gaussian
+NEARER = 4.0  # times as near as any camera that sees it may a viewer come to a Gaussian
 BEHIND = 0.25  # of its distance from a viewer, by which cameras see past what hangs free
 ONE_WAY = 0.99  # length of the mean direction to the cameras that see it, from which they tell no depth: 8° off it
 SEEN = 0.1  # of its opacity, with which a camera sees it
