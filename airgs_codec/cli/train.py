@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from airgs_codec._settings import applied, required, setting
 from airgs_codec.cli.common import (
@@ -201,7 +201,7 @@ def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
     return applied(base, counts | told)
 
 
-def summary(model: Model) -> dict[str, object]:
+def summary(model: Model) -> dict[str, Any]:
     """The record as JSON has it, and what it comes to: means over frames; PSNR as `psnr_definition` says."""
     from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 
@@ -228,7 +228,8 @@ def as_words(model: Model, report: Path | None) -> str:
     held_out = ""
     if s["held_out_psnr"] is not None:
         held_out = f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
-        held_out += f", {s['held_out_matched']:.2f} with exposure matched"
+        if s["held_out_matched"] - s["held_out_psnr"] >= MATCHED_DB:
+            held_out += f", {s['held_out_matched']:.2f} with exposure matched"
     page = f"\nreport: {report / 'index.html'}" if report else ""
     count, groups = len(model.record.frames), len(model.record.keyframes())
     quality = f"{s['psnr']:.2f} dB (mean over views and frames){held_out}"
@@ -307,6 +308,8 @@ def frame_line(r: FrameRecord) -> str:
     if r.held_out_psnr and r.held_out_matched and r.held_out_matched - r.held_out_psnr >= MATCHED_DB:
         held_out += f" ({r.held_out_matched:.2f} with exposure matched)"
     kind = {"first": "  first frame", "frame": "", "key": f"  keyframe, {r.added:+,} Gaussians"}[r.kind]
+    if r.cleared:
+        kind += f"  ({r.cleared:,} removed that hung before viewers)"
     if r.rejected_psnr is not None:
         other = "as a keyframe" if r.kind == "frame" else "in the old group"
         kind += f"  ({other} {r.rejected_psnr:.2f} dB)"

@@ -241,6 +241,7 @@ def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> Tra
         kind=fitted.kind,
         gaussians=len(shown.gaussians),
         added=fitted.added,
+        cleared=shown.cleared,
         psnr=round(fitted.psnr, 3),
         held_out_psnr=round(mean_psnr(shown, held_out, renderer), 3) if held_out else None,
         held_out_matched=round(matched_psnr(shown, held_out, renderer), 3) if held_out else None,

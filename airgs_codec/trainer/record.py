@@ -54,6 +54,7 @@ class FrameRecord:
     held_out_ssim: float | None  # mean over held-out views
     rejected_psnr: float | None  # dB, training views: of the other fit, where a keyframe was tried too
     seconds: float
+    cleared: int = 0  # that hung in open space and were removed
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -70,19 +71,20 @@ def fit_first(
         dropout=DROPOUT if sparse else 0.0,
         seed=s.seed,
         densifier=Densifier(trainer.growth(most, target.views), len(start), rng),
+        clears=trainer.clears(target.views),
     )
     iterations = s.iterations_from_scratch(len(target.views))
     schedule = trainer.schedule("first frame", iterations, lambda done: min(s.sh_degree, int(done / SH_SHARE)))
     optimise(variables, [*target.views, *target.later], schedule, rng, exposure, progress)
     variables.remove_fainter(trainer.least_opacity)
-    found = to_moving(variables.detached())
+    found = replace(to_moving(variables.detached()), cleared=variables.cleared)
     if not (sparse and len(sparse.unseen.positions)):
         return found
     places, colours = sparse.unseen.positions, sparse.unseen.colours
     assert colours is not None
     unseen = from_points(places, colours, s.sh_degree, UNSEEN_OPACITY, largest)
     motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(unseen)), (0, 0)))
-    return InMotion(join_rows([found.gaussians, unseen]), motion)
+    return replace(found, gaussians=join_rows([found.gaussians, unseen]), velocity=motion)
 
 
 def usual_budget(cameras: Sequence[Camera]) -> int:

@@ -33,6 +33,7 @@ LENGTHS = (0.1, 10.0)
 class InMotion:
     gaussians: Gaussians
     velocity: NDArray[np.float32] | None = None  # (N, 3) what means move by in a frame; None: not known
+    cleared: int = 0  # rows of its fit that hung in open space and were removed
 
     def at(self, after: float) -> Gaussians:
         """So many frames after their time; where they are, where their velocity is not known."""

@@ -6,7 +6,8 @@ N Gaussians, U of them those of the frame before.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -21,6 +22,7 @@ from airgs_codec.trainer.data.plates import Masks
 from airgs_codec.trainer.fit.active import Resting, Scope, find_active
 from airgs_codec.trainer.fit.grow import LOW_OPACITY, Densifier, Growth, find_wrong, growth_of_3dgs, residual_seeds
 from airgs_codec.trainer.fit.losses import better, codec_steps, mean_psnr, temporal_weights
+from airgs_codec.trainer.fit.open_space import in_open_space
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import (
     ATTRIBUTES,
@@ -156,12 +158,13 @@ class Trainer:
             fixed=rows,
             regularisers=Regularisers(inflation=s.inflation),
             densifier=Densifier(self.growth(most, scope.views), len(base["means"]), rng),
+            clears=self.clears(target.views),
             resting=scope.resting,
         )
         schedule = self.schedule("keyframe", s.key_iterations, self.full_sh_degree)
         optimise(variables, scope.views, schedule, rng, progress=progress)
         variables.remove_fainter(self.least_opacity)
-        return to_moving(variables.detached())
+        return replace(to_moving(variables.detached()), cleared=variables.cleared)
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
         """The group whose first frame is `g`, seen by the training views of that frame."""
@@ -189,6 +192,12 @@ class Trainer:
     def growth(self, most: int, views: Sequence[View]) -> Growth:
         s = self.settings
         return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
+
+    def clears(self, views: Sequence[View]) -> Callable[[Gaussians], NDArray[np.bool_]] | None:
+        """What finds rows that hang in open space; None: 3DGS keeps them."""
+        if self.settings.densify != BUDGET:
+            return None
+        return partial(in_open_space, cameras=[view.camera for view in views], renderer=self.renderer)
 
     def _seeds(self, target: FrameViews, before: InMotion, most: int, rng: np.random.Generator) -> Gaussians | None:
         """Up to `most` new Gaussians of a keyframe, where the pictures of the frame before are wrong; None: nowhere."""

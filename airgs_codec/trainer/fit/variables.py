@@ -9,17 +9,29 @@ N Gaussians, U of them rows that stay, A MLPs, F features.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from airgs_codec.errors import TrainingError
 from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.fit.active import Resting
 from airgs_codec.trainer.fit.grow import Densifier, is_visible
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, MOTION, Adam, Parameters, take_and_append, zeros_like
+from airgs_codec.trainer.fit.open_space import CHECKS
+from airgs_codec.trainer.fit.parameters import (
+    ATTRIBUTES,
+    BETAS,
+    MOTION,
+    Adam,
+    Parameters,
+    take_and_append,
+    to_gaussians,
+    zeros_like,
+)
 
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
 RATES = {
@@ -74,10 +86,12 @@ class PerGaussian:
     fixed: int = 0  # U
     regularisers: Regularisers = field(default_factory=Regularisers)
     densifier: Densifier | None = None  # None: no rows are added
+    clears: Callable[[Gaussians], NDArray[np.bool_]] | None = None  # rows (N,) that hang in open space and go
     resting: Resting | None = None  # rows that are in the pictures, too, and are not fitted; None: there are none
     dropout: float = 0.0  # share of the rows that a picture is drawn without at the end of the fit
     seed: int = 0  # of the rows that are left out
     adam: Adam = field(init=False)
+    cleared: int = field(init=False, default=0)  # rows that hung in open space
     _support: Parameters | None = field(init=False, default=None)  # 1 where D may still change; None: not decided yet
     _absgrad: AbsGrad | None = field(init=False, default=None)
     _generator: torch.Generator = field(init=False)
@@ -145,6 +159,8 @@ class PerGaussian:
         self._move(self._done)
         if self.densifier:
             self._densify(self.densifier, iteration, iterations)
+            if self.clears and iteration in (round(share * iterations) for share in CHECKS):
+                self._clear(self.clears, self.densifier)
 
     def remove_fainter(self, opacity: float) -> None:
         """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
@@ -159,6 +175,15 @@ class PerGaussian:
         if densifier.growth.removes(iteration, iterations):
             self._replace(is_visible(self._fitted(), self.fixed), None)
             densifier.restart(len(self.base["means"]))
+
+    def _clear(self, clears: Callable[[Gaussians], NDArray[np.bool_]], densifier: Densifier) -> None:
+        free = torch.from_numpy(clears(to_gaussians(self.detached()))).to(self.base["means"].device)
+        free = self.resting.picked(free) if self.resting else free
+        free[: self.fixed] = False
+        with torch.no_grad():
+            self._replace(~free, None)
+        self.cleared += int(free.sum())
+        densifier.restart(len(self.base["means"]))
 
     def _fitted(self) -> Parameters:
         return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
