@@ -123,8 +123,8 @@ class RowPruning:
     def within(self, allowed: float) -> WrittenRows:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
-        Their number is found to PRECISION of the rows that are seen, or to CLOSE of the allowed squared error, beginning with the
-        rows of importance 0 and with all but one.
+        Their number is found to PRECISION of the rows that are seen, or to CLOSE of the allowed squared error,
+        beginning with the rows of importance 0 and with all but one.
         """
         most, least = allowed**2, max(1, math.ceil(PRECISION * (len(self._order) - self._unused)))
         self.error_of(len(self._order) - self._unused)
