@@ -56,7 +56,7 @@ def test_a_policy_knows_the_throughput():
         return airgs.Decision(state.options[0].index, True, "the largest", state.options[0].size_bytes)
 
     airgs.simulate(PACKAGE, "const:5", largest, airgs.SessionSettings(loops=4))
-    assert 0 < seen[-1] <= 5e6
+    assert 0 < seen[-1] <= 5e6 * (1 + 1e-9)
 
 
 def test_what_is_open_is_compared_and_what_is_at_a_path():
@@ -96,7 +96,7 @@ def test_a_frame_is_written_and_read_in_formats_by_their_names(tmp_path):
     [
         (lambda: airgs.read(FOX), "expected one frame, got"),
         (lambda: airgs.read(3), "path: expected a path or an address, got int 3"),
-        (lambda: airgs.write(FOX, "x.ply"), "gaussians: expected Gaussians, got"),
+        (lambda: airgs.write(FOX, "x.ply"), "gaussians: expected Gaussians or a mapping of their arrays, got"),
         (lambda: airgs.write(airgs.read(FOX / "000000.ply"), None), "path: expected a path or an address, got None"),
     ],
 )

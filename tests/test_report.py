@@ -63,9 +63,12 @@ def test_everything_but_pictures_works_without_matplotlib(capsys):
 
 def test_a_picture_that_cannot_be_written(tmp_path):
     figure = new_figure(1, 1)
-    for path in (tmp_path / "none" / "a.png", tmp_path / "a.unknown"):
-        with pytest.raises(ConfigError, match="cannot write the picture"):
-            save_figure(figure, path)
+    for path, words in (
+        ("none/a.png", "cannot write the picture"),
+        ("a.unknown", "expected a name that ends in .avif"),
+    ):
+        with pytest.raises(ConfigError, match=words):
+            save_figure(figure, tmp_path / path)
 
 
 @pytest.mark.parametrize(("low", "high"), [(1, 1000), (12, 48), (0.31, 0.9), (5, 7), (1e-6, 1e6)])

@@ -141,10 +141,10 @@ def _run(app: App, words: list[str]) -> int:
     except exceptions.CycloptsError as error:
         raise ConfigError(refusal(error)) from error
     except ConfigError as error:  # an argument of the library has the name under which it was given here
-        argument, *rest = str(error).partition(":")
+        argument, end, rest = re.split("([ :])", f"{error}:", maxsplit=1)
         option = f"--{option_name(argument)}"
         if option in (word.partition("=")[0] for word in words):
-            error.args = ("".join([option, *rest]),)
+            error.args = ("".join([option, end, rest])[:-1],)
         raise
 
 

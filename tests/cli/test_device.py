@@ -19,7 +19,7 @@ from tests.support.paths import FOX, FOX_VIEWS, VALID
 def test_cuda_where_there_is_none_is_refused(command, arguments, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(backend, "_missing", lambda: "torch sees no CUDA device")
     before = sorted(FOX_VIEWS.parent.iterdir())
-    target = tmp_path / "out.mp4"
+    target = tmp_path / ("out.mp4" if command is play else "out")
     assert command.main([*map(str, arguments), str(target), "--device", "cuda"]) == 2
     said = capsys.readouterr().err.strip().splitlines()
     assert said[-1].endswith("--device cuda: torch sees no CUDA device") and len(said) == 1

@@ -149,7 +149,7 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
 
 @pytest.mark.parametrize("option", ["--report", "--video", "--plot"])
 def test_a_picture_or_report_that_cannot_be_written_is_said_before_the_work(option, scene, encoded, tmp_path, capsys):
-    nowhere, output = "/proc/nowhere/x", tmp_path / "out.airgs"
+    nowhere, output = "/proc/nowhere/x" + ".mp4" * (option == "--video"), tmp_path / "out.airgs"
     runs = {
         "--report": [(encode, [scene, "-o", output]), (train, [FOX_VIEWS, "-o", output])],
         "--video": [(play, [encoded, "--trace", "none"])],  # a trace that is not there would be said first

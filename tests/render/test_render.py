@@ -252,7 +252,7 @@ def test_a_device_that_cannot_run_is_refused_and_auto_takes_the_cpu(monkeypatch)
     assert backend.open_renderer("auto") is backend.open_renderer("cpu") is backend.CPU
     with pytest.raises(ConfigError, match="device cuda: gsplat is not installed: pip install"):
         backend.open_renderer("cuda")
-    with pytest.raises(ConfigError, match="expected auto, cpu, cuda, got gpu"):
+    with pytest.raises(ConfigError, match="expected auto, cpu, cuda, got 'gpu'"):
         backend.open_renderer("gpu")
 
 

@@ -105,7 +105,7 @@ def test_a_gradient_that_is_no_number_is_over_its_limit(model):
 def test_without_a_gpu_it_is_one_line_and_2(scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(backend, "_missing", lambda: "torch sees no CUDA device")
     assert main(["devices", str(scene), "-o", str(tmp_path)]) == 2
-    assert capsys.readouterr().err == "lab devices: --device cuda: torch sees no CUDA device\n"
+    assert capsys.readouterr().err == "lab devices: device cuda: torch sees no CUDA device\n"
     with pytest.raises(ConfigError, match="--limit and an --effort above 0, got 0 and 1"):
         Options((scene,), limit=0)
 

@@ -145,7 +145,7 @@ def test_usage_of_more_rows_than_the_frames_have_is_not_unpacked(tmp_path, monke
 
 @pytest.mark.parametrize("name", ["a\0.png", "/dev/zero", "no.png"])
 def test_what_is_hashed_is_a_file(name):
-    with pytest.raises(SceneError, match="expected a picture or a video: No such file"):
+    with pytest.raises(SceneError, match="expected a picture or a video: "):
         hash_files([Path(name)])
 
 
