@@ -1,7 +1,7 @@
 """Where the coordinates of a scene begin: far from zero float32 is too coarse for Gaussians, so an origin comes off.
 
 Positions are float64 until then. How coarse is measured against a Gaussian's own size, which is that of its second
-largest axis. N Gaussians.
+largest axis, and at least SMALL of that of most: beside them nobody sees where what is smaller is. N Gaussians.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from airgs_codec.scene.gaussians import Gaussians
 Origin = tuple[float, float, float]
 ZERO: Origin = (0.0, 0.0, 0.0)
 MOVED = 1 / 256  # of its size: a Gaussian's flank falls by 0.61 a size at most, so no pixel changes by 1/255
+SMALL = 0.1
 SAID = 0.01  # share of what is opaque that may move further before a line says so
 RUBBLE = 0.5  # share that may move further than its own size before nothing is left to encode
 
@@ -29,7 +30,9 @@ def moved_share(g: Gaussians, positions: NDArray[np.floating], by: float = MOVED
     x, y, z = np.abs(positions.T)
     with np.errstate(over="ignore", invalid="ignore"):
         steps = np.spacing(np.maximum(np.maximum(x, y), z).astype(np.float32)) / 2
-        limits = np.float32(by) * np.exp(np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c)))
+        sizes = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+        sizes = np.exp(np.maximum(sizes, np.median(sizes) + np.float32(np.log(SMALL)) if len(sizes) else 0))
+        limits = np.float32(by) * sizes
     alpha = np.nan_to_num(np.where(np.isfinite(steps) & (limits > 0), g.opacities(), 0.0))
     return float(alpha[steps > limits].sum() / total) if (total := float(alpha.sum())) else 0.0
 

@@ -16,7 +16,7 @@ from airgs_codec.places.results import open_store
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.sequence import open_sequence
 from tests.support.mutations import read_files
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 SETTINGS = EncodeSettings(
     calibrate="steps", measure_pictures=1, decide_pictures=4, preset="ultrafast", group_frames=4, threads=1
@@ -27,8 +27,8 @@ SETTINGS = EncodeSettings(
 def scene(tmp_path_factory):
     """Twelve frames: four of one thing, and eight of another, which rests, so that its last four keep rows."""
     frames = moving_frames(120, 4)
-    names = ("quaternions", "log_scales", "opacity_logits", "sh_dc")
-    other = replace(frames[0], means=2 * frames[0].means, **{name: getattr(frames[0], name)[::-1] for name in names})
+    other = random_gaussians(120, seed=9)
+    other = replace(other, means=3 + 2 * other.means)
     return write_sequence(tmp_path_factory.mktemp("parts") / "scene", [*frames, *[other] * 8])
 
 

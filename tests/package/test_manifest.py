@@ -292,5 +292,6 @@ def test_ffmpeg_reads_the_mpd_and_decodes_every_state_frame(name):
         command += ["-map", f"0:v:{level}", "-f", "framemd5", "-"]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
         pictures = [line for line in done.stdout.splitlines() if not line.startswith("#")]
-        expected = sum(s.stop - s.start for s in m.segments if s.levels[level].file.bytes)
+        shown = [(s.stop - s.start, s.levels[level]) for s in m.segments]
+        expected = sum(frames + bool(state.line) for frames, state in shown if state.file.bytes)
         assert len(pictures) == expected

@@ -159,7 +159,7 @@ LEVELS = tuple(LevelSettings(i / 64, 1 + i / 16) for i in range(64))
 CASES = [
     Case("scale ratios of 1e6", _stretched), Case("log-scales of -30", changed("log_scales", -30.0)),
     Case("log-scales of +30", changed("log_scales", 30.0), search=True),
-    Case("log-scales of -30, 0 and 30 in one Gaussian", changed("log_scales", f32([-30, 0, 30])), refused="codes"),
+    Case("log-scales of -30, 0 and 30 in one Gaussian", changed("log_scales", f32([-30, 0, 30]))),
     Case("opacity logits of -100 and +100", changed("opacity_logits", f32([-100, 100] * 100))),
     Case("opacity logits of -inf and +inf", changed("opacity_logits", f32([-np.inf, np.inf] * 100))),
     Case("zero quaternions", changed("quaternions", 0.0, slice(0, 50)), repaired="zero quaternions"),
@@ -192,7 +192,7 @@ CASES = [
         for value in ((np.nan,) if name == "opacity_logits" else (np.nan, np.inf))
     ),
     Case("no finite Gaussian", _hopeless, refused="expected finite Gaussians", search=True),
-    Case("means of 1e38", changed("means", 1e38, slice(0, 1)), refused="expected at most", search=True),
+    Case("means of 1e38", changed("means", 1e38, slice(0, 1)), search=True),
     Case("log-scales of 1e30", changed("log_scales", 1e30, slice(0, 1)), refused="expected at most"),
     Case("SH of 1e30", changed("sh_dc", 1e30, slice(0, 1)), refused="expected at most"),
 ]  # fmt: skip
