@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.layout import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
 from airgs_codec.package.manifest import Groups
+from airgs_codec.package.media_check import largest_picture
 from airgs_codec.package.package import Package
 from airgs_codec.package.publish import write_tables
 from airgs_codec.package.tables import Group
@@ -16,7 +18,7 @@ from airgs_codec.places.place import Folder
 def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:
     """A package with the groups of another one, so often and at another speed."""
     m, files = package.manifest, Folder(folder)
-    files.write(INIT_NAME, package.read(INIT_NAME))
+    files.write(INIT_NAME, init_segment(1000 * fps, *largest_picture(m.groups)))
     groups: list[Group] = []
     segments = 0
     for n in range(times * len(m.groups)):
