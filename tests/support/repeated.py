@@ -9,7 +9,7 @@ from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.layout import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
 from airgs_codec.package.manifest import Groups
 from airgs_codec.package.media_check import largest_picture
-from airgs_codec.package.package import Package
+from airgs_codec.package.package import Package, write_file
 from airgs_codec.package.publish import write_tables
 from airgs_codec.package.tables import Group
 from airgs_codec.places.place import Folder
@@ -18,7 +18,7 @@ from airgs_codec.places.place import Folder
 def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:
     """A package with the groups of another one, so often and at another speed."""
     m, files = package.manifest, Folder(folder)
-    files.write(INIT_NAME, init_segment(1000 * fps, *largest_picture(m.groups)))
+    init = write_file(files, INIT_NAME, init_segment(1000 * fps, *largest_picture(m.groups)))
     groups: list[Group] = []
     segments = 0
     for n in range(times * len(m.groups)):
@@ -39,6 +39,8 @@ def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path
                     files.write(state_media_path(level, segments), package.read(path))
     write_tables(
         files,
-        replace(m, frame_rate=[fps, 1], timescale=1000 * fps, frames=groups[-1].stop, groups=Groups.of(groups)),
+        replace(
+            m, frame_rate=[fps, 1], timescale=1000 * fps, frames=groups[-1].stop, groups=Groups.of(groups), init=init
+        ),
     )
     return folder
