@@ -112,12 +112,6 @@ def test_headers_round_trips_and_decoding_cost_time():
     assert log.shown[0].start_s == pytest.approx(1.16)
 
 
-def test_an_outage_is_waited_out():
-    log = play(tiny_manifest(), link([8e4, 0, 8e4], [0, 1, 6], 100))
-    assert log.fetches[-1].arrival_s == pytest.approx(6.38)
-    assert log.shown[1].stall_s == pytest.approx(6.38 - 1.74)
-
-
 def test_a_level_with_nothing_to_fetch_costs_only_its_key():
     log = play(tiny_manifest(state_bytes=(2000, 1000, 0)), link([8e4]), "fixed:2")
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [4200, 4200]
@@ -149,11 +143,6 @@ def test_key_quality_and_level_are_chosen_together():
     assert pairs(poor) == {(1, 2, 32.0)}
     assert "nothing fits" in poor.fetches[-1].reason and "B fit" in rich.fetches[-1].reason
     assert "B fit" in rich.fetches[2].reason
-
-
-def test_a_faster_link_is_no_worse_however_fast():
-    log = play(tiny_manifest(), link([8e18]), "paper-no-cliff")
-    assert log.shown[1].rung == 0
 
 
 def test_paper_needs_measured_quality_everywhere():

@@ -133,13 +133,6 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
         published.publish(Measurement("other", "thing", "other"), page(), replace(MADE, name="other"), tmp_path)
 
 
-def test_lines_of_figures_are_json_and_short_ones_stay_whole():
-    value = {"a": {"b": list(range(60)), "c": "d"}, "e": [], "f": [[1, 2.5, None]] * 30}
-    lines = list(published.lines_of(value))
-    assert json.loads("\n".join(lines)) == value
-    assert lines.count("  [1, 2.5, null],") == 29 and max(map(len, lines)) <= published.LINE
-
-
 @pytest.mark.parametrize(
     "words", [["stiff", "--quick"], ["work-precision"], ["stiff", "--publish", "stiff", "--quick"]]
 )
