@@ -18,14 +18,11 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
-from tests.play.test_session import link
+from tests.play.test_session import link, rules
 from tests.support.manifests import in_groups, keys, missing, tiny_manifest
 from tests.support.session_packages import offers_of
 
-RULES = SessionSettings(
-    startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1, pipelined=False, replace=False, abandon=False
-)
+RULES = rules()
 
 
 def keeping(m, number=2, of=1, pictures=(True, False)):

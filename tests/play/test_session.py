@@ -15,14 +15,7 @@ from airgs_codec.package.layout import FileKind
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.downloader import (
-    Arrival,
-    Arrived,
-    BatchKind,
-    Replaced,
-    Request,
-    Shown,
-)
+from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Replaced, Request, Shown
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.metrics import SHORTEST_S, session_metrics
 from airgs_codec.play.offers import NONE, Offers

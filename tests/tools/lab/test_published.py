@@ -11,16 +11,7 @@ from airgs_codec.errors import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.lab import published
 from tools.lab.baselines import rivals
-from tools.lab.bench import (
-    claims,
-    engines,
-    jobs,
-    scale,
-    static,
-    streaming,
-    tracked,
-    viewpoints,
-)
+from tools.lab.bench import claims, engines, jobs, scale, static, streaming, tracked, viewpoints
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
 from tools.lab.numerics import extremes, stiff, work_precision
