@@ -138,6 +138,11 @@ def test_key_quality_and_level_are_chosen_together():
     assert "B fit" in rich.fetches[2].reason
 
 
+def test_a_faster_link_is_no_worse_however_fast():
+    log = play(tiny_manifest(), link([8e18]), "paper-no-cliff")
+    assert log.shown[1].rung == 0
+
+
 def test_paper_needs_measured_quality_everywhere():
     with pytest.raises(ConfigError, match="no measured quality"):
         play(tiny_manifest(psnr=None), link([8e6]), "paper-no-cliff")
