@@ -6,16 +6,7 @@ import pytest
 
 from airgs_codec.package.manifest import on_ladder
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.report import (
-    ASKED,
-    BELOW,
-    FAULTS,
-    OVER,
-    SHORT,
-    answer,
-    beaten_words,
-    find_stalls,
-)
+from airgs_codec.play.report import ASKED, BELOW, FAULTS, OVER, SHORT, answer, beaten_words, find_stalls
 from airgs_codec.play.session import simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import Study, StudySettings, study_answer

@@ -17,6 +17,7 @@ from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from tests.support.manifests import in_groups, tiny_manifest
 
+LINK = Link(Trace.open("const:9"), 0.0)
 POLICIES = ("fixed:0", *ADAPTIVE, *ORACLES)
 
 
@@ -30,16 +31,12 @@ def tiered(counts=((10, 30), (20, 60))) -> Manifest:
     return replace(m, groups=in_groups(groups), levels=[*m.levels[:2], replace(m.levels[2], tiers=1)])
 
 
-def link(rate="const:9"):
-    return Link(Trace.open(rate), 0.0)
-
-
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("budget", "most", "levels"), [(20, 20, {2}), (79, 40, {0, 1, 2}), (80, 80, {0, 1, 2})])
 def test_no_policy_shows_or_fetches_more(policy, budget, most, levels):
     """79 Gaussians are enough for both tiers of the first group, but for one of the second."""
     c = Offers(tiered(), 0, 1000)
-    log = simulate(c, link(), policy, SessionSettings(budget=budget, loops=2))
+    log = simulate(c, LINK, policy, SessionSettings(budget=budget, loops=2))
     assert log.metrics.gaussians == most
     assert all(c.offer(s.segment).rungs[s.rung].gaussians <= budget for s in log.shown)
     assert {c.rungs[fetch.rung][1] for fetch in log.fetches if fetch.kind != "tables"} <= levels
@@ -47,7 +44,7 @@ def test_no_policy_shows_or_fetches_more(policy, budget, most, levels):
 
 
 def test_without_a_budget_all_are_shown():
-    log = simulate(Offers(tiered(), 0, 1000), link(), "robust-mpc")
+    log = simulate(Offers(tiered(), 0, 1000), LINK, "robust-mpc")
     assert log.metrics.gaussians == 80 and "at most 80\n" in format_metrics(log)
 
 
@@ -59,8 +56,8 @@ def test_looking_ahead_counts_what_the_budget_forbids():
     assert all(rung.allowed for rung in first.rungs) and allowed.tolist() == [False, False, True] * 2
     assert np.all(second.bytes_after(first, NONE)[:, ~allowed] == OVER_BUDGET) and max(first.sizes(NONE)) < OVER_BUDGET
     assert [p.index for p in second.options(NONE)] == [2, 5]
-    log = simulate(c, link(), "fixed:0", SessionSettings(budget=79, loops=1))
-    free = session_bound(simulate(Offers(tiered(), 0, 1000), link(), "fixed:0", SessionSettings(loops=1)))
+    log = simulate(c, LINK, "fixed:0", SessionSettings(budget=79, loops=1))
+    free = session_bound(simulate(Offers(tiered(), 0, 1000), LINK, "fixed:0", SessionSettings(loops=1)))
     bound = session_bound(log)
     assert bound == pytest.approx((40 + 34) / 2) and free == pytest.approx(40)
     assert log.mean_quality <= bound + 1e-6
@@ -68,7 +65,7 @@ def test_looking_ahead_counts_what_the_budget_forbids():
 
 def test_a_budget_that_no_rung_meets():
     with pytest.raises(ConfigError, match="budget: expected 20 Gaussians or more, got 19"):
-        simulate(Offers(tiered()), link(), "robust-mpc", SessionSettings(budget=19))
+        simulate(Offers(tiered()), LINK, "robust-mpc", SessionSettings(budget=19))
     with pytest.raises(ConfigError, match="budget: expected at least 1 Gaussian, got 0"):
         SessionSettings(budget=0)
 
@@ -79,7 +76,7 @@ def test_a_player_that_does_not_know_all_tables_ahead():
     policy = make_policy("fixed:0", c)
 
     def events(budget):
-        return list(run(c, SimulatedDownloader(link(), c, {}), policy, SessionSettings(budget=budget, loops=1)))
+        return list(run(c, SimulatedDownloader(LINK, c, {}), policy, SessionSettings(budget=budget, loops=1)))
 
     seen = events(15)
     assert [e.rung is None for e in seen if isinstance(e, Shown)] == [False, True]

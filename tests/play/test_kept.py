@@ -18,14 +18,11 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.player import run
 from airgs_codec.play.policies.state import Policy
 from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
+from tests.play.test_session import link, rules
 from tests.support.manifests import in_groups, keys, missing, tiny_manifest
 from tests.support.session_packages import offers_of
 
-RULES = SessionSettings(
-    startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1, pipelined=False, replace=False, abandon=False
-)
+RULES = rules()
 
 
 def keeping(m, number=2, of=1, pictures=(True, False)):
@@ -50,12 +47,8 @@ def _difference(atlas, there):
     return replace(atlas, rows=rows, planes=planes, centres=centres, max_error=errors)
 
 
-def link(*rates):
-    return Link(Trace("t", np.arange(len(rates), dtype=float), np.array(rates, float), float(len(rates))), 0.0)
-
-
 def play(m, policy="fixed:0", over=None, faults=None, **options):
-    return simulate(Offers(m, 0, 1000), over or link(8e4), policy, replace(RULES, **options), faults)
+    return simulate(Offers(m, 0, 1000), over or link([8e4]), policy, replace(RULES, **options), faults)
 
 
 def test_the_manifest_is_one():
@@ -74,7 +67,7 @@ def test_who_has_the_base_fetches_only_what_is_new():
 
 def test_who_joins_at_a_group_fetches_the_table_and_keys_of_its_base():
     offers = Offers(keeping(tiny_manifest()), 0, 1000, first=1)
-    log = simulate(offers, link(8e4), "fixed:0", RULES)
+    log = simulate(offers, link([8e4]), "fixed:0", RULES)
     tables = [f.bytes for f in log.fetches if f.kind == "tables"]
     assert tables == [1000, 100, 100]  # airgs.json, the table of the group, then that of its base
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100]
@@ -89,7 +82,7 @@ def test_the_page_of_the_base_is_fetched_first():
     numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
     offers = offers_of(numbers)
     offers.first = 65
-    log = simulate(offers, link(8e4), "fixed:0", RULES)
+    log = simulate(offers, link([8e4]), "fixed:0", RULES)
     assert [f.bytes for f in log.fetches] == [1000, 90, 4000, 90, 20 + 70 + 30 + 500 + 700]
 
 
@@ -116,7 +109,7 @@ def test_each_loop_fetches_the_base_again():
 def test_two_groups_after_each_other_differ_from_one():
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10))), 3)
     offers = Offers(m, 0, 1000, first=1)
-    log = simulate(offers, link(8e4), "fixed:0", RULES)
+    log = simulate(offers, link([8e4]), "fixed:0", RULES)
     assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100, 5300]
 
 
@@ -159,7 +152,7 @@ def test_a_base_is_paid_once_however_far_back_it_was_needed():
 def test_no_session_beats_the_bound(rates, pictures):
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, pictures), 4, 1, pictures)
     for policy, loops in itertools.product(("throughput", "robust-mpc", "oracle-lp", "fixed:Q1+L1"), (1, 2)):
-        log = play(m, policy, link(*rates), loops=loops, replace=True, abandon=True)
+        log = play(m, policy, link(rates), loops=loops, replace=True, abandon=True)
         best = session_bound(log)
         assert best is not None and best >= log.mean_quality - 1e-6
 
@@ -189,5 +182,5 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
                 m = keeping(m, number, base, [(True, False), (True, True), (False, False)][chance.integers(3)])
         guessed.clear()
         c = Offers(m, 0, 1000, first=int(chance.integers(3)))
-        downloader = SimulatedDownloader(link(8e4), c)
+        downloader = SimulatedDownloader(link([8e4]), c)
         assert list(run(c, downloader, Policy("any", choose), replace(RULES, loops=2))) and guessed

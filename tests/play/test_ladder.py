@@ -1,7 +1,9 @@
 """Algorithm 1 of the paper: the cases it leaves undefined, and what must hold whatever the numbers."""
 
 import itertools
+import json
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -10,6 +12,8 @@ from hypothesis import strategies as st
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision, Ladder, Option, saved_shares, select
 from airgs_codec.play.policies.paper import frame_budget, select_literal
+
+TABLE = json.loads(Path(__file__).with_name("ladder.json").read_text())  # cases that the browser's player reads, too
 
 
 def dense(*qualities: float, sizes: list[int] | None = None) -> list[Option]:
@@ -22,28 +26,9 @@ def kept(*qualities: float, **options: float) -> list[int]:
     return [p.index for p in Ladder.build(dense(*qualities), **options).options]
 
 
-@pytest.mark.parametrize(
-    ("case", "qualities", "expected"),
-    [
-        # a level that costs less and is no worse replaces the one above it, so a drop of 0 cannot come up
-        ("1: the first drop is 0", (40, 40, 39.9, 36), [1, 2]),
-        ("2: a plateau, then a drop", (40, 39, 39, 38, 30), [0, 2, 3]),
-        ("3: a first drop of 0.001 dB is no yardstick", (40, 39.999, 39.9, 39.8), [0, 1, 2, 3]),
-        ("4: quality rises when pruning", (38, 40, 39, 38), [1, 2, 3]),
-        ("5: the mean of the earlier drops, not the last one", (40, 39, 37.2, 34, 28), [0, 1, 2]),
-        ("6: a cliff at the first level", (40, 36, 35), [0]),
-        ("6: no cliff there", (40, 38, 36), [0, 1, 2]),
-        ("6: a first drop of just the cliff is none", (40, 37), [0, 1]),
-        ("3: after tiny drops, half a dB is the least cliff", (40, 39.9, 39.45), [0, 1, 2]),
-        ("3: and more than that is one", (40, 39.9, 39.35), [0, 1]),
-        ("10: one level", (40,), [0]),
-        ("11: infinite quality counts as the cap", (math.inf, 99, 98), [0, 1, 2]),
-        ("16: level 0 has no privilege", (30, 35), [1]),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_undefined_cases_of_the_ladder(case, qualities, expected):
-    assert kept(*qualities) == expected
+@pytest.mark.parametrize("case", TABLE["ladders"], ids=lambda case: case["name"])
+def test_undefined_cases_of_the_ladder(case):
+    assert kept(*map(float, case["qualities"])) == case["kept"]
 
 
 @pytest.mark.parametrize(("floor", "expected"), [(29.0, [0, 1, 2]), (30.0, [0, 1, 2]), (30.5, [0, 1])])
@@ -119,50 +104,12 @@ def test_bandwidths_and_frame_rates_that_are_none_12(bandwidth):
         frame_budget(1e6, 0.0)
 
 
-def literal(*qualities, **more):
-    return qualities, {"budget": 1e9, "sizes": None, "beta": 2.0} | more
-
-
-@pytest.mark.parametrize(
-    ("case", "given", "expected"),
-    [
-        # level 0 of the largest budget wherever the search finds something: it looks for the lowest that fits
-        ("no cliff, everything fits", literal(40, 39, 38), 0),
-        ("no cliff, the second fits", literal(40, 39, 38, budget=250), 1),
-        ("1: the first drop is 0: 0 / 0 and -0.1 / 0 are no cliffs", literal(40, 40, 39.9, 20, budget=150), 3),
-        ("2: a plateau, then a drop: -9 / 0 is no cliff", literal(40, 39, 39, 30, 20, budget=10), None),
-        ("3: a tiny first drop makes a cliff of 0.1 dB", literal(40, 39.999, 39.9, 39.8, budget=10), 2),
-        ("4: rising quality changes the sign", literal(38, 40, 39, 30, budget=10), 3),
-        ("5: a slow slide has no cliff", literal(34, 32, 30, 28, 26, 24, 14, budget=150), 6),
-        ("6: the first level is never the cliff", literal(40, 20, 19, budget=250), 1),
-        ("6: unless beta < 1", literal(40, 39, 38, budget=10, beta=0.5), 1),
-        ("6: of two levels, too", literal(40, 39, budget=10, beta=0.5), 1),
-        ("a ratio of beta is no cliff", literal(40, 39, 37, budget=10), None),
-        ("7: nothing fits, the answer is the cliff, outside S", literal(40, 39, 30, 20, budget=10), 2),
-        ("7: even where a level past the cliff would fit", literal(40, 39, 30, 20, budget=150), 2),
-        ("without a cliff that level is found", literal(40, 39, 30, 20, budget=150, beta=math.inf), 3),
-        ("8: nothing fits, no cliff: undefined", literal(40, 39, 38, budget=10), None),
-        (
-            "9: sizes that do not fall mislead the search",
-            literal(40, 39, 38, 37, 36, sizes=[9, 4, 8, 7, 3], budget=5),
-            4,
-        ),
-        ("10: one level", literal(40), 0),
-        ("10: one level that does not fit", literal(40, budget=10), None),
-        ("11: infinite quality hides the first cliff", literal(math.inf, 30, 10, 5, budget=10), None),
-        ("11: between infinite levels no step is a number", literal(math.inf, math.inf, 30, 20, budget=10), None),
-        ("11: a fall after 0 is no cliff, a rise is", literal(40, 40, 41, 20, budget=10), 2),
-        ("11: NaN passes silently", literal(40, math.nan, 20, budget=150), 2),
-        ("12: a budget that is no number fits nothing", literal(40, 39, budget=math.nan), None),
-        ("14: a level of no bytes is a level like any other", literal(40, 39, sizes=[100, 0], budget=0), 1),
-        ("16: level 0 is in S even if another is better", literal(30, 35, budget=1e9), 0),
-    ],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_algorithm_1_as_printed(case, given, expected):
-    qualities, more = given
-    answer = select_literal(dense(*qualities, sizes=more["sizes"]), more["budget"], more["beta"])
-    assert answer == expected
+@pytest.mark.parametrize("case", TABLE["printed"], ids=lambda case: case["name"])
+def test_algorithm_1_as_printed(case):
+    """Level 0 of the largest budget wherever the search finds something: it looks for the lowest that fits."""
+    levels = dense(*map(float, case["qualities"]), sizes=case.get("sizes"))
+    budget, beta = float(case.get("budget", "inf")), float(case.get("beta", 2.0))
+    assert select_literal(levels, budget, beta) == case["answer"]
 
 
 def test_as_printed_without_levels_10():

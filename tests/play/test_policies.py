@@ -10,29 +10,16 @@ from hypothesis import strategies as st
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.mpc import (
-    LOW_BUFFER_DB,
-    SWITCH_DB,
-    choose_robust_mpc,
-)
+from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc
 from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp, upcoming_horizon
-from airgs_codec.play.policies.state import (
-    RESERVE_S,
-    STALL_DB,
-    Download,
-    PlayerState,
-)
-from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.policies.state import RESERVE_S, STALL_DB, Download, PlayerState
+from tests.play.test_session import link
 from tests.support.manifests import keys, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 OFFER = OFFERS.offer(0)
 FLAT = Offers(tiny_manifest(psnr=((40.0, 39.9), (39.8, 39.7), (39.6, 39.5))), header_bytes=0)
-
-
-def constant(rate, rtt=0.0):
-    return Link(Trace("t", np.zeros(1), np.array([float(rate)]), 1000.0), rtt)
 
 
 def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NONE, shown=None, rtt=0.0, limit=10.0):
@@ -110,25 +97,25 @@ def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
 
 
 def test_the_oracles_know_the_trace():
-    outage = Link(Trace("t", np.array([0.0, 100.5]), np.array([8e5, 0.0]), 1000.0), 0.0)
-    assert names(choose_oracle_frame(state(1e3, 5.0), constant(8e4))) == "Q0+L0"
-    assert names(choose_oracle_frame(state(8e9, 5.0), constant(2e4))) == "Q1+L2"
+    outage = link([8e5, 0.0], [0.0, 100.5], 1000)
+    assert names(choose_oracle_frame(state(1e3, 5.0), link([8e4]))) == "Q0+L0"
+    assert names(choose_oracle_frame(state(8e9, 5.0), link([2e4]))) == "Q1+L2"
     assert names(choose_oracle_lp(state(8e9, 3.0, end=4), outage)) == "Q0+L0"  # 50 kB before the outage are enough
-    tight = Link(Trace("t", np.array([0.0, 100.5]), np.array([1.3e5, 0.0]), 1000.0), 0.0)
+    tight = link([1.3e5, 0.0], [0.0, 100.5], 1000)
     assert names(choose_oracle_lp(state(8e9, 3.0, end=4), tight)) != "Q0+L0"  # 8 kB for four segments
 
 
 def test_an_oracle_of_one_frame_counts_from_the_first_byte():
     """Of a second 0.4 are latency: the link must carry the rung in the other 0.6."""
     for rate, wanted in ((8 * 3800 / 0.6 * 1.01, "Q1+L0"), (8 * 3800 / 0.6 * 0.99, "Q1+L1")):
-        assert names(choose_oracle_frame(state(1e3, 5.0, rtt=0.4), constant(rate))) == wanted
+        assert names(choose_oracle_frame(state(1e3, 5.0, rtt=0.4), link([rate]))) == wanted
 
 
 @pytest.mark.parametrize("pipelined", [True, False])
 def test_what_is_to_come_is_released_by_the_buffer_and_due_when_it_is_shown(pipelined):
     """10 kB a second; 1.5 s of buffer, room for 2; the first byte comes at 100.25 s."""
     s = replace(state(buffer_s=1.5, rtt=0.25, limit=2.0), pipelined=pipelined)
-    horizon = upcoming_horizon(s, constant(8e4, rtt=0.25))
+    horizon = upcoming_horizon(s, link([8e4], rtt=0.25))
     seconds = [(slot.released / 1e4, slot.capacity / 1e4) for slot in horizon.slots]
     assert seconds == [pytest.approx((100.75 + n, 101.5 + n)) for n in range(5)]  # up to two buffers after the first
     assert horizon.idle_bytes == pytest.approx(0 if pipelined else 2500)
@@ -136,12 +123,12 @@ def test_what_is_to_come_is_released_by_the_buffer_and_due_when_it_is_shown(pipe
 
 def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
     s = state(1e3, 3.0, end=4)
-    planned = choose_oracle_lp(s, constant(8e5))
+    planned = choose_oracle_lp(s, link([8e5]))
     assert (names(planned), planned.size_bytes, planned.fits) == ("Q0+L0", 6300, True)
     assert planned.reason == "planned for 4 segments"
     left = replace(s, options=tuple(p for p in s.options if p.index != planned.index))
-    assert names(choose_oracle_lp(left, constant(8e5))) == "Q0+L1"  # the best that fits in as many bytes
-    nothing = choose_oracle_lp(state(1e3, 0.0, end=4), constant(8.0))
+    assert names(choose_oracle_lp(left, link([8e5]))) == "Q0+L1"  # the best that fits in as many bytes
+    nothing = choose_oracle_lp(state(1e3, 0.0, end=4), link([8.0]))
     assert names(nothing) == "Q1+L2" and not nothing.fits and "0 B" in nothing.reason
 
 
@@ -157,10 +144,10 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
     s = state(1.0, buffer_s, held=held, position=position)
     history = tuple(Download(max(1, round(r / 8)), 1.0) for r in rates)
     s = PlayerState(**{f: getattr(s, f) for f in s.__dataclass_fields__} | {"history": history})
-    decision = make_policy(name, OFFERS, constant(5e4)).choose(s)
+    decision = make_policy(name, OFFERS, link([5e4])).choose(s)
     assert decision.index in [p.index for p in s.options]
     assert decision.size_bytes == s.options[decision.index].size_bytes and decision.reason
-    again = make_policy(name, OFFERS, constant(5e4)).choose(s)
+    again = make_policy(name, OFFERS, link([5e4])).choose(s)
     assert again == decision
 
 
@@ -169,18 +156,18 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
 )
 def test_unknown_policies(text):
     with pytest.raises(ConfigError, match="expected paper"):
-        make_policy(text, OFFERS, constant(1e6))
+        make_policy(text, OFFERS, link([1e6]))
 
 
 @pytest.mark.parametrize(("text", "rung"), [("fixed:2", "Q0+L2"), ("fixed:Q1+L1", "Q1+L1")])
 def test_fixed_rungs(text, rung):
-    assert names(make_policy(text, OFFERS, constant(1e6)).choose(state())) == rung
+    assert names(make_policy(text, OFFERS, link([1e6])).choose(state())) == rung
 
 
 def test_an_oracle_needs_a_trace_and_what_policies_may_do_is_theirs():
     with pytest.raises(ConfigError, match="real connection"):
         make_policy("oracle-frame", OFFERS)
-    paper, fixed, oracle = (make_policy(name, OFFERS, constant(1e6)) for name in ("paper", "fixed:0", "oracle-lp"))
+    paper, fixed, oracle = (make_policy(name, OFFERS, link([1e6])) for name in ("paper", "fixed:0", "oracle-lp"))
     assert (paper.may_abandon, paper.may_replace, paper.needs_quality) == (True, True, True)
     assert (fixed.may_abandon, fixed.may_replace, fixed.needs_quality) == (False, False, False)
     assert (oracle.may_abandon, oracle.may_replace, oracle.needs_quality) == (True, False, True)

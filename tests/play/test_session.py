@@ -15,14 +15,7 @@ from airgs_codec.package.layout import FileKind
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.references import check_group, check_root
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.downloader import (
-    Arrival,
-    Arrived,
-    BatchKind,
-    Replaced,
-    Request,
-    Shown,
-)
+from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Replaced, Request, Shown
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.metrics import SHORTEST_S, session_metrics
 from airgs_codec.play.offers import NONE, Offers
@@ -110,12 +103,6 @@ def test_headers_round_trips_and_decoding_cost_time():
     # a table is one file; a group has 2 tiers of 2 files and a state
     assert [f.arrival_s for f in log.fetches] == pytest.approx([0.21, 0.33, 1.11, 1.23, 2.01])
     assert log.shown[0].start_s == pytest.approx(1.16)
-
-
-def test_an_outage_is_waited_out():
-    log = play(tiny_manifest(), link([8e4, 0, 8e4], [0, 1, 6], 100))
-    assert log.fetches[-1].arrival_s == pytest.approx(6.38)
-    assert log.shown[1].stall_s == pytest.approx(6.38 - 1.74)
 
 
 def test_a_level_with_nothing_to_fetch_costs_only_its_key():

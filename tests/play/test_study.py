@@ -14,7 +14,8 @@ from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import measure_decoding
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
-from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.trace import Trace
+from tests.play.test_session import link
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 
@@ -31,10 +32,6 @@ def cameras(moving):
     return draw_views(moving.manifest.region, 3, 5)
 
 
-def constant(rate):
-    return Link(Trace("t", np.zeros(1), np.array([float(rate)]), 1000.0), 0.0)
-
-
 def test_offsets_are_seeded_and_a_traces_own():
     trace = Trace.open("markov:1")
     assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2)
@@ -45,8 +42,8 @@ def test_offsets_are_seeded_and_a_traces_own():
 def test_feasible_means_that_the_smallest_rungs_keep_up():
     c = Offers(tiny_manifest(), 0, root_bytes=1000)
     rules = SessionSettings(decode_frame_s=0.0, pipelined=False)
-    assert is_feasible(c, constant(8 * 2300), rules, 10)  # exactly what a second of Q1+L2 takes
-    assert not is_feasible(c, constant(8 * 2000), rules, 30)
+    assert is_feasible(c, link([8 * 2300]), rules, 10)  # exactly what a second of Q1+L2 takes
+    assert not is_feasible(c, link([8 * 2000]), rules, 30)
 
 
 def test_intervals_are_over_traces():

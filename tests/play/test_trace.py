@@ -111,7 +111,6 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("", "empty"),
         ("\n\n", "empty"),
         (b"\xff\xfe\x00garbage", "cannot read"),
         ("hello\nworld\n", "expected Raca CSV"),
@@ -123,7 +122,6 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
         ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
         ("0,1\n1,fast\n", "expected Raca CSV"),
         ("0,1\n0,2\n", "ascend"),
-        ("1,1\n0,2\n", "ascend"),
         ("0,-1\n1,2\n", "0 or more"),
         ("0,nan\n1,2\n", "finite"),
         ("nan,1\n1,2\n", "ascend"),
@@ -133,7 +131,6 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
         ("Timestamp,DL_bitrate\n", "no DL_bitrate"),
         ("Timestamp,DL_bitrate\n2017.12.04_15.24.12,-\n", "no DL_bitrate"),
         ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"),
-        ("Timestamp,DL_bitrate\n2017.12.04_15.24.12,0\n", "zero all the time"),
         ("DL_bitrate\n5\n", "Timestamp"),
         ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"),
         ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),

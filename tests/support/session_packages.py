@@ -1,4 +1,4 @@
-"""Packages that are no more than numbers, of which the vectors of sessions tell: from numbers to offers and back.
+"""Packages that are no more than numbers, of which vectors tell: from numbers to offers.
 
 T key tiers, Q key qualities, L levels.
 """
@@ -18,35 +18,6 @@ from tests.support.manifests import HASH, tiny_manifest
 
 Numbers = Mapping[str, Any]
 ROWS = 100  # of a tier that are coded, where some are: no player counts them
-
-
-def numbers_of(m: Manifest, name: str, root_bytes: int) -> dict[str, Any]:
-    return {
-        "name": name,
-        "frame_rate": list(m.frame_rate),
-        "header_bytes": 350,
-        "root_bytes": root_bytes,
-        "page_bytes": 0,
-        "qualities": [quality.id for quality in m.qualities],
-        "levels": [{"id": level.id, "tiers": level.tiers, "pruned": level.pruned} for level in m.levels],
-        "groups": [_group_numbers(group, m.groups.places.entry(n).file.bytes) for n, group in enumerate(m.groups)],
-    }
-
-
-def _group_numbers(group: mf.Group, table_bytes: int) -> dict[str, Any]:
-    return ({"keeps": group.keeps} if group.keeps else {}) | {
-        "table": table_bytes,
-        "sidecars": [tier.sidecar.bytes for tier in group.tiers],
-        "pictures": [[file.bytes for file in tier.pictures] for tier in group.tiers],
-        "segments": [
-            {
-                "frames": segment.stop - segment.start,
-                "bytes": [level.file.bytes for level in segment.levels],
-                "psnr": [list(level.psnr) for level in segment.levels],
-            }
-            for segment in group.segments
-        ],
-    }
 
 
 def manifest_of(numbers: Numbers, count: int | None = None, live: bool = False) -> Manifest:

@@ -15,26 +15,20 @@ from tests.support.vectors import cases, data, label, numbers
 
 
 def read_columns(case):
-    """The columns of a file, by order and how many numbers each has."""
-    reader = ColumnReader(data(case["data"]), "vector")
+    """The columns of a file, each with what is expected, if the case says it."""
+    reader, found = ColumnReader(data(case["data"]), "vector"), []
     for column in case["columns"]:
         listed = numbers(column["numbers"]) if "numbers" in column else None
         count = column["count"] if listed is None else len(listed)
-        yield reader.column(count, column["order"]).tolist(), listed
+        found.append((reader.column(count, column["order"]).tolist(), listed))
     reader.close()
+    return found
 
 
 @pytest.mark.parametrize("case", cases("columns"), ids=label)
 def test_columns(case):
     for got, expected in read_columns(case):
         assert got == expected
-
-
-@pytest.mark.parametrize("case", cases("columns", "refused"), ids=label)
-def test_columns_that_are_refused(case):
-    with pytest.raises(FormatError) as caught:
-        list(read_columns(case))
-    assert caught.value.reason == "bad_sidecar"
 
 
 def test_morton_codes():
@@ -60,16 +54,13 @@ def test_positions(case):
         np.testing.assert_array_equal(means, quality["means"])
 
 
-@pytest.mark.parametrize("case", cases("positions", "refused"), ids=label)
-def test_positions_that_are_refused(case):
+def read_tier(case):
     grid = Grid(**case["grid"])
-    with pytest.raises(FormatError) as caught:
-        shared = unpack_key_sidecar(data(case["data"]), case["rows"], grid, case["coarsest"], "vector")
-        reader = ColumnReader(data(case["detail"]), "vector")
-        read_detail(reader, shared, grid, case["coarser"], case["coarsest"])
-        escapes.read_columns(reader, (1, 1, case["rows"]))
-        reader.close()
-    assert caught.value.reason == "bad_sidecar"
+    shared = unpack_key_sidecar(data(case["data"]), case["rows"], grid, case["coarsest"], "vector")
+    reader = ColumnReader(data(case["detail"]), "vector")
+    read_detail(reader, shared, grid, case["coarser"], case["coarsest"])
+    escapes.read_columns(reader, (1, 1, case["rows"]))
+    reader.close()
 
 
 def unpack_kept(case):
@@ -80,13 +71,6 @@ def unpack_kept(case):
 def test_depths_alone(case):
     found = unpack_kept(case)
     assert found.depths.tolist() == case["depths"] and not len(found.codes) and not len(found.classes)
-
-
-@pytest.mark.parametrize("case", cases("positions", "kept_refused"), ids=label)
-def test_depths_alone_that_are_refused(case):
-    with pytest.raises(FormatError) as caught:
-        unpack_kept(case)
-    assert caught.value.reason == "bad_sidecar"
 
 
 def unpack_escapes(case):
@@ -101,10 +85,18 @@ def test_escapes(case):
         assert found.bases(frame).tolist() == [numbers(line) for line in expected]
 
 
-@pytest.mark.parametrize("case", cases("escapes", "refused"), ids=label)
-def test_escapes_that_are_refused(case):
+REFUSED = [
+    *((read_columns, case) for case in cases("columns", "refused")),
+    *((read_tier, case) for case in cases("positions", "refused")),
+    *((unpack_kept, case) for case in cases("positions", "kept_refused")),
+    *((unpack_escapes, case) for case in cases("escapes", "refused")),
+]
+
+
+@pytest.mark.parametrize(("read", "case"), REFUSED, ids=lambda value: label(value) if isinstance(value, dict) else "")
+def test_what_is_refused(read, case):
     with pytest.raises(FormatError) as caught:
-        unpack_escapes(case)
+        read(case)
     assert caught.value.reason == "bad_sidecar"
 
 

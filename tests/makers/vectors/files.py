@@ -1,4 +1,7 @@
-"""Which vectors there are, and their bytes."""
+"""Which vectors there are, and their bytes.
+
+What a case is given is read from the committed file, where new cases are added; what must come of it is made anew.
+"""
 
 from __future__ import annotations
 

@@ -10,8 +10,11 @@ import math
 import struct
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+from airgs_codec.package.tables import Grid
 from tests.makers.vectors.text import plain
+from tests.support.vectors import Case
 
 Steps = Mapping[str, float]
 ULP = 2.0**-24  # half a unit in the last place of a float32, relative
@@ -57,6 +60,12 @@ def rotation(vector: Sequence[float]) -> Rotation:
     angle = math.sqrt(math.fsum(v * v for v in vector))
     x, y, z = (v * (math.sin(angle / 2) / angle if angle else 0.5) for v in vector)
     return Rotation((math.cos(angle / 2), x, y, z), angle)
+
+
+def rotated(quaternion: Sequence[float]) -> Rotation:
+    """A rotation that is given, not computed."""
+    w, x, y, z = quaternion
+    return Rotation((w, x, y, z), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +118,7 @@ def state_row(row: Row, codes: Sequence[float], coding: Coding, motion_class: in
     )
 
 
-def listed(rows: Sequence[Row], *, limit: bool) -> dict[str, object]:
+def listed(rows: Sequence[Row], *, limit: bool) -> dict[str, Any]:
     """Rows as vectors have them, with their tolerances; `limit` the alpha, as it is where rows are shown."""
     return {"values": _values(rows, limit), "tolerance": _tolerances(rows)}
 
@@ -143,9 +152,15 @@ def _up(ulps: float) -> float:
     return float(text)
 
 
-def pack_transform(transform: Sequence[Sequence[float]]) -> tuple[str, list[list[float]]]:
-    """A transform as `colour_transform` has it, and what that decodes to."""
-    whole = [[round(entry * 32767) for entry in line] for line in transform]
-    flat = [entry for line in whole for entry in line]
-    text = base64.b64encode(struct.pack(f"<{len(flat)}h", *flat)).decode()
-    return text, [[entry / 32767 for entry in line] for line in whole]
+def coding_of(case: Case) -> Coding:
+    """What a case says of its coding; only keys have a grid, whose unit their log-scales are coded in."""
+    transform = unpack_transform(case["colour_transform"])
+    unit = Grid(**case["grid"]).unit if "grid" in case else 1.0
+    return Coding(case["steps"], case["factor"], case["gain"], transform, unit)
+
+
+def unpack_transform(text: str) -> list[list[float]]:
+    """What a `colour_transform` decodes to, row by row."""
+    entries = [entry / 32767 for (entry,) in struct.iter_unpack("<h", base64.b64decode(text))]
+    side = math.isqrt(len(entries))
+    return [entries[start : start + side] for start in range(0, len(entries), side)]

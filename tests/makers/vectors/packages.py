@@ -19,8 +19,7 @@ from airgs_codec.decoder.decode import decode_key
 from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.tables import unpack_matrix
-from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row
+from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row, unpack_transform
 from tests.makers.vectors.tables import PAGE, Tables, pages_to
 from tests.makers.vectors.text import Table, binary
 from tests.support.digests import decode_slopes
@@ -137,7 +136,7 @@ def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dic
     t, package = Tables(folder), open_package(folder)
     group, root = t.group_at(frame), t.root
     table = t.groups[group]
-    transform = _transform(t, group)
+    transform = unpack_transform(table["colour_transform"])
     keys = [row for k in range(tiers) if t.sidecar(group, k) for row in _key_rows(t, package, (group, k, quality))]
     shown = {number: row for number, (row, _, _) in enumerate(keys) if number % EVERY == 0}
     segment = t.segment_at(frame)
@@ -159,13 +158,6 @@ def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dic
     return shown
 
 
-def _transform(t: Tables, group: int) -> list[list[float]]:
-    matrix: list[list[float]] = unpack_matrix(
-        t.groups[group]["colour_transform"], 3 * (1 + t.root["sh_degree"]) ** 2
-    ).tolist()
-    return matrix
-
-
 def _key_rows(t: Tables, package: Package, of: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
     """The canonical value, the motion class and the depth of every row of a (group, tier, quality)."""
     group, tier, quality = of
@@ -173,17 +165,18 @@ def _key_rows(t: Tables, package: Package, of: tuple[int, int, int]) -> list[tup
     named, depths, base = t.root["qualities"][quality], sidecar.depths.tolist(), t.base_of(group)
     grid = package.manifest.groups[group].grid
     table = t.groups[group]
+    transform = unpack_transform(table["colour_transform"])
     factor = named["factor"] * table["tiers"][tier]["factor"]
     if base is not None:
         steps = table["key_steps"] | {"means": table["grid"]["step"] * 2.0 ** -table["grid"]["finest"]}
-        change = Coding(steps, factor, t.root["key_gain"], _transform(t, group))
+        change = Coding(steps, factor, t.root["key_gain"], transform)
         there = [(row, motion) for row, motion, _ in _key_rows(t, package, (base, tier, quality))]
         if codes.size:
             pairs = zip(there, codes.T.tolist(), strict=True)
             there = [(state_row(row, line, change, motion), motion) for (row, motion), line in pairs]
         return [(*one, depth) for one, depth in zip(there, depths, strict=True)]
     means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, named["coarser"]).tolist()
-    key = Coding(table["key_steps"], factor, t.root["key_gain"], _transform(t, group), grid.unit)
+    key = Coding(table["key_steps"], factor, t.root["key_gain"], transform, grid.unit)
     rows = [key_row(line, key, mean) for line, mean in zip(codes.T.tolist(), means, strict=True)]
     return list(zip(rows, sidecar.classes.tolist(), depths, strict=True))
 

@@ -11,16 +11,7 @@ from airgs_codec.errors import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.lab import published
 from tools.lab.baselines import rivals
-from tools.lab.bench import (
-    claims,
-    engines,
-    jobs,
-    scale,
-    static,
-    streaming,
-    tracked,
-    viewpoints,
-)
+from tools.lab.bench import claims, engines, jobs, scale, static, streaming, tracked, viewpoints
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
 from tools.lab.numerics import extremes, stiff, work_precision
@@ -131,13 +122,6 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     assert (tmp_path / "README.md").read_text().count("|time|") == 1  # where README has no marks it shows nothing
     with pytest.raises(ConfigError, match="other: begin"):
         published.publish(Measurement("other", "thing", "other"), page(), replace(MADE, name="other"), tmp_path)
-
-
-def test_lines_of_figures_are_json_and_short_ones_stay_whole():
-    value = {"a": {"b": list(range(60)), "c": "d"}, "e": [], "f": [[1, 2.5, None]] * 30}
-    lines = list(published.lines_of(value))
-    assert json.loads("\n".join(lines)) == value
-    assert lines.count("  [1, 2.5, null],") == 29 and max(map(len, lines)) <= published.LINE
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """Every experiment runs in its smallest form, and gives the tables and columns that are published of it."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 
@@ -32,8 +32,7 @@ from tools.lab.bench import (
     viewpoints,
 )
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
-from tools.lab.numerics import decode, extremes, sequences, stiff, work_precision
-from tools.lab.numerics import encode as trials
+from tools.lab.numerics import extremes, sequences, stiff, work_precision
 from tools.lab.numerics.rows import Bench
 from tools.lab.page import text_of, write_picture
 from tools.lab.paper import footage, reproduce, training
@@ -218,10 +217,3 @@ def test_two_workers_four_jobs_and_a_few_failures_end_with_the_same_bytes(tmp_pa
     assert "Traceback" not in (tmp_path / "out" / "runs.log").read_text()
     with pytest.raises(ConfigError, match="expected a new folder"):
         soak_farm.run(soak_farm.Options(), Lab.at(tmp_path / "out"))
-
-
-def test_rows_of_work_precision_are_what_its_questions_measure():
-    assert [field.name for field in fields(work_precision.Row)] == read_figures()["work-precision"]["tables"][
-        "work_precision"
-    ]["columns"]
-    assert {decode.UNIT, trials.UNIT} <= {question.unit for question in work_precision.QUESTIONS}

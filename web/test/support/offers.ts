@@ -152,39 +152,3 @@ export class NumberTables implements OfferTables {
     return { entry: this.index.entry(group), part: this.numbers.groups[group] };
   }
 }
-
-/** An offer of manifests/vectors/policies.json, whose sizes are those of whole key tiers on the wire. */
-export interface PolicyOffer {
-  levels: { tiers: number; pruned: number }[];
-  groups: number[][][];
-  segments: { group: number; seconds: number; state_bytes: number[]; psnr: number[][] }[];
-}
-
-/** Such an offer as a package of key tiers of one file each, at four frames a second. */
-export class TierTables extends NumberTables {
-  constructor(offer: PolicyOffer) {
-    const fps = 4;
-    const groups = offer.groups.map((sizes, group) => ({
-      table: 0,
-      sidecars: sizes[0].map(() => 0),
-      pictures: sizes[0].map((_, tier) => sizes.map((tiers) => tiers[tier])),
-      segments: offer.segments
-        .filter((segment) => segment.group === group)
-        .map(({ seconds, state_bytes, psnr }) => ({ frames: seconds * fps, bytes: state_bytes, psnr })),
-    }));
-    super({
-      name: "offer",
-      frame_rate: [fps, 1],
-      header_bytes: 0,
-      root_bytes: 0,
-      page_bytes: 0,
-      qualities: offer.groups[0].map((_, q) => `Q${q}`),
-      levels: offer.levels.map((level, j) => ({ id: `L${j}`, ...level })),
-      groups,
-    });
-  }
-
-  override keyFiles(group: number, tier: number, quality: number): string[] {
-    return this.numbers.groups[group].pictures[tier][quality] ? [keyMediaPath(tier, quality, group + 1)] : [];
-  }
-}

@@ -5,12 +5,12 @@ import { HORIZON_SEGMENTS } from "../../src/generated/constants.ts";
 import { Offers, optionsOf } from "../../src/play/offers.ts";
 import { discountedThroughput } from "../../src/play/policies/mpc.ts";
 import { estimateThroughput, type PlayerState } from "../../src/play/policies/state.ts";
-import { type PolicyOffer, TierTables } from "../support/offers.ts";
+import { NumberTables, type PackageNumbers } from "../support/offers.ts";
 import { ADAPTIVE, makePolicy } from "../support/policies.ts";
 import { readVectors } from "./files.ts";
 
 interface State {
-  offer: number;
+  package: number;
   position: number;
   end: number;
   decoded: number[];
@@ -25,11 +25,11 @@ interface State {
   choices: Record<string, [number, boolean, number]>;
 }
 
-const { offers, states } = readVectors("policies") as { offers: PolicyOffer[]; states: State[] };
-const all = offers.map((offer) => new Offers(new TierTables(offer), 0));
+const { packages, states } = readVectors("policies") as { packages: PackageNumbers[]; states: State[] };
+const all = packages.map((numbers) => new Offers(new NumberTables(numbers), numbers.header_bytes));
 
 function playerState(state: State, speed = 1): PlayerState {
-  const offers = all[state.offer];
+  const offers = all[state.package];
   const { tiers, qualities } = offers.tables.root;
   const ahead = offers.upcoming(state.position, Math.min(state.position + HORIZON_SEGMENTS, state.end));
   const { group } = ahead[0].offer;
@@ -84,7 +84,7 @@ test("at twice the speed a rung must come in half the time", () => {
 
 test("fixed rungs by level and by name", () => {
   const offers = all[0];
-  const state = playerState({ ...states.find(({ offer }) => offer === 0)!, unavailable: [] });
+  const state = playerState({ ...states.find((state) => state.package === 0)!, unavailable: [] });
   for (const [name, rung] of [
     ["fixed:2", "Q0+L2"],
     ["fixed:Q1+L1", "Q1+L1"],
