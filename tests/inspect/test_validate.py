@@ -94,9 +94,10 @@ def test_every_level_and_key_quality_is_decoded_and_its_columns_are_read(relativ
     assert [(f.reason, f.where) for f in found] == [(reason, relative)]
 
 
-def test_cells_that_the_files_do_not_have_are_refused():
+@pytest.mark.parametrize("coarser", [0, 2, 3])
+def test_cells_that_the_files_do_not_have_are_refused(coarser):
     assert OPENED.manifest.qualities[1].coarser == 1
-    assert "bad_sidecar" in reasons(apply(MOVING, set_value(("qualities", 1, "coarser"), 0)))
+    assert "bad_sidecar" in reasons(apply(MOVING, set_value(("qualities", 1, "coarser"), coarser)))
 
 
 def media_of(gop: ClosedGop, size: tuple[int, int], columns: bytes) -> bytes:
