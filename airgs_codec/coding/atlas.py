@@ -56,14 +56,11 @@ def fit_atlas(codes: NDArray[np.int32], limit: float, omitted: NDArray[np.bool_]
 def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:
     """The centre of (T, n) codes of one channel, and whether some code is more than `limit` away from it.
 
-    Centres are whole codes, so the distance to the chosen one decides, not the range: with a limit of 1.6, codes 0 to
-    3 need a plane. The centre of such codes is their median.
+    It is 0 where all are near that, else their median: what most rows have stays exact without a plane.
     """
     low, high = int(codes.min()), int(codes.max())
-    middle = (low + high) // 2
-    if high - middle > limit:
-        return round(float(np.median(codes))), True
-    return (0 if max(abs(low), abs(high)) <= limit else middle), False
+    centre = 0 if max(-low, high) <= limit else round(float(np.median(codes)))
+    return centre, max(centre - low, high - centre) > limit
 
 
 def make_atlas(rows: int, centres: list[int], planes: list[int]) -> Atlas:

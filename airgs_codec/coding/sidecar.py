@@ -51,7 +51,7 @@ def _position_columns(sidecar: KeySidecar, grid: Grid, coarsest: int) -> list[Co
     before = np.concatenate([np.zeros(1, np.uint64), codes[:-1]])
     gaps = ((codes >> low) - (before >> low)).astype(np.int64)
     least = int(sidecar.classes.min())
-    return [(np.array([least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
+    return [(np.array([coarsest, least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
 
 
 def unpack_key_sidecar(
@@ -63,8 +63,9 @@ def unpack_key_sidecar(
     """
     reader = ColumnReader(data, where)
     placed = 0 if depths_alone else rows
-    least = LEAST_CLASS + int(reader.column(min(1, placed), 0).sum())
-    classes = least + reader.column(placed, 1)
+    first = reader.column(2 if placed else 0, 0)
+    _expect_cells(first[:1], coarsest, where)
+    classes = LEAST_CLASS + int(first[1:].sum()) + reader.column(placed, 1)
     gaps, carried = reader.column(placed, 0), reader.column(rows, 1)
     wider = read_columns(reader, (1, 1, placed)).bases(0)[0] if placed else np.empty(0, np.int32)
     reader.close()
@@ -86,7 +87,7 @@ def detail_columns(sidecar: KeySidecar, grid: Grid, coarser: int, coarsest: int)
         return []
     low = (3 * cell_bits(sidecar.cells, grid, coarser)).astype(np.uint64)
     known = coarse_codes(sidecar.codes, sidecar.cells, grid, coarsest)
-    return [(((sidecar.codes - known) >> low).astype(np.int64), 0)]
+    return [(np.array([coarser]), 0), (((sidecar.codes - known) >> low).astype(np.int64), 0)]
 
 
 def read_detail(reader: ColumnReader, sidecar: KeySidecar, grid: Grid, coarser: int, coarsest: int) -> KeySidecar:
@@ -96,8 +97,15 @@ def read_detail(reader: ColumnReader, sidecar: KeySidecar, grid: Grid, coarser: 
     """
     if coarser == coarsest:
         return sidecar
+    _expect_cells(reader.column(1, 0), coarser, reader.where)
     low, high = (3 * cell_bits(sidecar.cells, grid, r) for r in (coarser, coarsest))
     detail = reader.column(len(low), 0)
     if (detail >> (high - low)).any():
         raise FormatError("bad_sidecar", reader.where, "the detail of a position leaves its cell")
     return replace(sidecar, codes=sidecar.codes | (detail << low).astype(np.uint64))
+
+
+def _expect_cells(told: NDArray[np.int64], coarser: int, where: str) -> None:
+    """Raise FormatError(bad_sidecar) where a file is of cells other than airgs.json says: all codes would be wrong."""
+    if (told != coarser).any():
+        raise FormatError("bad_sidecar", where, f"expected cells of coarser {coarser}, got {told[0]}")

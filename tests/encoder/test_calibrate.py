@@ -88,7 +88,7 @@ def test_a_step_far_from_its_price_comes_back(fox):
     sequence, survey, _ = fox
     wanted = {}
     for factor in (0.25, 1.0, 4.0):
-        start = StepSettings()
+        start = StepSettings().at_scale(survey.scale)
         start = with_step(start, "state.means", factor * get_step(start, "state.means"))
         subject = Subject.of(sequence, survey, replace(FAST, steps=start))
         sample = subject.sample(24.0)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.coding.atlas import CELLS
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames
 from airgs_codec.encoder.pipeline import DIFFERENCE, KEY, STEPS
 from airgs_codec.encoder.publish import encode
@@ -69,16 +70,28 @@ def test_such_a_package_is_valid_and_keeps_its_promises(room):
 
 @pytest.mark.parametrize("quality", [0, 1])
 def test_what_stands_still_is_that_of_the_base(room, quality):
-    """Joining at the second group shows it as in the first; next to what moves H.264 changes some samples by one."""
-    assert unchanged(room[0], 0, 1, quality) >= 0.97 * ROWS
+    """Joining at the second group shows it as in the first; in a block with what moves H.264 changes samples a little."""
+    package, _ = room
+    one, other = joined(package, 0, 1, quality)
+    same, still = unchanged(one, other), np.abs(one.means).max(axis=1) > 0.8  # walls are at 1, the mover within 0.5
+    blocks, first = [], 0
+    for tier in package.manifest.groups[1].tiers:
+        blocks += [range(i, min(i + CELLS, first + tier.count)) for i in range(first, first + tier.count, CELLS)]
+        first += tier.count
+    alone = [same[block].all() for block in blocks if still[block].all()]
+    assert all(alone) and len(alone) >= len(blocks) / 3 and same.sum() >= 0.8 * ROWS
 
 
-def unchanged(package, base, group, quality=0):
-    """Rows of a group that are those of its base bit by bit."""
-    one, other = (decode_canonical(package, g, quality) for g in (base, group))
+def joined(package, base, group, quality=0):
+    """The canonical spaces of a group and of its base."""
+    return [decode_canonical(package, g, quality) for g in (base, group)]
+
+
+def unchanged(one, other):
+    """(N,) rows of a group that are those of its base bit by bit."""
     names = ("means", "quaternions", "log_scales", "opacity", "colours")
     columns = [getattr(one, name) == getattr(other, name) for name in names]
-    return int(np.all([column.reshape(len(column), -1).all(axis=1) for column in columns], axis=0).sum())
+    return np.all([column.reshape(len(column), -1).all(axis=1) for column in columns], axis=0)
 
 
 def test_a_viewer_with_fewer_tiers_has_the_first_rows(room):
@@ -133,7 +146,7 @@ def test_what_changed_by_less_than_the_codec_errs_differs_by_nothing(tmp_path):
     much = replace(one, sh_dc=one.sh_dc + change)
     package, sequence = encoded(tmp_path, [one] * GROUP + [slight] * GROUP + [much] * GROUP)
     assert [group.keeps for group in package.manifest.groups] == [None, 1, 1]
-    assert unchanged(package, 0, 1) == 400
+    assert unchanged(*joined(package, 0, 1)).sum() == 400
     first, last = (decode(package, group * GROUP).sh_dc[:, 0] / step for group in (0, 2))
     moved = np.abs(last - first)  # in one picture with rows that change much the others are no longer exact
     drawn = int((one.opacities()[:100] >= 1 / 255).sum())

@@ -23,7 +23,7 @@ SIDE = 160  # pixels of an eye's picture
 OUT, UP = 0.2, 0.1  # how far the lenses are ground to one side
 MOVED, TURN = np.array([0.1, 0.05, -0.2]), 0.3  # of the head: metres, radians to the left
 KNOWN = ("No defined conversion between clear value",)  # iwer clears whatever framebuffer is bound
-METRIC = {"transform": [0.5, 0, 0, 1, 0, 0, 0.5, 0, 0, -0.5, 0, 0], "metric": True}  # z is up, a unit half a metre
+METRIC = {"transform": [0, -0.5, 0, 1, 0.5, 0, 0, 0, 0, 0, 0.5, 2], "metric": True}  # x is up, a unit half a metre
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
@@ -46,7 +46,9 @@ def worn(request, tmp_path_factory):
     root = json.loads((folder / "airgs.json").read_text())
     if request.param:
         root["world"] = request.param
-        (folder / "airgs.json").write_text(json.dumps(root))
+    else:  # a first view that looks far down
+        root["region"]["places"].sort(key=lambda place: -abs(place["position"][1] - place["focus"][1]))
+    (folder / "airgs.json").write_text(json.dumps(root))
     report, asked = look(folder)
     assert "/page/airgs-vr.js" in asked
     return open_package(folder), report
@@ -66,7 +68,7 @@ def eye_of(package, offset, head, turn):
     up = np.array(upright(region))
     ahead = np.subtract(place.focus, place.position)
     unit = 2.0 if m.world else np.linalg.norm(ahead) / 1.5  # of a metre
-    if m.world is None:  # the first view looks down by 78°, so that it is straight ahead
+    if m.world is None:  # it is straight ahead
         up = _across(up, ahead)
     back = -_across(ahead, up)
     room = np.array([np.cross(up, back), up, back]).T  # to the scene

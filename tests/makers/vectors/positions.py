@@ -72,25 +72,33 @@ def _coded(*columns: tuple[Sequence[int], int]) -> str:
 
 
 def _refused() -> list[Case]:
-    """Two rows each, in a quality 2 finer than the last one; a name, the sidecar, and the detail if it matters."""
+    """Two rows each, in a quality 2 finer than the last one; a name, the sidecar, and the columns of the detail."""
     none: Columns = [([0], 0), ([], 0), ([], 1)]
-    good: Columns = [([128], 0), ([0, 3], 1), ([0, 0], 0), ([1, 1], 1), *none]
+    good: Columns = [([2, 128], 0), ([0, 3], 1), ([0, 0], 0), ([1, 1], 1), *none]
     broken: list[tuple[str, Columns, list[int]]] = [
-        ("a class of 128", [([255], 0), ([0, 1], 1), *good[2:]], [0, 0]),
-        ("a depth of 255 and one", [*good[:3], ([1, 256], 1), *none], [0, 0]),
-        ("a code of 63 bits and one", [*good[:2], ([2**57, 0], 0), *good[3:]], [0, 0]),
-        ("codes of 63 bits that add up to more", [*good[:2], ([2**57 - 1, 1], 0), *good[3:]], [0, 0]),
-        ("a gap of 63 bits", [*good[:2], ([2**63 - 1, 0], 0), *good[3:]], [0, 0]),
-        ("a grid 2^256 times as wide", [*good[:4], ([1], 0), ([1], 0), ([512], 1)], [0, 0]),
-        ("a grid half as wide", [*good[:4], ([1], 0), ([1], 0), ([1], 1)], [0, 0]),
-        ("three wider rows", [*good[:4], ([3], 0), ([0, 1, 1], 0), ([2, 2, 2], 1)], [0, 0]),
-        ("a detail that leaves its cell", good, [64, 0]),
-        ("a detail that leaves the cell of a row with a large cell", [good[0], ([0, 20], 1), *good[2:]], [0, 8]),
-        ("a detail of 63 bits", good, [7, 2**62]),
+        ("a class of 128", [([2, 255], 0), ([0, 1], 1), *good[2:]], [0, 0, 0]),
+        ("a depth of 255 and one", [*good[:3], ([1, 256], 1), *none], [0, 0, 0]),
+        ("a code of 63 bits and one", [*good[:2], ([2**57, 0], 0), *good[3:]], [0, 0, 0]),
+        ("codes of 63 bits that add up to more", [*good[:2], ([2**57 - 1, 1], 0), *good[3:]], [0, 0, 0]),
+        ("a gap of 63 bits", [*good[:2], ([2**63 - 1, 0], 0), *good[3:]], [0, 0, 0]),
+        ("cells of another quality", [([1, 128], 0), *good[1:]], [0, 0, 0]),
+        ("the detail of another quality", good, [1, 0, 0]),
+        ("a grid 2^256 times as wide", [*good[:4], ([1], 0), ([1], 0), ([512], 1)], [0, 0, 0]),
+        ("a grid half as wide", [*good[:4], ([1], 0), ([1], 0), ([1], 1)], [0, 0, 0]),
+        ("three wider rows", [*good[:4], ([3], 0), ([0, 1, 1], 0), ([2, 2, 2], 1)], [0, 0, 0]),
+        ("a detail that leaves its cell", good, [0, 64, 0]),
+        ("a detail that leaves the cell of a row with a large cell", [good[0], ([0, 20], 1), *good[2:]], [0, 0, 8]),
+        ("a detail of 63 bits", good, [0, 7, 2**62]),
     ]
     size = {"grid": asdict(ANY), "rows": 2, "coarsest": 2}
     return [
-        {"name": name, **size, "data": _coded(*columns), "coarser": 0, "detail": _coded((detail, 0), ([0], 0))}
+        {
+            "name": name,
+            **size,
+            "data": _coded(*columns),
+            "coarser": 0,
+            "detail": _coded((detail[:1], 0), (detail[1:], 0), ([0], 0)),
+        }
         for name, columns, detail in broken
     ]
 

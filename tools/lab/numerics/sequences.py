@@ -35,7 +35,7 @@ def f32(values: Sequence[float]) -> NDArray[np.float32]:
 
 
 def swing(g: Gaussians, frames: int = 4, size: float = 0.1) -> Frames:
-    moves = f32(np.arange(len(g)) % 2)[:, None] * f32([size, 0, 0])
+    moves = np.outer(np.arange(len(g)) % 2, f32([size, 0, 0])).astype(np.float32)
     return [replace(g, means=g.means + np.float32(np.sin(t)) * moves) for t in range(frames)]
 
 

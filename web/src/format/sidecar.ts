@@ -69,7 +69,9 @@ export function readSidecar(
 ): TierRows {
   const reader = new Reader(data, where);
   const depths = new Uint8Array(count);
-  const least = placed ? reader.column(1, 0)[0]! + LEAST_CLASS : 0;
+  const [told, lowest] = reader.column(placed ? 2 : 0, 0);
+  if (placed) expectCells(reader, told, coarsest);
+  const least = LEAST_CLASS + (lowest ?? 0);
   const above = reader.column(placed, 1);
   const codes = reader.wide(placed, 0);
   const carried = reader.column(count, 1);
@@ -128,6 +130,7 @@ export function readDetail(
   coarsest: number,
 ): TierRows {
   if (coarser === coarsest) return shared;
+  expectCells(reader, reader.column(1, 0)[0], coarser);
   const codes = reader.wide(shared.classes.length, 0);
   const { lo, hi } = codes;
   for (let i = 0; i < lo.length; i++) {
@@ -144,6 +147,11 @@ export function readDetail(
     lo[i] = shared.codes.lo[i]! | (shift >= 32 ? 0 : low << shift);
   }
   return { ...shared, codes };
+}
+
+/** Throws FormatError where a file is of cells other than airgs.json says: all codes would be wrong. */
+function expectCells(reader: ColumnReader, told: number | undefined, coarser: number): void {
+  if (told !== coarser) throw reader.refuse(`expected cells of coarser ${coarser}, got ${told}`);
 }
 
 /** Every third bit of a number of 32 bits, from the lowest on, next to each other: 11 bits. */
