@@ -30,7 +30,7 @@ MAY_IMPORT = {
     "av": {"media/h264.py", "media/movie.py", "media/sound.py"},
     "cv2": {"media/image.py"},
     "PIL": {"media/image.py"},
-    "colour": {"media/colour.py"},
+    "colour": {"media/metrics.py"},
     "numba": {
         "cli/kernels.py",
         "coding/rangecoder.py",

@@ -17,8 +17,7 @@ from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.jobs.work import Work
-from airgs_codec.media.colour import delta_e_metric
-from airgs_codec.media.metrics import PSNR_CAP
+from airgs_codec.media.metrics import PSNR_CAP, delta_e_metric
 from airgs_codec.package.manifest import Manifest, pooled_quality
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import root_of

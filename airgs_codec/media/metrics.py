@@ -1,19 +1,21 @@
 """How much pictures differ: mean squared error, PSNR, SSIM and CIEDE2000, of one picture and of many together.
 
-Pictures are (H, W, 3) float32 sRGB. OpenCV is loaded to compare pictures, not for figures alone.
+Pictures are (H, W, 3) float32 sRGB. OpenCV is loaded to compare pictures, not for figures alone; colour-science, which
+takes two seconds, when colours are compared.
 """
 
 from __future__ import annotations
 
 import math
+import sys
+import threading
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-
-from airgs_codec.media import colour
 
 Floats = NDArray[np.float32]
 
@@ -22,6 +24,8 @@ MOST_COLOURS = 2048  # pixels whose colours are compared; all of 320x320 take tw
 _WINDOW = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))  # Wang et al. 2004: 11x11, Gaussian
 _WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
 _C1, _C2 = 0.01**2, 0.03**2  # same paper, K1 and K2 for a range of 1
+SMALL = 0.01  # change of a sample by which the metric of colours is taken, and what is black
+_LOADING = threading.Lock()  # filters of warnings and print options are those of all threads
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,7 @@ class Picture:
         Over every s-th pixel of every s-th row from the first on, s = ceil(sqrt(H W / MOST_COLOURS)): evenly spread,
         and at most about MOST_COLOURS.
         """
-        return float(np.mean(colour.delta_e(other._lab, self._lab)))
+        return float(np.mean(delta_e(other._lab, self._lab)))
 
     @cached_property
     def _mean(self) -> Floats:
@@ -85,7 +89,7 @@ class Picture:
     @cached_property
     def _lab(self) -> NDArray[np.float64]:
         """(h, w, 3) CIE Lab of the pixels whose colours are compared."""
-        return colour.to_lab(self.sampled)
+        return to_lab(self.sampled)
 
     @property
     def sampled(self) -> NDArray[np.float64]:
@@ -149,3 +153,47 @@ def _blur(picture: Floats) -> Floats:
     from airgs_codec.media.image import blur
 
     return blur(picture, _WINDOW)
+
+
+def to_lab(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(..., 3) colours as CIE Lab."""
+    _load()
+    from colour import XYZ_to_Lab, sRGB_to_XYZ
+
+    return np.asarray(XYZ_to_Lab(sRGB_to_XYZ(rgb)), np.float64)
+
+
+def delta_e(reference: NDArray[np.float64], shown: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(...) CIEDE2000 (Sharma et al. 2005) of (..., 3) Lab colours."""
+    _load()
+    from colour.difference import delta_E_CIE2000
+
+    return np.asarray(delta_E_CIE2000(reference, shown), np.float64)
+
+
+def delta_e_metric(rgb: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(3, 3) M: if (n, 3) colours all change by a small d (3,), their mean squared CIEDE2000 is about d M d.
+
+    Black ones, where nothing may have been drawn, do not count; M is the identity where all are.
+    """
+    rgb = rgb[rgb.max(axis=1) > SMALL]
+    if not len(rgb):
+        return np.eye(3)
+    lab = to_lab(rgb)
+
+    def squared(change: NDArray[np.float64]) -> float:
+        return float(np.square(delta_e(lab, to_lab(rgb + SMALL * change))).mean()) / SMALL**2
+
+    alone = [squared(axis) for axis in np.eye(3)]
+    metric = np.diag(alone)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        metric[i, j] = metric[j, i] = (squared(np.eye(3)[i] + np.eye(3)[j]) - alone[i] - alone[j]) / 2
+    return metric
+
+
+def _load() -> None:
+    """Import colour-science without its warnings about matplotlib, which only its plots need, and its print options."""
+    with _LOADING:
+        if "colour.difference" not in sys.modules:
+            with warnings.catch_warnings(action="ignore"), np.printoptions():
+                import colour.difference  # noqa: F401

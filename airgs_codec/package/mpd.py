@@ -8,7 +8,7 @@ Representations are equal; otherwise each has its own, and the set has none (vid
 Runs of equal segments are one S, so that the MPD does not grow with a regular sequence. DASH players stop at a gap in a
 timeline, and count files from its beginning: where nothing of a level moves, and the tables have no file, a still file
 of one grey picture takes its place, which only DASH players fetch. Key tiers without a picture in a group leave gaps.
-`mpd_check` reads an MPD back and refuses others.
+`dash_check` reads an MPD back and refuses others.
 """
 
 from __future__ import annotations

@@ -19,8 +19,7 @@ from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_
 from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
-from airgs_codec.places.place import BUCKETS, Place, is_address, place_at
-from airgs_codec.places.web import WEB, got_words, split_query
+from airgs_codec.places.place import BUCKETS, WEB, Place, got_words, is_address, place_at, split_query
 from airgs_codec.scene.origin import ZERO, Origin
 
 if TYPE_CHECKING:  # decoding needs no cameras

@@ -23,7 +23,7 @@ from airgs_codec.package.index import Entry
 from airgs_codec.package.layout import JSON_NAME, group_path, page_path
 from airgs_codec.package.references import check_group, check_keeps, check_page, check_region, check_root
 from airgs_codec.package.tables import PAGE, VERSION, Group, Header, Region, Root, Spans, file_entry
-from airgs_codec.places.web import got_words
+from airgs_codec.places.place import got_words
 
 
 def parse_root(text: bytes) -> Root:

@@ -48,7 +48,7 @@ from airgs_codec.package.package import (
 )
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_root
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
-from airgs_codec.places.web import BUSY, CIRCLE, SILENCE_S, WEB, got_words, split_query, status_words
+from airgs_codec.places.place import BUSY, CIRCLE, SILENCE_S, WEB, got_words, split_query, status_words
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request, Retry
 from airgs_codec.play.offers import NONE, Batch, Offers
 from airgs_codec.play.session import SessionLog

@@ -70,7 +70,7 @@ def test_such_a_package_is_valid_and_keeps_its_promises(room):
 
 @pytest.mark.parametrize("quality", [0, 1])
 def test_what_stands_still_is_that_of_the_base(room, quality):
-    """Joining at the second group shows it as in the first; in a block with what moves H.264 changes samples a little."""
+    """Joining at the second group shows it as in the first; beside what moves H.264 changes samples a little."""
     package, _ = room
     one, other = joined(package, 0, 1, quality)
     same, still = unchanged(one, other), np.abs(one.means).max(axis=1) > 0.8  # walls are at 1, the mover within 0.5

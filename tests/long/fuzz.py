@@ -45,8 +45,8 @@ from airgs_codec.jobs.job import load
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.h264 import Pictures
 from airgs_codec.media.mp4 import OWN, read_segment, with_own_box
+from airgs_codec.package.dash_check import check_mpd
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, FileKind, file_kind
-from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_files
 from airgs_codec.package.parse import read_region
 from airgs_codec.package.region import read_world

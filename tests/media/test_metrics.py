@@ -6,13 +6,13 @@ import sys
 import numpy as np
 import pytest
 
-from airgs_codec.media.colour import delta_e_metric
 from airgs_codec.media.metrics import (
     MOST_COLOURS,
     PSNR_CAP,
     Difference,
     Picture,
     Quality,
+    delta_e_metric,
     mse,
     pool,
     psnr,

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from airgs_codec.errors import FormatError
 from airgs_codec.inspect.validate import validate
 from airgs_codec.package import parse
+from airgs_codec.package.dash_check import check_mpd
 from airgs_codec.package.layout import JSON_NAME, group_path
 from airgs_codec.package.mpd import LiveClock, write_mpd
-from airgs_codec.package.mpd_check import check_mpd
 from airgs_codec.package.package import open_package, root_of
 from airgs_codec.package.parse import pack_group, pack_json, parse_group, parse_root
 from airgs_codec.package.tables import PAGE

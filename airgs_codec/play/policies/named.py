@@ -10,14 +10,19 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS, choose_robust_mpc
-from airgs_codec.play.policies.oracle import choose_oracle_frame, choose_oracle_lp
 from airgs_codec.play.policies.paper import (
     choose_paper,
     choose_paper_literal,
     choose_paper_literal_no_cliff,
     choose_paper_no_cliff,
 )
-from airgs_codec.play.policies.simple import choose_bola, choose_fixed, choose_throughput
+from airgs_codec.play.policies.simple import (
+    choose_bola,
+    choose_fixed,
+    choose_oracle_frame,
+    choose_oracle_lp,
+    choose_throughput,
+)
 from airgs_codec.play.policies.state import PlayerState, Policy
 from airgs_codec.play.trace import Link
 

@@ -1,4 +1,4 @@
-"""Adding Gaussians, and removing what shows nothing.
+"""Adding Gaussians, and removing what shows nothing or hangs in the open space about cameras.
 
 Rows are split or cloned where the loss changes most with their place, within a budget: the count follows a ramp to it,
 as in Taming 3DGS (Mallick et al. 2024), instead of a threshold on the gradient, whose right value depends on the
@@ -7,6 +7,8 @@ resolution; or else the threshold of 3DGS (Kerbl et al. 2023) decides, and the b
 That only refines what is there; an object in empty space has no Gaussian near it to clone (21.7 dB against 33.9 with
 seeds on a test scene). Seeds lie on the visual hull of what the views cannot explain: a point belongs to it if almost
 every view that sees it disagrees there.
+
+What only far cameras see may stand anywhere before what they look at. Viewers stand where cameras do, and between them.
 
 N Gaussians, of which the first `fixed` stay in any case, P points, V views, H x W pixels.
 """
@@ -25,15 +27,23 @@ from scipy.spatial import cKDTree
 from airgs_codec.media.image import box_mean
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.camera import BLACK, Camera, resized
+from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.plates import Masks
 from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading
-from airgs_codec.trainer.fit.points import from_points, project
+from airgs_codec.trainer.fit.points import from_points, neighbours, project
 
 LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
 SPLIT_SHRINK = math.log(1.6)  # 3DGS: children of a split are 1.6 times smaller
 LOW_OPACITY = 0.005  # 3DGS; alpha below 1/255 = 0.0039 is not drawn
+CHECKS = (0.3, 0.5, 0.7, 0.9)  # shares of the iterations of a fit at which it is removed: what stays fills in for it
+NEARER = 4.0  # times as near as any camera that sees it may a viewer come to a Gaussian
+BEHIND = 0.25  # of its distance from a viewer, by which cameras see past what hangs free
+ONE_WAY = 0.99  # length of the mean direction to the cameras that see it, from which they tell no depth: 8° off it
+SEEN = 0.1  # of its opacity, with which a camera sees it
+AROUND = 3  # cameras about each one, to which viewers may go
+SHRUNK = 0.5  # pictures that tell it have this share of their pixels on either side
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,3 +287,40 @@ def _box(g: Gaussians) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     visible = g.means[g.opacities() > VISIBLE].astype(np.float64)
     low, high = np.quantile(visible if len(visible) else g.means, [0.01, 0.99], axis=0)
     return low - 0.2 * (high - low), high + 0.2 * (high - low)
+
+
+def in_open_space(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = CPU) -> NDArray[np.bool_]:
+    """(N,) rows that no camera sees from as near as viewers may be, and that are seen from one side, or seen past.
+
+    At what depth a thing is that one camera sees, or two beside each other, pictures hardly tell: the fit puts it
+    elsewhere as well.
+    """
+    loaded, opacities, means = renderer.load(g), g.opacities(), g.means.astype(np.float64)
+    nearest, (behind, weight, count) = np.full(len(g), np.inf), np.zeros((3, len(g)))
+    towards = np.zeros((len(g), 3))
+    for camera in (resized(camera, SHRUNK) for camera in cameras):
+        found = loaded.contribution(camera)
+        depths = means @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+        colours = np.repeat(((depths - 0.5) / SH_C0).astype(np.float32)[:, None], 3, axis=1)
+        picture = renderer.render(replace(g, sh_dc=colours, sh_rest=g.sh_rest[:, :0]), camera, BLACK)
+        rows, columns, inside = project(camera, means)
+        opaque = np.maximum(1 - picture.transmittance, np.finfo(np.float32).eps)
+        past = (picture.rgb[..., 0] / opaque)[rows, columns] - depths[inside]
+        behind[inside] += found.total[inside] * past
+        weight[inside] += found.total[inside]
+        seen, drawn = found.peak > SEEN * opacities, found.hits > 0
+        to = camera.position - means
+        distances = np.linalg.norm(to, axis=1)
+        nearest[seen] = np.minimum(nearest, distances)[seen]
+        count += drawn
+        towards[drawn] += (to / distances[:, None])[drawn]
+    away = cKDTree(_places(cameras)).query(means)[0]
+    one_way = np.linalg.norm(towards, axis=1) > ONE_WAY * count
+    return np.isfinite(nearest) & (nearest > NEARER * away) & (one_way | (behind > BEHIND * away * weight))
+
+
+def _places(cameras: Sequence[Camera]) -> NDArray[np.float64]:
+    """(P, 3) where viewers may be: at cameras, and between neighbours."""
+    at = np.stack([camera.position for camera in cameras])
+    between = [(at[a] + at[b]) / 2 for a, b in neighbours(cameras, AROUND)]
+    return np.concatenate([at, np.reshape(between, (-1, 3))])

@@ -20,9 +20,16 @@ from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.data.plates import Masks
 from airgs_codec.trainer.fit.active import Resting, Scope, find_active
-from airgs_codec.trainer.fit.grow import LOW_OPACITY, Densifier, Growth, find_wrong, growth_of_3dgs, residual_seeds
+from airgs_codec.trainer.fit.grow import (
+    LOW_OPACITY,
+    Densifier,
+    Growth,
+    find_wrong,
+    growth_of_3dgs,
+    in_open_space,
+    residual_seeds,
+)
 from airgs_codec.trainer.fit.losses import better, codec_steps, mean_psnr, temporal_weights
-from airgs_codec.trainer.fit.open_space import in_open_space
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
 from airgs_codec.trainer.fit.parameters import (
     ATTRIBUTES,

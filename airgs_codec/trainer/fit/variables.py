@@ -20,8 +20,7 @@ from airgs_codec.errors import TrainingError
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.fit.active import Resting
-from airgs_codec.trainer.fit.grow import Densifier, is_visible
-from airgs_codec.trainer.fit.open_space import CHECKS
+from airgs_codec.trainer.fit.grow import CHECKS, Densifier, is_visible
 from airgs_codec.trainer.fit.parameters import (
     ATTRIBUTES,
     BETAS,

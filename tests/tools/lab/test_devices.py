@@ -1,23 +1,16 @@
 """The experiment on devices: all of it on the CPU, and its comparison with a stand-in for gsplat."""
 
-import json
-import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import backend
-from airgs_codec.render.backend import CPU
-from airgs_codec.render.cuda import OnCuda
-from tests.support import fake_gsplat
 from tests.support.training import write_blobs
-from tests.support.views import ring
 from tools.lab import main, seconds_of
 from tools.lab.bench import devices
-from tools.lab.bench.devices import LIMITS, Fit, Found, Options, compare, fit, fitted, measured, page_of, pictures
+from tools.lab.bench.devices import Fit, Options, fit, fitted, measured
 from tools.lab.command import Lab
 from tools.lab.timing import Alone
 
@@ -69,57 +62,9 @@ def test_all_parts_are_done_and_the_page_is_kept_after_each(scene, model, tmp_pa
     assert next(row["is"] for row in machine if row["machine"] == "torch")
 
 
-class Stand:
-    def load(self, g):
-        return OnCuda.of(CPU.load(g).inputs, "cpu")
-
-
-def test_the_adapter_draws_what_the_cpu_does(model, monkeypatch):
-    fake_gsplat.install(monkeypatch)
-    monkeypatch.setattr(devices, "open_renderer", lambda device: Stand())
-    rows = pictures("cuda", "m", model, 1)
-    assert all(row[name] <= getattr(LIMITS, name) for row in rows for name in ("worst", "mean", "gradients", "peak"))
-    assert len(rows) == 3 and all(row["CPU, ms"] > 0 < row["cuda, ms"] for row in rows)
-
-
-class Broken:
-    def __init__(self, loaded):
-        self.draw, self.inner = loaded.draw, loaded
-
-    def contribution_and_gradients(self, camera, pull):
-        seen, by = self.inner.contribution_and_gradients(camera, pull)
-        return seen, by._replace(**{by._fields[-1]: np.full_like(by[-1], np.nan)})
-
-
-def test_a_gradient_that_is_no_number_is_over_its_limit(model):
-    g, camera = devices.open_sequence(model).read(0), ring(1, size=32)[0]
-    loaded = CPU.load(g)
-    difference = compare(loaded, Broken(loaded), camera)
-    assert math.isnan(difference.gradients) and not difference.good() and compare(loaded, loaded, camera).good()
-    found = Found()
-    found.rows["pictures"].append({"scene": "m", **devices.asdict(difference)})
-    page = page_of(found, [], Options(()))
-    assert page.failed and math.isnan(page.sections[0].tables[3].rows[-2]["gradients"])
-
-
 def test_without_a_gpu_it_is_one_line_and_2(scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(backend, "_missing", lambda: "torch sees no CUDA device")
     assert main(["devices", str(scene), "-o", str(tmp_path)]) == 2
     assert capsys.readouterr().err == "lab devices: device cuda: torch sees no CUDA device\n"
     with pytest.raises(ConfigError, match="--limit and an --effort above 0, got 0 and 1"):
         Options((scene,), limit=0)
-
-
-def test_a_page_that_is_kept_is_written(tmp_path, monkeypatch):
-    """What is cut off leaves what it had."""
-    table = devices.Table("fits", [{"scene": "fox"}])
-
-    def cut_off(options, lab):
-        lab.keep(devices.Page([devices.Section("1 of 2.", tables=[table])]))
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(devices, "run", cut_off)
-    with pytest.raises((KeyboardInterrupt, SystemExit)):
-        raise SystemExit(main(["devices", "fox", "-o", str(tmp_path)]))
-    assert json.loads((tmp_path / "devices.json").read_text())["figures"]["fits"] == [{"scene": "fox"}]
-    assert "|fox|" in (tmp_path / "devices.md").read_text()

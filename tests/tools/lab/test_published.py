@@ -10,15 +10,9 @@ import pytest
 from airgs_codec.errors import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.lab import published
-from tools.lab.baselines import rivals
-from tools.lab.bench import claims, engines, jobs, scale, static, streaming, tracked, viewpoints
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
-from tools.lab.numerics import extremes, stiff, work_precision
 from tools.lab.page import Made, Page, Picture, Section, Table
-from tools.lab.paper import reproduce
-from tools.lab.rd import experiment as rd
-from tools.lab.rd.subject import RdPoint
 
 MADE = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
 PAGES = sorted(published.RESULTS.glob("*.md"))
@@ -131,82 +125,6 @@ def test_only_the_command_that_documents_show_is_published(words):
     with pytest.raises(ConfigError, match=r"expected the command that documents show, python -m tools\.lab stiff"):
         measurement_of("stiff", words)
     assert measurement_of("stiff", ["stiff", "--publish", "stiff", "-o", "a"]).name == "stiff"
-
-
-def rows(name, table=None, missing=None):
-    """The published rows of a table; what is not there is `missing`, or absent."""
-    one = published.read_figures()[name]["tables"][table or name]
-    found = [dict(zip(one["columns"], row, strict=True)) for row in one["rows"]]
-    if missing is not None:
-        return [{key: missing if value is None else value for key, value in row.items()} for row in found]
-    return [{key: value for key, value in row.items() if value is not None} for row in found]
-
-
-def rd_answer(name, at):
-    points = [
-        RdPoint(**{"truth_psnr": None} | {key: value for key, value in row.items() if key != "ours_kb"})
-        for row in rows(name, f"{name}-points")
-    ]
-    return rd.verdict(name.removeprefix("rd-"), rd.beside(points, at), at)
-
-
-def claimed(row):
-    names = ("scene", "target", "rung", "kilobytes", "manifests", "claimed", "claimed_worst")
-    measured = claims.Measured(row["measured"], row["worst"])
-    return claims.Row(*(row.get(name) for name in names), measured, row["ladder"])
-
-
-def streaming_answer(some):
-    return " ".join((streaming.default_words(some), streaming.best_words(some), streaming.cliff_words(some)))
-
-
-ANSWERS = {
-    "rd-fox": lambda: [rd_answer("rd-fox", 43.0)],
-    "rd-spinach": lambda: [rd_answer("rd-spinach", 40.0)],
-    "rd-head": lambda: [rd_answer("rd-head", 44.5)],
-    "claims": lambda: [claims.verdict([claimed(row) for row in rows("claims")])],
-    "rivals": lambda: [rivals.verdict(rows("rivals", "v3-layouts"))],
-    "static": lambda: [static.verdict(rows("static"))],
-    "tracked-head": lambda: [tracked.verdict(rows("tracked-head", "tracked-head120"))],
-    "tracked-fox": lambda: [tracked.verdict(rows("tracked-fox", "tracked-fox_alone"))],
-    "paper": lambda: [
-        reproduce.in_words(rows("paper", "paper-methods")),
-        reproduce.streamed_in_words(rows("paper", "paper-streams", math.nan), 30),
-        reproduce.PROTOCOL,
-    ],
-    "work-precision": lambda: [
-        section.answer for section in work_precision.page(
-            [work_precision.Row(**row) for row in rows("work-precision", "work_precision")]
-        ).sections
-    ],
-    "stiff": lambda: [
-        section.answer for section in stiff.page(
-            [stiff.Cell(**{"note": ""} | row) for row in rows("stiff", "stiff", math.nan)]
-        ).sections if section.answer
-    ],
-    "extremes": lambda: [extremes.page(rows("extremes")).sections[0].answer],
-    "streaming": lambda: [streaming_answer(rows("streaming"))],
-    "viewpoints": lambda: [viewpoints.page(rows("viewpoints")).sections[0].answer],
-    "engines": lambda: [engines.page(rows("engines"), "").sections[0].answer],
-    "scale": lambda: [scale.growth_words([scale.Measured(**row) for row in rows("scale", "scale-steps")], 2000)],
-    "jobs": lambda: [jobs.words({row["way"]: row["seconds"] for row in rows("jobs")}, jobs.Options())],
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("name", ANSWERS)
-def test_the_answers_of_the_documents_follow_from_their_figures(name):
-    assert ANSWERS[name]() == published.read_figures()[name]["answers"]
-
-
-def test_why_the_horizon_stays_is_so_in_the_figures():
-    """No shorter one waits as little, and QoE does not fall by what they wait more."""
-    found = [row for row in rows("work-precision", "work_precision") if row["question"] == "horizon"]
-    question = next(one for one in work_precision.QUESTIONS if one.name == "horizon")
-    for scene in {row["scene"] for row in found}:
-        waits = {row["setting"]: float(row["note"].split()[0]) for row in found if row["scene"] == scene}
-        assert min(waits, key=waits.get) == question.default[1] and len(waits) > 3
-        qoe = {row["setting"]: row["error"] for row in found if row["scene"] == scene}
-        assert qoe["1"] > qoe[question.default[1]] - question.enough
 
 
 def test_every_picture_of_the_documents_is_of_a_measurement_or_of_the_table_of_figures():

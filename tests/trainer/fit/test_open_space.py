@@ -12,8 +12,8 @@ from airgs_codec.scene.gaussians import join_rows
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.data.pictures import Target
 from airgs_codec.trainer.fit.first import fit_first
+from airgs_codec.trainer.fit.grow import in_open_space
 from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr
-from airgs_codec.trainer.fit.open_space import in_open_space
 from airgs_codec.trainer.fit.points import from_points, scene_extent
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
 from airgs_codec.trainer.settings import TrainSettings
