@@ -19,7 +19,7 @@ from airgs_codec import _report
 from airgs_codec.media.metrics import psnr
 from airgs_codec.media.sound import LAYOUTS
 from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.manifest import Manifest, on_ladder, pooled_quality
+from airgs_codec.package.manifest import Manifest, Rung, pooled_quality, rungs_of
 from airgs_codec.package.region import RegionSummary, world_words
 from airgs_codec.package.tables import Atlas, LeftOut, Views, World
 
@@ -74,7 +74,7 @@ class RungSummary:
     worst: float | None  # dB, of the worst picture
     ssim: float | None
     delta_e: float | None  # CIEDE2000
-    best: bool  # on the ladder, see `ladder`
+    best: bool  # whether players choose it, see `on_ladder`
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ def summarise(m: Manifest, manifest_bytes: int) -> Summary:
         groups=tuple(_group(m, g) for g in range(len(m.groups))),
         keys=tuple(_key(m, t, q) for t in range(m.tiers) for q in qualities),
         levels=tuple(_level(m, j) for j in levels),
-        rungs=ladder([_rung(m, q, j, manifest_bytes) for q in qualities for j in levels]),
+        rungs=tuple(_rung(m, rung) for rung in rungs_of(m, manifest_bytes)),
         sound=_sound(m),
         top_rung_bytes=bytes_by_kind(m, 0, 0, manifest_bytes),
         left_out=tuple(describe_left_out(m)),
@@ -169,16 +169,10 @@ def _level(m: Manifest, index: int) -> LevelSummary:
     )
 
 
-def _rung(m: Manifest, quality: int, level: int, manifest_bytes: int) -> RungSummary:
-    total = rung_bytes(m, quality, level, manifest_bytes)
-    return RungSummary(
-        key=m.qualities[quality].id,
-        state=m.levels[level].id,
-        bytes_per_frame=total / m.frames,
-        mean_bps=8 * total * float(m.fps) / m.frames,
-        **_quality(m, level, quality),
-        best=False,
-    )
+def _rung(m: Manifest, rung: Rung) -> RungSummary:
+    per_frame = rung.bytes / m.frames
+    quality = _quality(m, m.level_index(rung.level), m.quality_index(rung.key_quality))
+    return RungSummary(rung.key_quality, rung.level, per_frame, 8 * per_frame * float(m.fps), **quality, best=rung.best)
 
 
 def rung_bytes(m: Manifest, quality: int, level: int, manifest_bytes: int) -> int:
@@ -196,12 +190,6 @@ def segment_rates(m: Manifest, level: int) -> NDArray[np.float64]:
     return np.array(
         [8 * m.bytes_of(m.state_files(i, level)) / float((s.stop - s.start) / m.fps) for i, s in enumerate(m.segments)]
     )
-
-
-def ladder(rungs: list[RungSummary]) -> tuple[RungSummary, ...]:
-    """The rungs with `best` set for those that `on_ladder` finds."""
-    best = on_ladder([(rung.bytes_per_frame, rung.psnr) for rung in rungs])
-    return tuple(dataclasses.replace(rung, best=one) for rung, one in zip(rungs, best, strict=True))
 
 
 def bytes_by_kind(m: Manifest, quality: int, level: int, manifest_bytes: int) -> dict[str, int]:

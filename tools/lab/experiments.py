@@ -43,7 +43,6 @@ EXPERIMENTS = (
     _bench("streaming", "What do viewers get over LTE?", "5 minutes"),
     _bench("static", "How many bytes do static splats take beside SPZ?", "2 min a file"),
     _bench("tracked", "What does tracking make of frames that know nothing of each other?", "5 min"),
-    _bench("upright", "How often is the guess of which way is up right?", "10 s a scene"),
     _bench("viewpoints", "How close do found cameras come to the true ones?", "10 s a scene"),
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"

@@ -190,7 +190,7 @@ def test_every_published_experiment_is_run_here():
     twins = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketball", "splits-kinoptic"}
     twins |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
     assert {*RUNS, *twins, "engines", *NO_LONGER_MEASURED} == set(read_figures())
-    assert {one.name for one in EXPERIMENTS} > {"devices", "soak-farm", "upright", "link", "footage"}
+    assert {one.name for one in EXPERIMENTS} > {"devices", "soak-farm", "link", "footage"}
 
 
 def test_a_real_session_is_compared_with_a_simulated_one(tmp_path):
