@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.render.backend import CPU, Loaded, Renderer
-from airgs_codec.scene.camera import Camera, placed, resized, with_near_planes
+from airgs_codec.scene.camera import Camera, in_picture, placed, resized, with_near_planes
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.gaussians import Gaussians
 
 SIDE = 64  # pixels, the longest of pictures that are looked at
 LIT = 1e-3  # of the pixels of a picture, from which it shows something
 OPAQUE = 0.01  # of a pixel, from which it is lit: a faint scene is one, too
+SOLID, FEW, MANY = 0.1, 256, 0.1  # opacity of rows, so many of them, and the share of these, that surely show something
 SEEN = 0.02  # of the opacity of all rows, from which cameras are of a scene
 DATAPARSER = "dataparser_transforms.json"  # how nerfstudio turns and scales a scene before it trains it
 
@@ -46,9 +47,17 @@ def see(cameras: Sequence[Camera], gaussians: Gaussians, renderer: Renderer = CP
 
 
 def seeing(cameras: Iterable[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> list[Camera]:
-    """Those of some cameras with near planes that see something of a frame."""
-    loaded = renderer.load(gaussians)
-    return [camera for camera in cameras if shows(loaded, camera)]
+    """Those of some cameras with near planes that see something of a frame.
+
+    A camera that has many opaque rows in its picture is not tried.
+    """
+    loaded, opaque = renderer.load(gaussians), gaussians.means[gaussians.opacities() > SOLID].astype(np.float64)
+    some = opaque[:: max(1, len(opaque) // FEW)]
+
+    def sees(camera: Camera) -> bool:
+        return (len(some) >= FEW and in_picture(camera, some)[0].mean() > MANY) or shows(loaded, camera)
+
+    return [camera for camera in cameras if sees(camera)]
 
 
 def shows(loaded: Loaded, camera: Camera) -> bool:

@@ -261,15 +261,20 @@ def scene_scale(cameras: Sequence[Camera], means: NDArray[Any], weights: NDArray
     finite = np.isfinite(means).all(axis=1) & (weights > 0)
     means, weights = means[finite].astype(np.float64), weights[finite].astype(np.float64)
     seen = []
-    for c in cameras:
-        x, y, z = c.world_to_camera[:3, :3] @ means.T + c.world_to_camera[:3, 3:]
-        across, down = np.abs(c.fx * x + (c.cx - c.width / 2) * z), np.abs(c.fy * y + (c.cy - c.height / 2) * z)
-        inside = (z > 0) & (across <= c.width / 2 * z) & (down <= c.height / 2 * z)
+    for camera in cameras:
+        inside, depths = in_picture(camera, means)
         if inside.any():
-            seen.append(weighted_quantile(z[inside], weights[inside], 0.5))
+            seen.append(weighted_quantile(depths[inside], weights[inside], 0.5))
     if seen:
         return float(np.median(seen))
     return extent_of(means, weights)[1]
+
+
+def in_picture(c: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """(N,) whether a camera has finite points (N, 3) in its picture, and (N,) their depths."""
+    x, y, z = c.world_to_camera[:3, :3] @ points.T + c.world_to_camera[:3, 3:]
+    across, down = np.abs(c.fx * x + (c.cx - c.width / 2) * z), np.abs(c.fy * y + (c.cy - c.height / 2) * z)
+    return (z > 0) & (across <= c.width / 2 * z) & (down <= c.height / 2 * z), z
 
 
 def extent_of(means: NDArray[Any], weights: NDArray[Any]) -> tuple[NDArray[np.float64], float]:
