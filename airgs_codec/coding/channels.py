@@ -326,10 +326,11 @@ def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] =
     (3, 3), symmetric, row by row: it is that of r, g, b times them, in which errors of equal length matter alike, with
     what undoes them after it.
     """
-    centred = scaled - np.median(scaled, axis=0)
-    sizes = np.linalg.norm(centred, axis=1, keepdims=True)
+    away = scaled - np.median(scaled, axis=0)
+    sizes = np.linalg.norm(away, axis=1, keepdims=True)
     most = OUTLYING * (float(np.median(sizes)) or float(sizes.max()))
-    centred = centred * np.divide(most, sizes, out=np.ones_like(sizes), where=sizes > most)
+    away = away * np.divide(most, sizes, out=np.ones_like(sizes), where=sizes > most)
+    centred = away - away.mean(axis=0)
     mixed = np.kron(np.eye(scaled.shape[1] // 3), np.reshape(weights or np.eye(3), (3, 3)))
     _, vectors = np.linalg.eigh(mixed.T @ centred.T @ centred @ mixed if weights else centred.T @ centred)
     rows = vectors.T[::-1]
