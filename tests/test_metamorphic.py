@@ -79,6 +79,7 @@ RELATIONS = {  # what is changed, and by how much dB and bytes may then differ
     "order of rows": (PLAIN.each(lambda g, t: g.take(ORDER)), 0.05, 0.02),
     "a far row": (PLAIN.each(with_row(lambda t: 1e6)), 0.01, 0.001),
     "a row that leaves": (PLAIN.each(with_row(lambda t: 1e4 * (1 + t))), 0.01, 0.001),
+    "a row in view that leaves": (PLAIN.each(with_row(lambda t: 1e9 * (t > 0))), 0.1, 0.02),
     "names of frames": (replace(PLAIN, name="Take2-frame_{}.ply"), 0, 0),
 }
 

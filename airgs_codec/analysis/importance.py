@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -124,29 +124,30 @@ class RowPruning:
         """Rows to keep so that dropping the rest changes pictures by at most `allowed` (RMS, samples in 0..1).
 
         Their number is found to PRECISION of the rows that are seen, or to CLOSE of the allowed squared error,
-        beginning with the rows of importance 0 and with all but one.
+        beginning with the rows of importance 0 and with all but one. What was rendered before saves time alone.
         """
         most, least = allowed**2, max(1, math.ceil(PRECISION * (len(self._order) - self._unused)))
-        self.error_of(len(self._order) - self._unused)
-        self.error_of(1)
+        rows = len(self._order)
+        known = {0: 0.0} | {count: self.error_of(rows - count) for count in (self._unused, rows - 1)}
         for guesses in itertools.count():
-            low = max(count for count, error in self._errors.items() if error <= most)
-            high = min((count for count in self._errors if count > low), default=low)
-            if high - low <= least or self._errors[low] >= CLOSE * most > 0:
+            low = max(count for count, error in known.items() if error <= most)
+            high = min((count for count in known if count > low), default=low)
+            if high - low <= least or known[low] >= CLOSE * most > 0:
                 break
             middle, near = (low + high) // 2, min(least, (high - low) // 2)
             if guesses < GUESSES and most > 0:
-                middle = self._guess(middle, (1 + CLOSE) / 2 * most)
-            self._error(min(max(middle, low + near), high - near))
-        return WrittenRows(np.sort(self._order[low:]), self._errors[low])
+                middle = self._guess(known, middle, (1 + CLOSE) / 2 * most)
+            count = min(max(middle, low + near), high - near)
+            known[count] = self.error_of(rows - count)
+        return WrittenRows(np.sort(self._order[low:]), known[low])
 
-    def _guess(self, middle: int, error: float) -> int:
+    def _guess(self, errors: Mapping[int, float], middle: int, error: float) -> int:
         """The count with such an error, by the line through the two known ones next to it, in logarithms of both.
 
         `middle` where none tell. Rows that nobody sees do not count.
         """
         unused = self._unused
-        known = {count - unused: math.log(e / error) for count, e in self._errors.items() if count > unused and e > 0}
+        known = {count - unused: math.log(e / error) for count, e in errors.items() if count > unused and e > 0}
         a, b = sorted(known, key=lambda count: abs(known[count]))[:2] if len(known) > 1 else (0, 0)
         if a == b or known[a] == known[b]:
             return middle

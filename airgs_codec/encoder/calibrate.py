@@ -19,7 +19,7 @@ from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_er
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
-from airgs_codec.coding.motion import channel_weights, withheld_error
+from airgs_codec.coding.motion import LEAVES, channel_weights, withheld_error
 from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, with_step
 from airgs_codec.encoder.plan import (
     GroupLayout,
@@ -98,6 +98,8 @@ class Subject:
             segment_frames=segment,
         )
         states = sample.states(sample.code_key(settings.steps, 1.0)[1], settings.steps)
+        near = np.abs(states).max(axis=(0, 1)) <= LEAVES  # nor does what goes there
+        sample, states = sample.take(near), states[:, :, near]
         weights = channel_weights(
             sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
         )
@@ -106,7 +108,7 @@ class Subject:
             variance = np.square(states[1:]).mean(axis=0, keepdims=True)
             added = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
             moving &= withheld_error(states[1:], weights) > withheld_error(np.sqrt(added), weights)
-        return replace(sample, moving=moving).with_line(states, settings.steps, len(index))
+        return replace(sample, moving=moving).with_line(states, settings.steps, len(sample.index))
 
 
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.channels import Canonical, state_channels
+from airgs_codec.coding.channels import FURTHEST, Canonical, state_channels
 from airgs_codec.encoder.level import CodedLevel, LevelCoder, StoredSamples
 from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
 from airgs_codec.encoder.plan import GroupLayout, assign_depths, rank_updates
@@ -38,6 +38,7 @@ class CodedStates:
     depths: NDArray[np.uint8]  # (N,) deepest level that carries a row; STATIC: none
     levels: tuple[CodedLevel, ...]
     left_out: tuple[LeftOut, ...]
+    notes: tuple[str, ...] = ()  # what was changed so that codes hold it
 
 
 def code_states(
@@ -77,7 +78,10 @@ def code_states(
         samples = scratch / f"level {number}"
         coder = LevelCoder(values, places, alpha, steps, weigh, fetched, samples, clock, codec)
         levels.append(coder.code(omitted))
-    return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes) if n))
+    away = int((ranked.largest.max(axis=0) >= 0.999 * FURTHEST).sum())
+    span = f"frames {layout.span.start}-{layout.span.stop - 1}"
+    notes = (f"{span}: {away} Gaussians go further than codes reach, and are coded nearer and as much smaller",)
+    return CodedStates(depths, tuple(levels), tuple(n for n in (static, no_planes) if n), notes * bool(away))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -174,7 +174,7 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         levels=[_bounded(level.atlas, level.error if of.gops else None, of, STATE) for level, of in levels],
         segments=_segment_tables(group, files),
         left_out=[*group.keys.left_out, *states.left_out],
-        repairs=list(layout.notes),
+        repairs=[*layout.notes, *states.notes],
         keeps=layout.keeps,
     )
 
