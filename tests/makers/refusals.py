@@ -200,7 +200,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),
     "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
     "hash_mismatch-group": (rewrite(TABLE, flip),),
-    "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: b[:-3] + b"x" + b[-2:]),),
+    "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: b[:-3] + bytes([b[-3] ^ 1]) + b[-2:]),),
     "bad_sound": (rewrite("sound/1.m4a", lambda b: b[: len(b) // 2]), honest),
     "bad_sound-packets": (rewrite("sound/1.m4a", lambda _: sound_segment([bytes([255] * 4)], 0)), honest),
     "bad_value-sound": in_table(drop_value(("sound",), TABLE)),
