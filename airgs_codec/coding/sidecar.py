@@ -108,4 +108,4 @@ def read_detail(reader: ColumnReader, sidecar: KeySidecar, grid: Grid, coarser: 
 def _expect_cells(told: NDArray[np.int64], coarser: int, where: str) -> None:
     """Raise FormatError(bad_sidecar) where a file is of cells other than airgs.json says: all codes would be wrong."""
     if (told != coarser).any():
-        raise FormatError("bad_sidecar", where, f"expected cells of coarser {coarser}, got {told[0]}")
+        raise FormatError("bad_sidecar", where, f"expected coarser {coarser}, got {told[0]}")

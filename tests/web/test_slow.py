@@ -25,9 +25,9 @@ def test_frames_that_are_dropped_lower_the_level_unless_the_viewer_has_chosen_on
         seen = visit(f"{site.url}/page.html?{urlencode({'src': '/package/', 'busy': BUSY_MS})}")
     assert seen.complaints() == []
     first, held, chosen = (seen.report[name] for name in ("first", "held", "chosen"))
-    assert (first, held["rung"]) == ("Q0+L0", "Q0+L1")
+    assert first == "Q0+L0" and held["rung"].endswith("+L1")  # of whichever keys are there by then
     assert held["stats"]["held"] == {"rung": 1, "by": "display"}
-    assert "at Q0+L1: this screen drops frames" in held["panel"]
+    assert f"at {held['rung']}: this screen drops frames" in held["panel"]
     stats = held["stats"]
     assert stats["droppedByDisplay"] > 0.15 * (stats["framesShown"] + stats["framesDropped"])
     assert chosen["rung"] == first and chosen["stats"]["held"] is None

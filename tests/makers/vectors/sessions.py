@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.layout import JSON_NAME
+from airgs_codec.package.layout import JSON_NAME, group_path
 from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.package import open_package
 from airgs_codec.play.downloader import (
     Arrival,
     Arrived,
@@ -30,6 +31,7 @@ from airgs_codec.play.policies.named import make_policy
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from tests.makers.vectors.text import Table, plain
+from tests.support.paths import GOLDEN
 from tests.support.session_packages import Numbers, growing_offers, offers_of
 from tests.support.vectors import Case, cases
 
@@ -79,7 +81,32 @@ def row(event: Event) -> list[Any]:
     return ["shown", event.segment, event.loop, -1 if event.rung is None else event.rung, event.frames, *times]
 
 
+def _of_golden(numbers: Numbers) -> Numbers:
+    """The numbers of the golden package of that name; others are only numbers."""
+    if not (GOLDEN / numbers["name"]).is_dir():
+        return numbers
+    package = open_package(GOLDEN / numbers["name"])
+    groups = [
+        {
+            "table": package.manifest.entry(group_path(number)).bytes,
+            "sidecars": [tier.sidecar.bytes for tier in group.tiers],
+            "pictures": [[picture.bytes for picture in tier.pictures] for tier in group.tiers],
+            "segments": [
+                {
+                    "frames": segment.stop - segment.start,
+                    "bytes": [level.file.bytes for level in segment.levels],
+                    "psnr": [level.psnr for level in segment.levels],
+                }
+                for segment in group.segments
+            ],
+        }
+        for number, group in enumerate(package.manifest.groups, 1)
+    ]
+    return numbers | {"root_bytes": package.root_bytes, "groups": groups}
+
+
 def table() -> Table:
     packages, traces, sessions = (cases("sessions", part) for part in ("packages", "traces", "sessions"))
+    packages = [_of_golden(numbers) for numbers in packages]
     played = [one | {"events": events(one, packages[one["package"]], traces[one["trace"]])} for one in sessions]
     return {"packages": packages, "traces": traces, "sessions": played}

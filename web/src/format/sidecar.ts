@@ -85,8 +85,7 @@ export function readSidecar(
     });
   }
   reader.close();
-  if (wider.some((e) => e < 0 || e > MOST_WIDER))
-    throw reader.refuse(`expected grids up to 2^${MOST_WIDER} times as wide`);
+  if (wider.some((e) => e < 0 || e > MOST_WIDER)) throw reader.refuse(`expected e up to ${MOST_WIDER}`);
   const classes = new Int16Array(placed);
   for (let i = 0; i < placed; i++) {
     const motionClass = least + above[i]!;
@@ -151,7 +150,7 @@ export function readDetail(
 
 /** Throws FormatError where a file is of cells other than airgs.json says: all codes would be wrong. */
 function expectCells(reader: ColumnReader, told: number | undefined, coarser: number): void {
-  if (told !== coarser) throw reader.refuse(`expected cells of coarser ${coarser}, got ${told}`);
+  if (told !== coarser) throw reader.refuse(`expected coarser ${coarser}, got ${told}`);
 }
 
 /** Every third bit of a number of 32 bits, from the lowest on, next to each other: 11 bits. */
