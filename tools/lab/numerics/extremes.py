@@ -40,7 +40,7 @@ def _named(*words: str) -> tuple[str, ...]:
 LINES = (
     Line(
         "Needles; sizes of e^-30 or e^30", _named("scale ratios", "log-scales of -30", "log-scales of +30"),
-        "clamp axes e^30 apart",
+        "nothing",
     ),
     Line("Opacity 0, 1, or both in turn", _named("opacity"), "nothing"),
     Line("Quaternions of length 0 to 1e30, half turns", _named("zero quat", "quaternions of", "half turns"), "nothing"),
