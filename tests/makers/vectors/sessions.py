@@ -81,10 +81,10 @@ def row(event: Event) -> list[Any]:
     return ["shown", event.segment, event.loop, -1 if event.rung is None else event.rung, event.frames, *times]
 
 
-def _of_golden(numbers: Numbers) -> Numbers:
+def _of_golden(numbers: Numbers) -> Case:
     """The numbers of the golden package of that name; others are only numbers."""
     if not (GOLDEN / numbers["name"]).is_dir():
-        return numbers
+        return dict(numbers)
     package = open_package(GOLDEN / numbers["name"])
     groups = [
         {
@@ -102,7 +102,7 @@ def _of_golden(numbers: Numbers) -> Numbers:
         }
         for number, group in enumerate(package.manifest.groups, 1)
     ]
-    return numbers | {"root_bytes": package.root_bytes, "groups": groups}
+    return {**numbers, "root_bytes": package.root_bytes, "groups": groups}
 
 
 def table() -> Table:
