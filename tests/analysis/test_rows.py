@@ -7,8 +7,8 @@ import pytest
 
 from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.rows import outlook, restore_rows
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, predicted, random_gaussians, write_sequence
 
@@ -159,6 +159,17 @@ def test_rows_are_looked_for_where_they_would_go_on_to(tmp_path):
     frames = [Gaussians(np.add(lattice, [place, 0, 0]).astype(np.float32), *looks) for place in places]
     restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2, 5, 6}))), "match")
     np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
+
+
+def test_a_row_that_was_away_is_not_expected_to_go_on():
+    """It is back elsewhere and rests there, and its twin, which was slow, now rests where the other would have gone."""
+    still, twin, frames = random_gaussians(60), random_gaussians(1, seed=5), []
+    for places in ((0, 8), (8,), (7.0,), (3, 6), (3, 6)):
+        twins = [replace(twin, means=np.array([[0.1 * place, 4, 0]], np.float32)) for place in places]
+        frames.append(join_rows([still, *twins]))
+    frames[-1] = frames[-1].take(np.r_[0:60, 61, 60])  # they change places in the file
+    found = restore_rows(GaussianSequence.from_arrays(frames, fps=24), "match").sequence
+    assert found.orders[4][-2:].tolist() == [61, 60]
 
 
 def test_frames_that_a_file_says_are_unlike_those_before_have_no_other_number(tmp_path):
