@@ -79,7 +79,7 @@ def test_what_stands_still_is_that_of_the_base(room, quality):
         blocks += [range(i, min(i + CELLS, first + tier.count)) for i in range(first, first + tier.count, CELLS)]
         first += tier.count
     alone = [same[block].all() for block in blocks if still[block].all()]
-    assert all(alone) and len(alone) >= len(blocks) / 3 and same.sum() >= 0.8 * ROWS
+    assert all(alone) and len(alone) >= len(blocks) / 3 and same.sum() >= 0.85 * ROWS
 
 
 def joined(package, base, group, quality=0):

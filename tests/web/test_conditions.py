@@ -253,9 +253,9 @@ def test_a_state_that_stays_corrupt_is_lost_or_shown_in_another_rung(fox):
 
 
 def test_speed_and_loop_may_change_at_any_time(fox):
-    report = look(fox(12), "speeds")
+    report = look(fox(16), "speeds")
     for one in report["rates"]:
-        assert np.abs(np.subtract(one["seen"], one["speed"])).min() < 0.4  # a page that is busy is late in some windows
+        assert abs(np.median(one["seen"]) - one["speed"]) < 0.4  # a late window is made up for by the next
 
 
 def test_the_last_of_many_seeks_counts(fox):

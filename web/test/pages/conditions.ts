@@ -133,7 +133,7 @@ const checks: Record<string, () => Promise<unknown>> = {
       player.speed = speed;
       await sleep(500);
       const seen = [];
-      for (let window = 0; window < 3; window++) {
+      for (let window = 0; window < 5; window++) {
         const [time, at] = [player.currentTime, performance.now()];
         await sleep(1000);
         seen.push((player.currentTime - time) / ((performance.now() - at) / 1e3));
