@@ -61,9 +61,7 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
 @pytest.fixture(scope="session")
 def demo_package(made_once):
     """The folder of the embedded scene as a package with measured quality. Never written to: see `demo_copy`."""
-    from airgs_codec.encoder.publish import encode
-    from airgs_codec.encoder.settings import EncodeSettings
-    from airgs_codec.scene.sequence import open_sequence
+    from tests.faces import EncodeSettings, encode, open_sequence
 
     settings = EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
     folder = made_once("fox.airgs", lambda folder: encode(open_sequence(FOX), folder, settings))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from airgs_codec.inspect.summary import summarise
+from tests.faces import summarise
 from tests.support.paths import FOX, GOLDEN, PACKAGE
 from tests.support.scenes import moving_frames, write_sequence
 

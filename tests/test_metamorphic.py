@@ -6,11 +6,17 @@ import numpy as np
 import pytest
 
 from airgs_codec import encode, open_package, open_sequence
-from airgs_codec.encoder.settings import EncodeSettings, as_preview
-from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.scene.camera import orbit_views, placed
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.gaussians import Gaussians, join_rows, mix_rows
+from airgs_codec.scene.camera import placed
+from tests.faces import (
+    EncodeSettings,
+    Gaussians,
+    as_preview,
+    join_rows,
+    mix_rows,
+    orbit_views,
+    pooled_quality,
+    write_ply,
+)
 from tests.support.camera_files import FORMS
 from tests.support.scenes import moving_frames
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from airgs_codec.media.image import read_picture, to_bytes
+from tests.faces import read_picture, to_bytes
 from tests.support.paths import FOX, GOLDEN
 from tests.support.regions import is_inside
 from tests.support.scenes import moving_frames

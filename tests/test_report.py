@@ -8,9 +8,7 @@ from pathlib import Path
 import pytest
 
 from airgs_codec._report import Page, Picture, html_table, listed, new_figure, plain_log_ticks, save_figure, table
-from airgs_codec.cli.manifest import main as manifest_main
-from airgs_codec.cli.play import main as play_main
-from airgs_codec.errors import ConfigError
+from tests.faces import ConfigError, airgs_manifest, airgs_play
 from tests.support.paths import VALID
 
 MOVING = str(VALID / "moving")
@@ -30,8 +28,8 @@ def test_columns_are_right_aligned():
 @pytest.mark.parametrize(
     ("main", "arguments"),
     [
-        (play_main, [MOVING, "--trace", "const:1", "--policy", "fixed:0", "--report"]),
-        (manifest_main, ["inspect", MOVING, "--plot"]),
+        (airgs_play, [MOVING, "--trace", "const:1", "--policy", "fixed:0", "--report"]),
+        (airgs_manifest, ["inspect", MOVING, "--plot"]),
     ],
 )
 @pytest.mark.usefixtures("no_matplotlib")
@@ -47,16 +45,16 @@ def test_without_matplotlib_pictures_are_refused_before_the_work(main, arguments
 @pytest.mark.usefixtures("no_matplotlib")
 def test_training_with_a_page_is_refused_before_the_scene_is_opened(tmp_path, capsys):
     pytest.importorskip("torch")
-    from airgs_codec.cli.train import main
+    from tests.faces import airgs_train
 
-    assert main([str(tmp_path / "none"), "-o", str(tmp_path / "out"), "--report", str(tmp_path / "page")]) == 2
+    assert airgs_train([str(tmp_path / "none"), "-o", str(tmp_path / "out"), "--report", str(tmp_path / "page")]) == 2
     assert "--report needs matplotlib" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("no_matplotlib")
 def test_everything_but_pictures_works_without_matplotlib(capsys):
-    assert play_main([MOVING, "--trace", "const:1", "--policy", "fixed:0"]) == 0
-    assert manifest_main(["inspect", MOVING]) == 0
+    assert airgs_play([MOVING, "--trace", "const:1", "--policy", "fixed:0"]) == 0
+    assert airgs_manifest(["inspect", MOVING]) == 0
     with pytest.raises(ConfigError, match="needs matplotlib"):
         new_figure(1, 1)
 

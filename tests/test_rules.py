@@ -7,20 +7,25 @@ import pytest
 
 from airgs_codec import decoder
 from airgs_codec.coding.channels import hold_undrawn
-from airgs_codec.decoder.decode import decode, decode_frames
 from airgs_codec.encoder.omit import omit_bands
 from airgs_codec.encoder.plan import tier_factors
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
 from airgs_codec.media.metrics import squared_error
 from airgs_codec.media.mp4 import sound_init
-from airgs_codec.package.package import open_package
-from airgs_codec.play.ladder import Decision
-from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies.state import Policy
-from airgs_codec.play.session import simulate
-from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.trainer.fit.losses import codec_steps
+from tests.faces import (
+    Decision,
+    EncodeSettings,
+    GroupSpan,
+    Offers,
+    Policy,
+    decode,
+    decode_frames,
+    open_package,
+    open_sequence,
+    plan_views,
+    simulate,
+    survey_group,
+)
 from tests.play.test_session import link, rules
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID

@@ -6,7 +6,7 @@ import pytest
 
 import airgs_codec as airgs
 from airgs_codec._settings import about, computed_setting, documented, setting
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import TrainSettings
 
 
 @documented

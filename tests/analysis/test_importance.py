@@ -23,12 +23,17 @@ from airgs_codec.analysis.importance import (
 )
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, measure_sensitivity, measure_views
 from airgs_codec.coding.motion import channel_weights, motion_classes, motion_units, withheld_error
-from airgs_codec.media.metrics import mse
-from airgs_codec.package.tables import StateSteps
-from airgs_codec.render import render
-from airgs_codec.scene.camera import training_views
-from airgs_codec.scene.gaussians import Gaussians, from_rotation_vector, multiply, sigmoid
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    Gaussians,
+    StateSteps,
+    from_rotation_vector,
+    mse,
+    multiply,
+    open_sequence,
+    render,
+    sigmoid,
+    training_views,
+)
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 from tests.support.views import measure_usage

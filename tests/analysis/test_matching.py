@@ -8,8 +8,7 @@ from scipy.spatial import cKDTree
 
 from airgs_codec.analysis import matching
 from airgs_codec.analysis.matching import IN_ORDER, LOST, UNRELATED, compare_order, match_rows
-from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import Gaussians, read_ply
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 

@@ -7,8 +7,7 @@ import pytest
 
 from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.rows import outlook, restore_rows
-from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tests.faces import Gaussians, GaussianSequence, join_rows, open_sequence
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, predicted, random_gaussians, write_sequence
 

@@ -9,14 +9,19 @@ from scipy.spatial.transform import Rotation
 from airgs_codec.analysis.region import region_around
 from airgs_codec.analysis.up import AXES, Subject, find_floor, find_front, guess_up
 from airgs_codec.analysis.viewpoints import AROUND, find_viewpoints
-from airgs_codec.errors import ConfigError, SceneError
-from airgs_codec.package.region import place_view
-from airgs_codec.package.tables import MAX_PLACES
-from airgs_codec.render import render
-from airgs_codec.scene.camera import MARGIN, look_at
-from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.scene.gaussians import Gaussians, multiply
-from airgs_codec.trainer.fit.points import from_points
+from airgs_codec.scene.camera import MARGIN
+from tests.faces import (
+    MAX_PLACES,
+    ConfigError,
+    Gaussians,
+    SceneError,
+    from_points,
+    look_at,
+    multiply,
+    place_view,
+    read_ply,
+    render,
+)
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 from tests.support.views import joined, ring

@@ -4,10 +4,7 @@ import json
 
 import pytest
 
-from airgs_codec.cli import encode
-from airgs_codec.cli.manifest import main
-from airgs_codec.media.image import read_picture
-from airgs_codec.media.metrics import PSNR_CAP
+from tests.faces import PSNR_CAP, airgs_encode, airgs_manifest, read_picture
 from tests.support.multiview_files import write_cameras
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.views import ring
@@ -23,13 +20,13 @@ def package(original):
     out = original.parent / "scene.airgs"
     views = write_cameras(original.parent / "views.json", ring(8, size=128))
     options = ["--x264-preset", "veryfast", "--calibrate", "none", "--measure-pictures", "8", "--views", str(views)]
-    assert encode.main([str(original), "-o", str(out), *options, "--json"]) == 0
+    assert airgs_encode([str(original), "-o", str(out), *options, "--json"]) == 0
     return out
 
 
 def figures(capsys, *arguments):
     capsys.readouterr()
-    assert main(["compare", *map(str, arguments), "--json"]) == 0
+    assert airgs_manifest(["compare", *map(str, arguments), "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -80,7 +77,7 @@ def test_both_are_seen_before_the_background_that_either_tells(original, tmp_pat
 
 def test_pictures_are_written_and_named(original, package, tmp_path, capsys):
     out = tmp_path / "new" / "pictures"
-    assert main(["compare", str(original), str(package), "--frames", "0:2", "-o", str(out)]) == 0
+    assert airgs_manifest(["compare", str(original), str(package), "--frames", "0:2", "-o", str(out)]) == 0
     words = capsys.readouterr().out
     assert f"pictures: {out / 'worst.png'}, {out / 'typical.png'}" in words and "A, the reference" in words
     assert sorted(path.name for path in out.iterdir()) == ["typical.png", "worst.png"]
@@ -102,7 +99,7 @@ def test_pictures_are_written_and_named(original, package, tmp_path, capsys):
 )
 def test_what_cannot_be_compared_is_refused_and_nothing_written(original, package, tmp_path, capsys, options, word):
     out = tmp_path / "out"
-    assert main(["compare", str(original), str(package), "-o", str(out), *options]) == 2
+    assert airgs_manifest(["compare", str(original), str(package), "-o", str(out), *options]) == 2
     line = capsys.readouterr().err
     assert line.count("\n") == 1 and word in line and not out.exists()
 
@@ -124,6 +121,6 @@ def test_other_places_are_refused(original, package, tmp_path, capsys):
     ]
     for arguments, word in cases:
         more = [] if "-o" in arguments else ["-o", out]
-        assert main(["compare", *map(str, [*arguments, *more])]) == 2
+        assert airgs_manifest(["compare", *map(str, [*arguments, *more])]) == 2
         line = capsys.readouterr().err
         assert line.count("\n") == 1 and word in line and not out.exists()

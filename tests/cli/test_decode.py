@@ -10,12 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli import decode
-from airgs_codec.decoder.decode import decode as decode_frame
-from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats import table
-from airgs_codec.scene.formats.table import FRAMES, read_frame
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import FRAMES, airgs_decode, open_package, open_sequence, read_frame
+from tests.faces import decode as decode_frame
 from tests.support.paths import GOLDEN, VALID
 
 FOX = GOLDEN / "fox"
@@ -23,7 +20,7 @@ KEYS = [form.key for form in FRAMES]
 
 
 def run(*options):
-    return decode.main([str(FOX), *map(str, options)])
+    return airgs_decode([str(FOX), *map(str, options)])
 
 
 def refusal(capsys, *options):
@@ -62,7 +59,7 @@ def test_a_folder_keeps_its_sequence_json_and_gets_the_background_where_it_has_n
     for folder in (tmp_path / "had", tmp_path / "new"):
         folder.mkdir()
         (tmp_path / "had" / "sequence.json").write_text('{"fps": 5}')
-        assert decode.main([str(VALID / "white"), "-o", str(folder)]) == 0
+        assert airgs_decode([str(VALID / "white"), "-o", str(folder)]) == 0
     had, new = (open_sequence(tmp_path / name) for name in ("had", "new"))
     assert (had.fps, had.background) == (5, (0, 0, 0))
     assert (new.fps, new.background) == (open_package(VALID / "white").manifest.fps, (1, 1, 1))

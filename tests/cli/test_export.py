@@ -9,11 +9,7 @@ from urllib.parse import unquote, urljoin
 
 import pytest
 
-from airgs_codec.cli import manifest
-from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.serve.export import export_page
+from tests.faces import ConfigError, airgs_manifest, export_page, open_package, validate
 from tests.support.mutations import read_files
 from tests.support.page import FILES, put_page
 from tests.support.paths import VALID
@@ -43,7 +39,7 @@ class Elements(HTMLParser):
 
 
 def run(*arguments):
-    return manifest.main(["export-page", *map(str, arguments)])
+    return airgs_manifest(["export-page", *map(str, arguments)])
 
 
 def target(site, page, address):

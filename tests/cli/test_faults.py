@@ -13,17 +13,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from airgs_codec.cli.decode import main as decode_command
-from airgs_codec.cli.encode import main as encode
-from airgs_codec.cli.manifest import main as manifest
-from airgs_codec.cli.play import main as play
-from airgs_codec.cli.train import main as train
-from airgs_codec.decoder.decode import decode
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.package.publish import staged_package
-from airgs_codec.places.place import Folder
+from tests.faces import (
+    Folder,
+    FormatError,
+    airgs_decode,
+    airgs_encode,
+    airgs_manifest,
+    airgs_play,
+    airgs_train,
+    decode,
+    open_package,
+    staged_package,
+    validate,
+)
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX, FOX_VIEWS, VALID
@@ -85,9 +87,9 @@ def test_a_disk_that_takes_nothing_is_named(fault, target, tmp_path, monkeypatch
         raise OSError(fault, os.strerror(fault))
 
     monkeypatch.setattr(os, "fsync", fails)
-    runs = {target / "airgs.json": (manifest, ["set-view", target, "--up", "-y"])}
-    runs[tmp_path / "a.ply"] = decode_command, [target, "--frames", "0", "-o", tmp_path / "a.ply"]
-    runs[tmp_path / "frames"] = decode_command, [target, "-o", f"{tmp_path}/frames/"]
+    runs = {target / "airgs.json": (airgs_manifest, ["set-view", target, "--up", "-y"])}
+    runs[tmp_path / "a.ply"] = airgs_decode, [target, "--frames", "0", "-o", tmp_path / "a.ply"]
+    runs[tmp_path / "frames"] = airgs_decode, [target, "-o", f"{tmp_path}/frames/"]
     for path, (main, words) in runs.items():
         assert main([*map(str, words)]) == 2
         assert capsys.readouterr().err.endswith(f": {path}: {os.strerror(fault)}\n")
@@ -109,7 +111,7 @@ def test_what_would_be_read_without_an_end_is_refused_before_it_is_opened(
     else:
         os.mknod(path, stat.S_IFIFO if kind == "pipe" else stat.S_IFSOCK)
     option = [name, str(path)] if name.startswith("--") else []
-    main, words = (play, [encoded]) if name == "--trace" else (encode, [scene, "-o", "out.airgs"])
+    main, words = (airgs_play, [encoded]) if name == "--trace" else (airgs_encode, [scene, "-o", "out.airgs"])
     assert main([*map(str, words), *option]) == 2
     told = capsys.readouterr().err
     assert f"{path}: " in told and f"expected a plain file, got a {kind}" in told and told.count("\n") == 1
@@ -151,9 +153,9 @@ def test_a_kill_in_the_middle_leaves_the_old_package(scene, target, tmp_path):
 def test_a_picture_or_report_that_cannot_be_written_is_said_before_the_work(option, scene, encoded, tmp_path, capsys):
     nowhere, output = "/proc/nowhere/x" + ".mp4" * (option == "--video"), tmp_path / "out.airgs"
     runs = {
-        "--report": [(encode, [scene, "-o", output]), (train, [FOX_VIEWS, "-o", output])],
-        "--video": [(play, [encoded, "--trace", "none"])],  # a trace that is not there would be said first
-        "--plot": [(manifest, ["inspect", encoded])],
+        "--report": [(airgs_encode, [scene, "-o", output]), (airgs_train, [FOX_VIEWS, "-o", output])],
+        "--video": [(airgs_play, [encoded, "--trace", "none"])],  # a trace that is not there would be said first
+        "--plot": [(airgs_manifest, ["inspect", encoded])],
     }
     for main, words in runs[option]:
         assert main([*map(str, words), option, nowhere]) == 2
@@ -163,10 +165,10 @@ def test_a_picture_or_report_that_cannot_be_written_is_said_before_the_work(opti
 
 def test_a_disk_without_room_is_said_before_the_work(scene, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda folder: SimpleNamespace(free=1000))
-    assert encode([str(scene), "-o", str(tmp_path / "out.airgs")]) == 2
+    assert airgs_encode([str(scene), "-o", str(tmp_path / "out.airgs")]) == 2
     assert "GB of room" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_a_film_that_has_no_folder_is_said_before_the_work(encoded, tmp_path, capsys):
-    assert play([str(encoded), "--trace", "none", "--video", str(tmp_path / "nowhere/film.mp4")]) == 2
+    assert airgs_play([str(encoded), "--trace", "none", "--video", str(tmp_path / "nowhere/film.mp4")]) == 2
     assert "expected a folder that can be written" in capsys.readouterr().err

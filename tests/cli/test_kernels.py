@@ -4,10 +4,8 @@ import numpy as np
 from numba.core.sigutils import normalize_signature
 
 from airgs_codec.cli.kernels import BACKWARD, FORWARD
-from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.package.package import open_package
 from airgs_codec.render import cpu
-from airgs_codec.scene.camera import orbit_views
+from tests.faces import decode_frames, open_package, orbit_views
 from tests.support.paths import GOLDEN
 from tests.support.views import coloured_cloud
 

@@ -6,9 +6,7 @@ import pytest
 
 from airgs_codec.cli import play as play_command
 from airgs_codec.cli.options import run_program, takes
-from airgs_codec.cli.play import main
-from airgs_codec.play.http import HttpSettings
-from airgs_codec.play.settings import SessionSettings
+from tests.faces import HttpSettings, SessionSettings, airgs_play
 from tests.support.paths import FOX, VALID
 from tests.support.servers import plainly_serving
 
@@ -17,7 +15,7 @@ TRACE = FOX / "trace.csv"
 
 
 def play(capsys, *options, package=PACKAGE, trace=TRACE):
-    status = main([str(package), "--trace", str(trace), *map(str, options)])
+    status = airgs_play([str(package), "--trace", str(trace), *map(str, options)])
     captured = capsys.readouterr()
     return status, captured.out, captured.err
 
@@ -37,7 +35,7 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
             "--report",
             str(report),
         ]
-        status = main([url, *options, "--json"])
+        status = airgs_play([url, *options, "--json"])
     result = json.loads(capsys.readouterr().out)
     assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "index.html").exists()
     assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
@@ -56,7 +54,7 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
     ],
 )
 def test_what_a_url_cannot_be_played_with_is_one_line_and_2(capsys, options, words):
-    assert main(options) == 2
+    assert airgs_play(options) == 2
     err = capsys.readouterr().err
     assert err.startswith("airgs-play: ") and words in err and err.count("\n") == 1
 

@@ -7,11 +7,16 @@ import shutil
 
 import pytest
 
-from airgs_codec.cli import decode, encode, manifest, play
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.package.publish import staged_package
-from airgs_codec.places.place import place_at
+from tests.faces import (
+    airgs_decode,
+    airgs_encode,
+    airgs_manifest,
+    airgs_play,
+    open_package,
+    place_at,
+    staged_package,
+    validate,
+)
 from tests.support.mutations import read_files
 from tests.support.page import put_page
 from tests.support.paths import VALID
@@ -46,29 +51,29 @@ def contents(address):
 
 
 def test_a_package_is_encoded_there_and_replaced(place, scene, capsys):
-    assert encode.main([str(scene), "-o", place, *ENCODE, "--group-frames", "2"]) == 0
+    assert airgs_encode([str(scene), "-o", place, *ENCODE, "--group-frames", "2"]) == 0
     assert f"{place}: " in capsys.readouterr().out and len(open_package(place).manifest.groups) == 2
-    assert encode.main([str(scene), "-o", place, *ENCODE, "--group-frames", "4"]) == 0
+    assert airgs_encode([str(scene), "-o", place, *ENCODE, "--group-frames", "4"]) == 0
     assert len(open_package(place).manifest.groups) == 1 and validate(place) == []
-    assert manifest.main(["rungs", place, str(scene), "--frames", "0", "--draws", "1", "--json"]) == 0
-    assert manifest.main(["compare", str(scene), place, "--frames", "0", "--json"]) == 0
+    assert airgs_manifest(["rungs", place, str(scene), "--frames", "0", "--draws", "1", "--json"]) == 0
+    assert airgs_manifest(["compare", str(scene), place, "--frames", "0", "--json"]) == 0
 
 
 def test_a_page_is_exported_as_from_the_folder(package, tmp_path, monkeypatch):
     put_page(tmp_path / "page", monkeypatch)
     for place, out in ((package, "there"), (VALID / "moving", "here")):
-        assert manifest.main(["export-page", str(place), "-o", str(tmp_path / out)]) == 0
+        assert airgs_manifest(["export-page", str(place), "-o", str(tmp_path / out)]) == 0
     assert read_files(tmp_path / "there") == read_files(tmp_path / "here")
 
 
 def test_reading_is_as_from_the_folder(package, tmp_path, capsys):
     trace, study = ["--trace", "const:5"], ["--policies", "throughput", "--offsets", "1", "--jobs", "1", "--json"]
     commands = [
-        lambda place, out: manifest.main(["inspect", place, "--json"]),
-        lambda place, out: manifest.main(["validate", place]),
-        lambda place, out: decode.main([place, "-o", str(out / "frames"), "--frames", "1:3"]),
-        lambda place, out: play.main([place, *trace, "--json"]),
-        lambda place, out: play.main([place, "--compare", "--traces", "const:5", *study]),
+        lambda place, out: airgs_manifest(["inspect", place, "--json"]),
+        lambda place, out: airgs_manifest(["validate", place]),
+        lambda place, out: airgs_decode([place, "-o", str(out / "frames"), "--frames", "1:3"]),
+        lambda place, out: airgs_play([place, *trace, "--json"]),
+        lambda place, out: airgs_play([place, "--compare", "--traces", "const:5", *study]),
     ]
     said = {}
     for place in (package, str(VALID / "moving")):
@@ -97,7 +102,7 @@ def test_a_growing_package_is_readable_after_every_group(place, scene, monkeypat
         report(each(), target, as_json)
 
     monkeypatch.setattr(module, "report_groups", watched)
-    assert encode.main([str(scene), "-o", place, *ENCODE, "--follow", "--group-frames", "1"]) == 0
+    assert airgs_encode([str(scene), "-o", place, *ENCODE, "--follow", "--group-frames", "1"]) == 0
     m = open_package(place).manifest
     assert [count for _, count, _ in seen] == list(range(1, len(m.groups) + 1)) and len(seen) > 1
     assert all(live and not findings for live, _, findings in seen)
@@ -116,13 +121,13 @@ def test_a_growing_package_is_readable_after_every_group(place, scene, monkeypat
 def test_what_cannot_be_read_is_one_line(bucket, monkeypatch, capsys, address, environment, expected):
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    assert manifest.main(["inspect", address]) == 2
+    assert airgs_manifest(["inspect", address]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and address in error and expected in error
 
 
 def test_a_bucket_that_is_not_there_is_told_before_the_work(bucket, scene, capsys):
-    assert encode.main([str(scene), "-o", "s3://nowhere/scene", *ENCODE]) == 2
+    assert airgs_encode([str(scene), "-o", "s3://nowhere/scene", *ENCODE]) == 2
     assert "bucket does not exist" in capsys.readouterr().err
 
 
@@ -133,7 +138,7 @@ def test_a_changed_object_is_refused(place, capsys):
     name = next(name for name in files.paths() if name.startswith("state/"))
     files.write(name, b"of another package")
     files.write("state/L0/999.m4s", b"of nobody")
-    assert manifest.main(["validate", place, "--json"]) == 1
+    assert airgs_manifest(["validate", place, "--json"]) == 1
     reasons = {finding["reason"] for finding in json.loads(capsys.readouterr().out)}
     assert {"size_mismatch", "foreign_file"} <= reasons
 
@@ -141,13 +146,13 @@ def test_a_changed_object_is_refused(place, capsys):
 def test_a_sequence_is_encoded_from_there(place, scene, tmp_path, capsys):
     (scene / "ATTRIBUTION.txt").write_text("Somebody")
     source = put_folder(scene, f"{place}/scene")
-    assert encode.main([source, *ENCODE]) == 0
-    assert encode.main([str(scene), "-o", str(tmp_path / "here.airgs"), *ENCODE]) == 0
+    assert airgs_encode([source, *ENCODE]) == 0
+    assert airgs_encode([str(scene), "-o", str(tmp_path / "here.airgs"), *ENCODE]) == 0
     there, here = contents(f"{source}.airgs"), read_files(tmp_path / "here.airgs")
     assert there == here and open_package(f"{source}.airgs").manifest.attribution == "Somebody"
     capsys.readouterr()
     frame = ["--frames", "0", "--draws", "1", "--json"]
-    assert manifest.main(["rungs", f"{source}.airgs", source, *frame]) == 0
-    assert manifest.main(["compare", source, f"{source}.airgs", "--frames", "0", "--json"]) == 0
-    assert encode.main([source, "--follow"]) == 2
+    assert airgs_manifest(["rungs", f"{source}.airgs", source, *frame]) == 0
+    assert airgs_manifest(["compare", source, f"{source}.airgs", "--frames", "0", "--json"]) == 0
+    assert airgs_encode([source, "--follow"]) == 2
     assert f"expected a folder of this machine, got {source}" in capsys.readouterr().err

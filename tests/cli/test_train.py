@@ -10,16 +10,20 @@ import numpy as np
 import pytest
 
 from airgs_codec.cli import train as train_command
-from airgs_codec.cli.encode import main as encode_main
-from airgs_codec.cli.train import main as train_main
 from airgs_codec.cli.train import match_cameras
-from airgs_codec.media.image import read_picture, to_bytes, write_png
-from airgs_codec.package.package import open_package
-from airgs_codec.trainer.data.multiview import with_held_out
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
-from airgs_codec.trainer.record import read_model
+from tests.faces import (
+    Pictures,
+    airgs_encode,
+    airgs_train,
+    open_package,
+    open_scene,
+    read_model,
+    read_picture,
+    to_bytes,
+    with_held_out,
+    write_png,
+)
 from tests.support.training import SETTINGS, write_blobs
 
 QUICK = ["--iterations", "30,20,8", "--budget", "150", "--sh-degree", "0", "--device", "cpu"]
@@ -32,7 +36,7 @@ def blobs(tmp_path_factory):
 
 def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
     words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(tmp_path / "r"), *QUICK, "--frames", "0:2"]
-    assert train_main(words) == 0
+    assert airgs_train(words) == 0
     out = capsys.readouterr().out
     assert f"{blobs}: 2 frames of 40x40, 6 training cameras and 1 held out\n" in out
     assert "first frame" in out and "held-out" in out and out.count("\nframe") == 2
@@ -40,9 +44,9 @@ def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
     assert {"index.html", "frame-000000.png", "frame-000001.png"} <= {p.name for p in (tmp_path / "r").iterdir()}
     page = (tmp_path / "r" / "index.html").read_text()
     assert "frame-000001.png" in page and "Cameras that were held out see" in page and PSNR_DEFINITION in page
-    assert train_main(words) == 2  # the model is there
+    assert airgs_train(words) == 2  # the model is there
     assert "--resume" in capsys.readouterr().err
-    assert train_main([*words, "--resume", "--json"]) == 0
+    assert airgs_train([*words, "--resume", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert summary["keyframes"] == [0] and summary["psnr_definition"] == PSNR_DEFINITION
 
@@ -66,7 +70,7 @@ def test_airgs_train_says_what_it_did_and_reports(blobs, tmp_path, capsys):
 )
 def test_bad_input_is_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):
     words = [str(blobs) if w == "SCENE" else w for w in words]
-    assert train_main([*words, "-o", str(tmp_path / "m")]) == 2
+    assert airgs_train([*words, "-o", str(tmp_path / "m")]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*"))
@@ -85,7 +89,7 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     shutil.copytree(blobs, tmp_path / "blobs")
     quickly = ["--x264-preset", "ultrafast", "--measure-pictures", "2", "--calibrate", "none"]
     words = [str(tmp_path / "blobs"), *quickly]
-    assert encode_main(words) == 0
+    assert airgs_encode(words) == 0
     assert "first frame" in capsys.readouterr().out
     package = open_package(tmp_path / "blobs.airgs")
     assert package.manifest.frames == 5 and package.manifest.region.source == "cameras"
@@ -93,7 +97,7 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     record = read_model(tmp_path / "blobs.gaussians").record
     assert record.quality() in package.manifest.decisions
     assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
-    assert encode_main([*words, "--json"]) == 0  # the model is there: only encoded
+    assert airgs_encode([*words, "--json"]) == 0  # the model is there: only encoded
     json.loads(capsys.readouterr().out)
 
 
@@ -113,17 +117,17 @@ def test_effort_is_iterations_of_every_frame(words, iterations):
 
 def test_a_psnr_that_no_fit_reaches_is_said_once(blobs, tmp_path, capsys):
     words = [str(blobs), "-o", str(tmp_path / "m"), "--frames", "0:3", "--min-psnr", "99", *QUICK]
-    assert train_main([*words, "--report", str(tmp_path / "r")]) == 0
+    assert airgs_train([*words, "--report", str(tmp_path / "r")]) == 0
     err = capsys.readouterr().err
     assert err.count("warning: frame 0: ") == err.count("\n") == 1
     assert "no fit reaches the 99 dB of --min-psnr" in err
     assert "no fit reaches the 99 dB" in (tmp_path / "r" / "index.html").read_text()
-    assert train_main([*words, "--resume", "--json"]) == 0
+    assert airgs_train([*words, "--resume", "--json"]) == 0
     assert "no fit reaches the 99 dB" in json.loads(capsys.readouterr().out)["warnings"][0]
 
 
 def test_an_option_is_given_once(blobs, capsys):
-    assert train_main([str(blobs), "--seed", "1", "--seed", "2"]) == 2
+    assert airgs_train([str(blobs), "--seed", "1", "--seed", "2"]) == 2
     assert capsys.readouterr().err == "airgs-train: argument --seed: expected one value, got another one: '2'\n"
 
 
@@ -132,12 +136,12 @@ def test_offsets_of_a_file_are_those_of_the_run(blobs, tmp_path, capsys):
     late.write_text('{"cam01": 1, "cam02": -0.5}')
     other.write_text('{"cam01": 1, "cam02": -1}')
     words = [str(blobs), "-o", str(tmp_path / "m"), "--min-psnr", "0", *QUICK]
-    assert train_main([*words, "--sync", str(late)]) == 0
+    assert airgs_train([*words, "--sync", str(late)]) == 0
     assert capsys.readouterr().out.count("\nframe") == 3  # of 5: from frame 1, and cam01 has no frame 5
     assert read_model(tmp_path / "m").record.scene["offsets"] == {"cam01": 1.0, "cam02": -0.5}
-    assert train_main([*words, "--sync", str(other), "--resume"]) == 2
+    assert airgs_train([*words, "--sync", str(other), "--resume"]) == 2
     assert "the run there has offsets" in capsys.readouterr().err
-    assert train_main([*words, "--resume"]) == 0  # what was found is not looked for again
+    assert airgs_train([*words, "--resume"]) == 0  # what was found is not looked for again
 
 
 def test_cameras_out_of_step_are_said(blobs, capsys, monkeypatch):
@@ -158,7 +162,7 @@ def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, caps
     for path in (tmp_path / "scene" / "images").rglob("*.png"):
         write_png(path, np.zeros_like(read_picture(path)))
     words = [str(tmp_path / "scene"), "-o", str(tmp_path / "m"), "--iterations", "90,20,8", *QUICK[2:]]
-    assert train_main(words) == 2
+    assert airgs_train(words) == 2
     err = capsys.readouterr().err
     assert "expected pictures that show something" in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*.ply"))
@@ -167,7 +171,7 @@ def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, caps
 def test_a_report_shows_pictures_as_they_were_trained_on(blobs, tmp_path):
     """Without held-out cameras it shows a training picture, and that was exposed as the average camera would have."""
     folder, words = tmp_path / "m", ["--frames", "0:1", "--hold-out", "none", "--match-exposure", "on", *QUICK]
-    assert train_main([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
+    assert airgs_train([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
     pictures = Pictures(with_held_out(open_scene(blobs, frames=(0, 1)), []))
     alike = pictures.with_exposure(read_model(folder).record.exposure)
     plain, exposed = (to_bytes(p.train(0)[0].target.rgb)[20:] for p in (pictures, alike))  # under the label

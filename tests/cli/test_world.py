@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from airgs_codec.cli import encode, manifest
+from tests.faces import airgs_encode, airgs_manifest
 from tests.support.regions import region, region_json
 from tests.support.scenes import moving_frames, write_sequence
 
@@ -34,9 +34,9 @@ def test_what_is_told_of_up_and_units_is_in_the_package(tmp_path, options, line,
         "--region",
         str(seen),
     ]
-    assert encode.main([*command, *words, "--verbose"]) == 0 and line in capsys.readouterr().out
-    assert manifest.main(["inspect", str(tmp_path / "out")]) == 0 and line in capsys.readouterr().out
-    assert manifest.main(["validate", str(tmp_path / "out")]) == 0
+    assert airgs_encode([*command, *words, "--verbose"]) == 0 and line in capsys.readouterr().out
+    assert airgs_manifest(["inspect", str(tmp_path / "out")]) == 0 and line in capsys.readouterr().out
+    assert airgs_manifest(["validate", str(tmp_path / "out")]) == 0
 
 
 @pytest.mark.parametrize(
@@ -53,12 +53,12 @@ def test_what_is_told_of_up_and_units_is_in_the_package(tmp_path, options, line,
 )
 def test_worlds_that_cannot_be_are_one_line(tmp_path, options, words, capsys):
     scene = write_sequence(tmp_path / "scene", moving_frames(40, 1))
-    assert encode.main([str(scene), "-o", str(tmp_path / "out"), *options]) == 2
+    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *options]) == 2
     error = capsys.readouterr().err.strip()
     assert words in error and "\n" not in error
     assert not (tmp_path / "out").exists()
 
 
 def test_an_option_after_up_is_no_direction(tmp_path, capsys):
-    assert encode.main([str(tmp_path), "--up", "--unit", "2"]) == 2
+    assert airgs_encode([str(tmp_path), "--up", "--unit", "2"]) == 2
     assert "argument --up: expected " in capsys.readouterr().err

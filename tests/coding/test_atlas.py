@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.coding.atlas import assemble, choose_layout, extract, fit_atlas, picture_size, row_places
-from airgs_codec.package.tables import MAX_PAGES, Atlas
+from airgs_codec.package.tables import MAX_PAGES
+from tests.faces import Atlas
 
 
 @pytest.mark.parametrize("rows", [1, 2, 255, 256, 257, 511, 4096, 5000])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding.channels import OPACITY_MARGIN, fit_colour_transform, from_klt, from_opacity, to_klt, to_opacity
-from airgs_codec.package.tables import pack_matrix, unpack_matrix
+from tests.faces import pack_matrix, unpack_matrix
 
 
 @pytest.mark.parametrize("channels", [3, 12, 27, 48])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding.grid import cell_bits, coarse_codes, fit_grid, grid_codes, grid_means
-from airgs_codec.package.tables import Grid
+from tests.faces import Grid
 
 
 @given(

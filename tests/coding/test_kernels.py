@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.kernels import CHUNK, LEAST, FrameMemory, for_chunks, row_chunks
-from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.package.package import open_package
+from tests.faces import decode_frames, open_package
 from tests.support.paths import GOLDEN
 
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding.quantize import STEP_LIMITS, from_codes, to_codes
-from airgs_codec.errors import SceneError
+from airgs_codec.coding.quantize import STEP_LIMITS, to_codes
+from tests.faces import SceneError, from_codes
 
 
 @given(

@@ -8,7 +8,7 @@ from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import rangecoder
 from airgs_codec.coding.rangecoder import MOST, ColumnReader, encode_columns, sum_gaps
-from airgs_codec.errors import FormatError
+from tests.faces import FormatError
 
 columns = st.lists(
     st.tuples(

@@ -9,8 +9,7 @@ from hypothesis.extra import numpy as npst
 from airgs_codec.coding.grid import cell_bits, coarse_codes
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar, read_detail, unpack_key_sidecar
-from airgs_codec.errors import FormatError
-from airgs_codec.package.tables import Grid
+from tests.faces import FormatError, Grid
 
 
 @given(st.binary(max_size=200))

@@ -11,12 +11,18 @@ import pytest
 import airgs_codec
 from airgs_codec.coding import atlas, escapes, kernels, rangecoder
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_segment
-from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.tables import NO_FILE
+from tests.faces import (
+    NO_FILE,
+    ConfigError,
+    Groups,
+    Package,
+    decode,
+    decode_canonical,
+    decode_frames,
+    decode_segment,
+    open_package,
+)
 from tests.support.paths import GOLDEN, VALID
 
 

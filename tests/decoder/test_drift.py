@@ -9,19 +9,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import LevelSettings
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.package.package import open_package
 from airgs_codec.play.film import screen_frames
-from airgs_codec.play.offers import Offers
-from airgs_codec.play.session import simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    FormatError,
+    Gaussians,
+    LevelSettings,
+    Link,
+    Offers,
+    SessionSettings,
+    Trace,
+    decode_canonical,
+    decode_key,
+    decode_segment,
+    encode,
+    measure_errors,
+    open_package,
+    open_sequence,
+    simulate,
+)
 from tests.support.manifests import missing, with_segments
 from tests.support.regions import QUICK
 from tests.support.scenes import moving_frames, write_sequence

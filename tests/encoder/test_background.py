@@ -7,18 +7,26 @@ from itertools import cycle, islice
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import DRAWS, ViewPlan
-from airgs_codec.errors import SceneError
-from airgs_codec.inspect.compare import claimed_quality, compare_streams
-from airgs_codec.inspect.sides import rung_streams
-from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import MEASURING, before_background, draw_views
-from airgs_codec.render import render
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.encoder.survey import DRAWS
+from airgs_codec.inspect.compare import claimed_quality
+from tests.faces import (
+    MEASURING,
+    EncodeSettings,
+    LevelSettings,
+    Picture,
+    SceneError,
+    ViewPlan,
+    before_background,
+    compare_streams,
+    draw_views,
+    encode,
+    open_package,
+    open_sequence,
+    psnr,
+    render,
+    rung_streams,
+    write_ply,
+)
 from tests.support.multiview_files import write_cameras
 from tests.support.views import coloured_cloud, ring
 

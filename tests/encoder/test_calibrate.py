@@ -8,17 +8,26 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.coding.quantize import StepSettings, get_step, with_step
+from airgs_codec.coding.quantize import get_step, with_step
 from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
-from airgs_codec.errors import SceneError
-from airgs_codec.jobs.work import temporary_work
-from airgs_codec.places.results import open_store, pack
-from airgs_codec.scene.beside import USAGE_NAME, Usage, save_usage
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    USAGE_NAME,
+    EncodeSettings,
+    GroupSpan,
+    LevelSettings,
+    SceneError,
+    StepSettings,
+    Usage,
+    ViewPlan,
+    open_sequence,
+    open_store,
+    pack,
+    save_usage,
+    survey_group,
+    temporary_work,
+    write_ply,
+)
 from tests.support.jobs import prepared_as_one_group
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence

@@ -6,20 +6,32 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.atlas import CELLS
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames
 from airgs_codec.encoder.pipeline import DIFFERENCE, KEY, STEPS
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.inspect.validate import exceeded, validate
-from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.package import Package, open_package
-from airgs_codec.package.region import MEASURING, draw_views
-from airgs_codec.render import render
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    APART,
+    MEASURING,
+    EncodeSettings,
+    FormatError,
+    Groups,
+    GroupSpan,
+    LevelSettings,
+    Package,
+    decode,
+    decode_canonical,
+    decode_frames,
+    draw_views,
+    encode,
+    exceeded,
+    measure_errors,
+    mse,
+    open_package,
+    open_sequence,
+    plan_views,
+    psnr,
+    render,
+    survey_group,
+    validate,
+)
 from tests.support.regions import region
 from tests.support.rooms import MOVER, room_behind_a_door, room_frames
 from tests.support.scenes import random_gaussians, write_sequence

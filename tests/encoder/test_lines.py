@@ -5,19 +5,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli.manifest import main
 from airgs_codec.coding.atlas import line_times
-from airgs_codec.decoder.decode import decode, decode_frames
-from airgs_codec.decoder.states import decode_pictures
-from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.sample import encode_and_decode, fit_slopes, worth_line
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.media.h264 import state_codec
 from airgs_codec.media.mp4 import read_segment
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    EncodeSettings,
+    Gaussians,
+    LevelSettings,
+    airgs_manifest,
+    decode,
+    decode_frames,
+    decode_pictures,
+    encode,
+    measure_errors,
+    open_package,
+    open_sequence,
+)
 from tests.support.digests import decode_slopes
 from tests.support.scenes import frozen, random_gaussians, write_sequence
 
@@ -72,7 +76,7 @@ def test_every_error_is_within_its_bound_and_files_are_what_they_promise(package
     measured = list(measure_errors(package, scene))
     assert all(m.error <= m.bound for m in measured), [m for m in measured if m.error > m.bound]
     assert max(m.error / m.bound for m in measured if "state" in m.where and m.bound) > 0.5
-    assert main(["validate", str(package.files.name), "--against", str(scene.folder)]) == 0
+    assert airgs_manifest(["validate", str(package.files.name), "--against", str(scene.folder)]) == 0
 
 
 def test_frames_that_are_read_alone_are_those_of_a_whole_segment(package):

@@ -5,18 +5,24 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder import live as module
 from airgs_codec.encoder.live import follow
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import APART, EncodeSettings, LevelSettings
 from airgs_codec.encoder.survey import join_surveys
-from airgs_codec.errors import SceneError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.scene.sequence import GrowingFolder, open_sequence
+from tests.faces import (
+    APART,
+    EncodeSettings,
+    Gaussians,
+    GrowingFolder,
+    LevelSettings,
+    SceneError,
+    decode_frames,
+    encode,
+    join_rows,
+    open_package,
+    open_sequence,
+    validate,
+    write_ply,
+)
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 

@@ -15,12 +15,7 @@ from airgs_codec.encoder.measure import (
     uncertainty_db,
     with_quality,
 )
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.media.metrics import Difference, psnr
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import Difference, EncodeSettings, LevelSettings, ViewPlan, encode, open_package, open_sequence, psnr
 from tests.support.scenes import moving_frames, write_sequence
 
 LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))

@@ -8,19 +8,24 @@ import pytest
 
 from airgs_codec.coding import kernels
 from airgs_codec.coding.channels import state_channels
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.omit import StateValues
 from airgs_codec.encoder.plan import keep_rows, lay_out
-from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.representation import Clock
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
 from airgs_codec.encoder.states import code_states
-from airgs_codec.encoder.survey import GroupSpan, plan_views, survey_group
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.package.tables import STATIC
 from airgs_codec.scene import sequence as sequences
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    STATIC,
+    EncodeSettings,
+    GroupSpan,
+    LevelSettings,
+    decode_frames,
+    encode,
+    open_package,
+    open_sequence,
+    plan_views,
+    survey_group,
+    validate,
+)
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
 

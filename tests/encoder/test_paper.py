@@ -6,18 +6,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode_canonical, decode_frames
 from airgs_codec.encoder.batch import encode_sequence
 from airgs_codec.encoder.pipeline import KEY
 from airgs_codec.encoder.plan import RowUsage, rank_updates
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, as_in_paper, as_preview
-from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.jobs.work import temporary_work
-from airgs_codec.package.package import open_package
-from airgs_codec.package.tables import STATIC
-from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, save_usage
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.encoder.settings import as_in_paper
+from airgs_codec.scene.beside import MEASURES
+from tests.faces import (
+    STATIC,
+    USAGE_NAME,
+    EncodeSettings,
+    Usage,
+    ViewPlan,
+    as_preview,
+    decode_canonical,
+    decode_frames,
+    encode,
+    open_package,
+    open_sequence,
+    save_usage,
+    temporary_work,
+)
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence

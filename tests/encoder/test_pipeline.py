@@ -12,14 +12,10 @@ import pytest
 from airgs_codec.analysis.rows import LOOKED_FRAMES
 from airgs_codec.encoder import prepare
 from airgs_codec.encoder.pipeline import AHEAD, KEY, STEPS, SURVEY, Step, with_rows_of_others
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import ViewPlan
 from airgs_codec.jobs.job import Stored
-from airgs_codec.jobs.work import temporary_work
 from airgs_codec.scene import sequence as module
 from airgs_codec.scene.frames import HeldFrames
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import EncodeSettings, ViewPlan, encode, open_sequence, temporary_work
 from tests.support.jobs import prepared_as_one_group
 from tests.support.mutations import read_files
 from tests.support.regions import place, region

@@ -8,16 +8,21 @@ from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import motion_classes, motion_units, share_class
-from airgs_codec.decoder.decode import decode_canonical, decode_frames, decode_segment
 from airgs_codec.encoder.plan import assign_depths, assign_tiers
-from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.sample import at_equal_error, encode_and_decode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import state_codec
-from airgs_codec.package.package import open_package
-from airgs_codec.package.tables import STATIC
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    STATIC,
+    EncodeSettings,
+    LevelSettings,
+    decode_canonical,
+    decode_frames,
+    decode_segment,
+    encode,
+    open_package,
+    open_sequence,
+    validate,
+)
 from tests.support.scenes import moving_frames, write_sequence
 
 

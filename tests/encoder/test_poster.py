@@ -7,15 +7,8 @@ import pytest
 from PIL import Image
 
 from airgs_codec.encoder.pipeline import draw_poster
-from airgs_codec.media.image import to_bytes
-from airgs_codec.media.metrics import psnr
-from airgs_codec.package.layout import POSTER_NAME
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import levelled, place_view
 from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE
-from airgs_codec.render.backend import CPU
-from airgs_codec.scene.camera import with_pixels
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import CPU, POSTER_NAME, levelled, open_package, open_sequence, place_view, psnr, to_bytes, with_pixels
 from tests.support.paths import FOX
 
 

@@ -7,11 +7,7 @@ import pytest
 from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.encoder.batch import Calibrated, measure_encoded
 from airgs_codec.encoder.repair import ATTEMPTS, SHORTFALL_DB, encode_repaired, take_back
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.jobs.work import temporary_work
-from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import EncodeSettings, LevelSettings, ViewPlan, open_sequence, pooled_quality, temporary_work
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_sequence

@@ -9,11 +9,7 @@ import pytest
 from airgs_codec.coding.atlas import picture_size
 from airgs_codec.coding.escapes import LIMIT
 from airgs_codec.encoder import representation
-from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.representation import Clock, encode_checked
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import (
     ClosedGop,
     check_gop,
@@ -21,8 +17,7 @@ from airgs_codec.media.h264 import (
     in_range,
     state_codec,
 )
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import EncodeSettings, encode, measure_errors, open_package, open_sequence, validate
 from tests.support.scenes import moving_frames, write_sequence
 
 SIZE = (128, 128)

@@ -8,24 +8,38 @@ import pytest
 
 from airgs_codec.coding.channels import state_channels
 from airgs_codec.coding.grid import cell_bits
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key
-from airgs_codec.decoder.states import decode_pictures, state_units
+from airgs_codec.decoder.states import state_units
 from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
-from airgs_codec.errors import ConfigError, FormatError, SceneError
-from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.publish import staged_package
-from airgs_codec.places.place import Folder
-from airgs_codec.render import render
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    KEY,
+    STATE,
+    ConfigError,
+    EncodeSettings,
+    Folder,
+    FormatError,
+    Gaussians,
+    GroupSpan,
+    LevelSettings,
+    SceneError,
+    StepSettings,
+    ViewPlan,
+    decode,
+    decode_canonical,
+    decode_frames,
+    decode_key,
+    decode_pictures,
+    encode,
+    mse,
+    open_package,
+    open_sequence,
+    psnr,
+    render,
+    root_of,
+    staged_package,
+    survey_group,
+    validate,
+)
 from tests.support.mutations import read_files
 from tests.support.paths import FOX, VALID
 from tests.support.regions import region

@@ -10,29 +10,27 @@ import pytest
 
 from airgs_codec.cli import encode as command
 from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
-from airgs_codec.decoder.decode import decode
 from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
-from airgs_codec.encoder.search import (
+from airgs_codec.encoder.search import SIZE, find_quality, search_quality, weigh_colours
+from airgs_codec.render import cpu
+from tests.faces import (
     DELTA_E,
     PSNR,
-    SIZE,
+    ConfigError,
+    EncodeSettings,
     Goal,
-    find_quality,
-    search_quality,
-    weigh_colours,
+    Picture,
+    ViewPlan,
+    decode,
+    draw_views,
+    open_package,
+    open_sequence,
+    pack_matrix,
+    pooled_quality,
+    temporary_work,
+    unpack_matrix,
+    validate,
 )
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.jobs.work import temporary_work
-from airgs_codec.media.metrics import Picture
-from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import draw_views
-from airgs_codec.package.tables import pack_matrix, unpack_matrix
-from airgs_codec.render import cpu
-from airgs_codec.scene.sequence import open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.regions import place, region
 from tests.support.scenes import moving_frames, write_demo, write_sequence

@@ -6,21 +6,25 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.cli import encode as command
-from airgs_codec.cli import manifest
 from airgs_codec.decoder.sound import decode_all
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.validate import validate
 from airgs_codec.media.mp4 import sound_segment
-from airgs_codec.media.sound import encode_sound
-from airgs_codec.package.layout import SOUND_INIT_NAME, sound_path
-from airgs_codec.package.mpd import Streams
-from airgs_codec.package.package import open_package
-from airgs_codec.package.references import check_group
-from airgs_codec.package.tables import NO_FILE, file_entry
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.package.layout import SOUND_INIT_NAME
+from airgs_codec.package.tables import file_entry
+from tests.faces import (
+    NO_FILE,
+    EncodeSettings,
+    FormatError,
+    Streams,
+    airgs_encode,
+    airgs_manifest,
+    check_group,
+    encode,
+    encode_sound,
+    open_package,
+    open_sequence,
+    sound_path,
+    validate,
+)
 from tests.support.chirps import chirp, moment, write_chirp
 from tests.support.mutations import apply, honest, read_files, rewrite
 from tests.support.refusals import findings
@@ -102,14 +106,14 @@ def test_broken_sound_is_found(folder):
 def test_the_commands_take_it_and_say_it(folder, tmp_path, capsys):
     scene, sound = str(folder / "scene"), str(folder / "a.wav")
     options = ["-o", str(tmp_path / "out"), "--preset", "quick", "--measure-pictures", "0", "--fps", "30"]
-    assert command.main([scene, *options, "--audio", sound]) == 0
+    assert airgs_encode([scene, *options, "--audio", sound]) == 0
     assert f"sound: {sound}: cut after 1.30 s, where the pictures end" in capsys.readouterr().out
-    assert manifest.main(["inspect", str(tmp_path / "out")]) == 0
+    assert airgs_manifest(["inspect", str(tmp_path / "out")]) == 0
     assert "sound: Opus, mono, " in capsys.readouterr().out
     for wrong, words in (
         ([scene, *options, "--audio", scene + "/000000.ply"], "expected a file with sound"),
         ([scene, *options, "--audio", sound, "--follow"], "--audio: expected a sequence that is whole"),
     ):
-        assert command.main(wrong) == 2
+        assert airgs_encode(wrong) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line

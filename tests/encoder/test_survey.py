@@ -5,12 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import CHECKED, DECISION_PIXELS, ViewPlan
-from airgs_codec.errors import ConfigError
-from airgs_codec.package.region import up_of, world_from
-from airgs_codec.package.tables import World
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.encoder.survey import CHECKED, DECISION_PIXELS
+from tests.faces import ConfigError, EncodeSettings, ViewPlan, World, open_sequence, up_of, world_from
 from tests.support.paths import FOX
 from tests.support.regions import is_inside, place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence

@@ -5,20 +5,24 @@ import pytest
 from scipy.spatial import cKDTree
 
 from airgs_codec.coding.channels import LEAST_DRAWN
-from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.search import PSNR, Goal
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.inspect.compare import compare_streams
-from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.inspect.sides import rung_streams
-from airgs_codec.inspect.summary import summarise
-from airgs_codec.inspect.validate import validate
-from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import draw_views
-from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    PSNR,
+    EncodeSettings,
+    Goal,
+    Picture,
+    compare_streams,
+    decode_frames,
+    draw_views,
+    encode,
+    measure_errors,
+    open_package,
+    open_sequence,
+    psnr,
+    read_ply,
+    rung_streams,
+    summarise,
+    validate,
+)
 from tests.support.paths import FOX
 from tests.support.scenes import write_sequence
 from tests.support.temporal import FLASHES, temporal_cameras, temporal_frames, write_temporal

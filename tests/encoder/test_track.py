@@ -9,20 +9,26 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.flow import carry
-from airgs_codec.cli.encode import main as encode_command
-from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, as_preview
 from airgs_codec.encoder.track import decide
-from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.work import Work
-from airgs_codec.package.package import open_package
-from airgs_codec.places.results import open_store
-from airgs_codec.render import render
-from airgs_codec.scene.camera import orbit_views
-from airgs_codec.scene.gaussians import from_rotation_vector, multiply, to_matrices
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from tests.faces import (
+    ConfigError,
+    EncodeSettings,
+    GaussianSequence,
+    Processes,
+    Work,
+    airgs_encode,
+    as_preview,
+    decode,
+    encode,
+    from_rotation_vector,
+    multiply,
+    open_package,
+    open_sequence,
+    open_store,
+    orbit_views,
+    render,
+    to_matrices,
+)
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import predicted, random_gaussians, write_sequence
 
@@ -136,8 +142,8 @@ def test_two_frames_are_tracked(given, tmp_path):
 def test_options_that_contradict_are_refused(given, tmp_path):
     with pytest.raises(ConfigError, match=r"rows: expected auto with track, .* got keep"):
         encode(given, tmp_path / "x.airgs", replace(SETTINGS, rows="keep"))
-    assert encode_command([str(given.folder), "--track", "--follow"]) == 2
-    assert encode_command([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
+    assert airgs_encode([str(given.folder), "--track", "--follow"]) == 2
+    assert airgs_encode([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
 
 
 def test_rows_go_where_the_frame_has_them(clean):

@@ -5,16 +5,18 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.cli import encode as command
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.inspect.validate import validate
 from airgs_codec.jobs import work as work_module
-from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.work import Work
-from airgs_codec.places.results import open_store
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    EncodeSettings,
+    Processes,
+    Work,
+    airgs_encode,
+    encode,
+    open_sequence,
+    open_store,
+    validate,
+    write_ply,
+)
 from tests.support.mutations import read_files
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
@@ -107,9 +109,9 @@ PLAIN = {
 def test_the_command_shares_the_work_and_reports_it(scene, tmp_path):
     words = [str(scene), "--preset", "quick", "--group-frames", "4", "--x264-preset", "ultrafast"]
     shared = ["--jobs", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "report")]
-    assert command.main([*words, "-o", str(tmp_path / "shared"), *shared]) == 0
+    assert airgs_encode([*words, "-o", str(tmp_path / "shared"), *shared]) == 0
     assert "<svg" in (tmp_path / "report" / "index.html").read_text()
-    assert command.main([*words, "-o", str(tmp_path / "out")]) == 0
+    assert airgs_encode([*words, "-o", str(tmp_path / "out")]) == 0
     assert read_files(tmp_path / "shared") == read_files(tmp_path / "out")
 
 
@@ -122,5 +124,5 @@ def test_the_command_shares_the_work_and_reports_it(scene, tmp_path):
     ],
 )
 def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, expected):
-    assert command.main([str(scene), "-o", str(tmp_path / "out"), *words]) == 2
+    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *words]) == 2
     assert expected in capsys.readouterr().err and not (tmp_path / "out").exists()

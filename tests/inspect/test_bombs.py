@@ -2,11 +2,7 @@
 
 import pytest
 
-from airgs_codec.cli.manifest import main as manifest_main
-from airgs_codec.cli.play import main as play_main
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import find_faults, open_package
-from airgs_codec.package.tables import PAGE
+from tests.faces import PAGE, airgs_manifest, airgs_play, find_faults, open_package, validate
 from tests.support.mutations import apply, read_files, set_value, write_files
 from tests.support.paths import VALID
 
@@ -31,21 +27,21 @@ def test_groups_that_no_page_leads_to_are_not_looked_for(bomb):
 
 
 def test_commands_say_so_in_a_line(bomb, capsys):
-    assert manifest_main(["inspect", str(bomb)]) == 2
+    assert airgs_manifest(["inspect", str(bomb)]) == 2
     assert PAGE_PATH in (said := capsys.readouterr().err) and said.count("\n") == 1
 
 
 def test_a_session_ends_when_nothing_can_be_shown_for_long(bomb, tmp_path, capsys):
-    assert play_main([str(bomb), "--trace", "const:8", "--json"]) == 0
+    assert airgs_play([str(bomb), "--trace", "const:8", "--json"]) == 0
     said = capsys.readouterr().out
     assert "1000 segments in a row were lost" in said
-    assert play_main([str(bomb), "--trace", "const:8", "--report", str(tmp_path / "report")]) == 2
+    assert airgs_play([str(bomb), "--trace", "const:8", "--report", str(tmp_path / "report")]) == 2
     assert len(capsys.readouterr().err) < 1000
 
 
 def test_text_of_a_package_does_not_act_on_a_terminal(tmp_path, capsys):
     evil = "\x1b[2J\x9b2J\u202eby a friend"
     write_files(tmp_path / "p", apply(read_files(VALID / "moving"), set_value(("attribution",), evil)))
-    assert manifest_main(["inspect", str(tmp_path / "p")]) == 0
+    assert airgs_manifest(["inspect", str(tmp_path / "p")]) == 0
     said = capsys.readouterr().out
     assert r"\x1b[2J\x9b2J\u202eby a friend" in said and all(c.isprintable() or c == "\n" for c in said)

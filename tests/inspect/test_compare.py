@@ -6,8 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli.manifest import main
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.inspect.compare import (
     LABEL,
     MOST_GAIN,
@@ -17,11 +15,18 @@ from airgs_codec.inspect.compare import (
     format_two,
     side_by_side,
 )
-from airgs_codec.inspect.sides import left_out, open_side
-from airgs_codec.media.image import to_bytes
-from airgs_codec.media.metrics import PSNR_CAP, mse, psnr
-from airgs_codec.package.package import open_package
-from airgs_codec.render import render
+from tests.faces import (
+    PSNR_CAP,
+    airgs_manifest,
+    decode_frames,
+    left_out,
+    mse,
+    open_package,
+    open_side,
+    psnr,
+    render,
+    to_bytes,
+)
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
@@ -54,7 +59,7 @@ def broken(tmp_path):
 
 def figures(capsys, *arguments):
     draws = [] if "--draws" in arguments else ["--draws", "2"]
-    assert main(["rungs", *map(str, arguments), *draws, "--json"]) == 0
+    assert airgs_manifest(["rungs", *map(str, arguments), *draws, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -82,7 +87,7 @@ def test_cameras_and_draws_are_splits_of_their_own(top, tmp_path, capsys):
     others = figures(capsys, *rung, "--seed", "5", "--split", "region")["quality"]["region"]
     assert others != report["quality"]["region"]
     assert figures(capsys, *rung, "--draws", "0")["views"] == {"test": 1}
-    assert main(["rungs", *map(str, rung), "--draws", "1"]) == 0
+    assert airgs_manifest(["rungs", *map(str, rung), "--draws", "1"]) == 0
     out = capsys.readouterr().out
     assert "claimed: dB" in out and "region: dB" in out and "test: dB" in out and "train" not in out
 
@@ -107,14 +112,14 @@ def test_one_rung_of_some_frames_is_that_of_all_rungs(top, capsys):
     ],
 )
 def test_what_is_not_there_is_refused_in_one_line(top, options, capsys):
-    assert main(["rungs", str(PACKAGE), str(top), *options]) == 2
+    assert airgs_manifest(["rungs", str(PACKAGE), str(top), *options]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
 def test_sequences_of_other_lengths_and_what_is_no_package_are_refused(top, tmp_path, capsys):
     short = write_sequence(tmp_path / "short", moving_frames(20, 2))
     for arguments in ([PACKAGE, short], [short, top]):
-        assert main(["rungs", *map(str, arguments)]) == 2
+        assert airgs_manifest(["rungs", *map(str, arguments)]) == 2
         assert capsys.readouterr().err.count("\n") == 1
 
 

@@ -5,19 +5,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli.manifest import main
-from airgs_codec.decoder.decode import decode_canonical
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, read_levels
-from airgs_codec.errors import ConfigError
+from airgs_codec.encoder.settings import read_levels
 from airgs_codec.inspect import errors
-from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.inspect.validate import exceeded, validate
-from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.package import open_package
-from airgs_codec.package.tables import STATIC
-from airgs_codec.scene.gaussians import to_rotation_vector
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    KEY,
+    STATE,
+    STATIC,
+    ConfigError,
+    EncodeSettings,
+    airgs_manifest,
+    decode_canonical,
+    encode,
+    exceeded,
+    measure_errors,
+    open_package,
+    open_sequence,
+    to_rotation_vector,
+    validate,
+)
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX
@@ -47,12 +52,12 @@ def test_coarser_levels_promise_less(demo_package):
 
 
 def test_a_lie_is_found(demo_copy, capsys):
-    assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 0
+    assert airgs_manifest(["validate", str(demo_copy), "--against", str(FOX)]) == 0
     assert "measured / max_error" in capsys.readouterr().out
     place = ("levels", 0, "max_error", 0)
     promised = open_package(demo_copy).manifest.groups[0].levels[0].max_error[0]
     on_disk(demo_copy, set_value(place, 0.5 * promised, TABLE), reindexed)
-    assert main(["validate", str(demo_copy), "--against", str(FOX)]) == 1
+    assert airgs_manifest(["validate", str(demo_copy), "--against", str(FOX)]) == 1
     assert "means: max_error" in capsys.readouterr().out
 
 

@@ -8,16 +8,11 @@ import re
 import pytest
 
 from airgs_codec.analysis.rows import Restored
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.measure import uncertainty_db
 from airgs_codec.encoder.publish import EncodeReport, certainty_words
-from airgs_codec.encoder.search import DELTA_E, PSNR, Goal
 from airgs_codec.inspect.report import advice, bought, holds_back, write_report
 from airgs_codec.inspect.summary import RungSummary
-from airgs_codec.media.image import read_picture
-from airgs_codec.media.movie import VideoReader
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.sequence import GaussianSequence
+from tests.faces import DELTA_E, PSNR, GaussianSequence, Goal, VideoReader, decode_frames, open_package, read_picture
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 from tests.support.views import moved

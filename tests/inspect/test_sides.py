@@ -3,20 +3,9 @@
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode_frames
-from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.sides import (
-    DRAWS,
-    comparable,
-    compared_views,
-    left_out,
-    open_side,
-    region_views,
-    shared_views,
-)
-from airgs_codec.inspect.summary import summarise
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import CHECKING, draw_views
+from airgs_codec.inspect.sides import DRAWS, comparable, compared_views, region_views, shared_views
+from airgs_codec.package.region import CHECKING
+from tests.faces import ConfigError, decode_frames, draw_views, left_out, open_package, open_side, summarise
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID
 from tests.support.regions import arc

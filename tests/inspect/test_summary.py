@@ -5,20 +5,10 @@ import json
 
 import pytest
 
-from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import (
-    bytes_by_kind,
-    describe_left_out,
-    format_ladder,
-    format_summary,
-    segment_rates,
-    summarise,
-)
-from airgs_codec.media.image import read_picture
-from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.package import open_package
+from airgs_codec.inspect.summary import bytes_by_kind, describe_left_out, format_ladder, segment_rates
 from airgs_codec.package.tables import LeftOut
+from tests.faces import ConfigError, format_summary, open_package, pooled_quality, read_picture, summarise
 from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.regions import arc

@@ -12,15 +12,20 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
-from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.validate import validate
 from airgs_codec.media.h264 import ClosedGop, check_gop, encode_gop, key_codec
 from airgs_codec.media.mp4 import box, read_boxes, read_samples, read_segment, with_own_box
-from airgs_codec.package.layout import FileKind, file_kind
-from airgs_codec.package.package import open_files, open_package
-from airgs_codec.package.tables import digest
-from airgs_codec.places.place import Memory
+from tests.faces import (
+    FileKind,
+    FormatError,
+    Memory,
+    decode_canonical,
+    decode_segment,
+    digest,
+    file_kind,
+    open_files,
+    open_package,
+    validate,
+)
 from tests.makers.refusals import TABLE, with_columns
 from tests.support.mutations import (
     Files,

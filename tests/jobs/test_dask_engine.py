@@ -5,11 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from airgs_codec.errors import FormatError, WorkError
 from airgs_codec.jobs.dask_engine import DaskEngine
-from airgs_codec.jobs.job import Job
-from airgs_codec.jobs.work import Work
-from airgs_codec.places.results import open_store
+from tests.faces import FormatError, Job, Work, WorkError, open_store
 from tests.support.jobs import die, die_once, refuse, square
 
 

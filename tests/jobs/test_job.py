@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder.pipeline import code_key
-from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.jobs.job import code_digest, digest, modules_run
 from airgs_codec.trainer.pipeline import fit_chunk
+from tests.faces import EncodeSettings
 from tests.support.jobs import square
 from tests.support.paths import PACKAGE
 

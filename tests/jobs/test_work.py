@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.errors import FormatError, WorkError
-from airgs_codec.jobs.engines import DEATHS, InProcess, Processes
-from airgs_codec.jobs.job import Job, perform
-from airgs_codec.jobs.work import Work
-from airgs_codec.places.results import open_store
+from airgs_codec.jobs.engines import DEATHS, InProcess
+from airgs_codec.jobs.job import perform
+from tests.faces import FormatError, Job, Processes, Work, WorkError, open_store
 from tests.support.jobs import calls, die, die_once, refuse, square, total
 
 

@@ -30,18 +30,22 @@ from types import SimpleNamespace
 from unittest.mock import patch
 
 from airgs_codec.encoder import live
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import TransportError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.jobs.work import Work
 from airgs_codec.package import publish
-from airgs_codec.places.place import PLAIN, Folder, Place
-from airgs_codec.places.results import Store
+from airgs_codec.places.place import PLAIN, Place
 from airgs_codec.play import http, player
-from airgs_codec.play.session import play
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.scene.sequence import GrowingFolder, open_sequence
+from tests.faces import (
+    EncodeSettings,
+    Folder,
+    GrowingFolder,
+    SessionSettings,
+    Store,
+    TransportError,
+    Work,
+    encode,
+    open_sequence,
+    play,
+    validate,
+)
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
 from tests.support.mutations import Files, read_files

@@ -35,35 +35,47 @@ from zlib import crc32
 import numpy as np
 
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
-from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import AirgsError, FormatError
-from airgs_codec.inspect.summary import format_summary, summarise
-from airgs_codec.inspect.validate import validate_files
 from airgs_codec.jobs.job import load
-from airgs_codec.jobs.work import Work
 from airgs_codec.media.h264 import Pictures
 from airgs_codec.media.mp4 import OWN, read_segment, with_own_box
-from airgs_codec.package.dash_check import check_mpd
-from airgs_codec.package.layout import JSON_NAME, MPD_NAME, FileKind, file_kind
-from airgs_codec.package.package import open_files
-from airgs_codec.package.parse import read_region
-from airgs_codec.package.region import read_world
-from airgs_codec.places.place import Memory
-from airgs_codec.places.results import Store
 from airgs_codec.play.film import walk_through
-from airgs_codec.play.policies.named import NAMES
-from airgs_codec.play.session import simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
-from airgs_codec.scene.beside import Usage, load_usage, read_settings, save_usage
-from airgs_codec.scene.cameras.read import read_cameras
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.beside import read_settings
 from airgs_codec.serve.pages import look_at
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.record import VERSION, read_model
+from airgs_codec.trainer.record import VERSION
+from tests.faces import (
+    JSON_NAME,
+    MPD_NAME,
+    NAMES,
+    AirgsError,
+    EncodeSettings,
+    FileKind,
+    FormatError,
+    Memory,
+    SessionSettings,
+    Store,
+    Trace,
+    Usage,
+    Work,
+    check_mpd,
+    decode_canonical,
+    decode_segment,
+    encode,
+    file_kind,
+    format_summary,
+    load_usage,
+    open_files,
+    open_scene,
+    open_sequence,
+    read_cameras,
+    read_model,
+    read_region,
+    read_world,
+    save_usage,
+    simulate,
+    summarise,
+    validate_files,
+    write_ply,
+)
 from tests.support.camera_files import FORMS, as_inria
 from tests.support.clip_files import numbered_4dgs, random_rows, splatv_bytes, write_spacetime_ply, write_splat4d
 from tests.support.layers import NUMBERS, mutate

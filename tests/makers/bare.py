@@ -7,14 +7,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.package.layout import POSTER_NAME
-from airgs_codec.package.package import open_package
-from airgs_codec.package.publish import write_tables
-from airgs_codec.places.place import Folder
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    POSTER_NAME,
+    EncodeSettings,
+    Folder,
+    Gaussians,
+    encode,
+    open_package,
+    open_sequence,
+    write_tables,
+)
 from tests.support.scenes import write_sequence
 
 

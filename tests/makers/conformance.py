@@ -16,17 +16,23 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
 from airgs_codec.encoder.tables import add_sound
-from airgs_codec.media.sound import encode_sound
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import open_package
-from airgs_codec.package.publish import write_tables
-from airgs_codec.package.region import world_from
-from airgs_codec.package.tables import Place, Region
-from airgs_codec.places.place import Folder
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import (
+    APART,
+    KEPT,
+    EncodeSettings,
+    Folder,
+    Gaussians,
+    Groups,
+    LevelSettings,
+    LiveClock,
+    Place,
+    Region,
+    encode_sound,
+    open_package,
+    world_from,
+    write_tables,
+)
 from tests.makers.bare import encode_bare
 from tests.support.chirps import write_wav
 from tests.support.paths import VALID

@@ -14,9 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.render import read_cameras
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import open_sequence, read_cameras, write_ply
 from tests.support.views import measure_usage
 
 FIRST, KEYFRAME, LAST = 7, 12, 16  # frames of the full sequence, last included

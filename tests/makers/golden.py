@@ -13,10 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.encoder.settings import APART, KEPT, EncodeSettings, LevelSettings
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import APART, KEPT, EncodeSettings, LevelSettings, StepSettings, open_package, open_sequence
 from tests.makers.bare import encode_bare
 from tests.support.digests import digests
 from tests.support.paths import FOX, GOLDEN

@@ -7,7 +7,6 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.errors import CodecError, FormatError
 from airgs_codec.media.h264 import (
     KEY_QP,
     STATE_QP,
@@ -23,6 +22,7 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from airgs_codec.media.mp4 import init_segment, read_samples
+from tests.faces import CodecError, FormatError
 from tests.support.bitstream import trace_headers
 
 SIZE = (96, 64)

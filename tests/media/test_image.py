@@ -7,19 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.media.image import (
-    contact_sheet,
-    fit_lens,
-    label,
-    match_features,
-    read_mask,
-    read_picture,
-    sift,
-    to_bytes,
-    undistort,
-    write_png,
-)
+from airgs_codec.media.image import contact_sheet, fit_lens, label, match_features, read_mask, sift, undistort
+from tests.faces import SceneError, read_picture, to_bytes, write_png
 
 
 def noise(height=48, width=64, seed=0):

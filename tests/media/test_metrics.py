@@ -6,17 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from airgs_codec.media.metrics import (
-    MOST_COLOURS,
-    PSNR_CAP,
-    Difference,
-    Picture,
-    Quality,
-    delta_e_metric,
-    mse,
-    pool,
-    psnr,
-)
+from airgs_codec.media.metrics import MOST_COLOURS, delta_e_metric
+from tests.faces import PSNR_CAP, Difference, Picture, Quality, mse, pool, psnr
 from tests.support.plain_metrics import plain_mse, plain_ssim
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec.errors import CodecError, SceneError
-from airgs_codec.media.movie import VideoReader, write_movie
+from tests.faces import CodecError, SceneError, VideoReader, write_movie
 from tests.support.multiview_files import plain, write_video
 
 

@@ -6,7 +6,6 @@ import av
 import numpy as np
 import pytest
 
-from airgs_codec.errors import CodecError
 from airgs_codec.media.h264 import ClosedGop, CodecSettings, encode_gop
 from airgs_codec.media.mp4 import (
     OWN,
@@ -18,6 +17,7 @@ from airgs_codec.media.mp4 import (
     start_codes,
     with_own_box,
 )
+from tests.faces import CodecError
 
 
 @pytest.fixture(scope="module")

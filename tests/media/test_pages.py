@@ -9,7 +9,6 @@ import av
 import numpy as np
 import pytest
 
-from airgs_codec.errors import FormatError
 from airgs_codec.media.h264 import (
     STATE_QP,
     ClosedGop,
@@ -21,6 +20,7 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from airgs_codec.media.mp4 import init_segment, read_boxes, read_samples, read_start, start_codes
+from tests.faces import FormatError
 
 SIZE = (96, 64)
 CODEC = state_codec("veryfast")

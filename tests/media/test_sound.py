@@ -8,10 +8,9 @@ import av
 import numpy as np
 import pytest
 
-from airgs_codec.errors import CodecError, SceneError
-from airgs_codec.media.movie import write_movie
 from airgs_codec.media.mp4 import PACKET_TICKS, WARM_UP, read_samples, read_start, sound_segment
-from airgs_codec.media.sound import decode_sound, encode_sound
+from airgs_codec.media.sound import decode_sound
+from tests.faces import CodecError, SceneError, encode_sound, write_movie
 from tests.support.chirps import chirp, write_chirp
 
 

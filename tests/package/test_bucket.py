@@ -6,11 +6,10 @@ import pytest
 from obstore.exceptions import GenericError
 from obstore.store import MemoryStore
 
-from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.layout import JSON_NAME, MPD_NAME
 from airgs_codec.package.package import find_file
-from airgs_codec.package.publish import NEW, staged_package
+from airgs_codec.package.publish import NEW
 from airgs_codec.places.place import Bucket
+from tests.faces import JSON_NAME, MPD_NAME, ConfigError, FormatError, TransportError, staged_package
 from tests.support.mutations import read_files
 from tests.support.paths import VALID
 

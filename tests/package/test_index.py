@@ -7,15 +7,27 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.errors import FormatError
-from airgs_codec.package.index import GroupIndex, count_groups
-from airgs_codec.package.layout import file_kind, group_path, locate
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.mpd import write_mpd
-from airgs_codec.package.package import open_manifest, open_package, root_of
-from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
-from airgs_codec.package.tables import PAGE, digest
+from airgs_codec.package.index import count_groups
+from airgs_codec.package.package import open_manifest
+from airgs_codec.package.parse import extend_index
+from tests.faces import (
+    PAGE,
+    FormatError,
+    GroupIndex,
+    Groups,
+    build_index,
+    decode,
+    digest,
+    file_kind,
+    group_path,
+    locate,
+    open_package,
+    pack_group,
+    pack_json,
+    parse_root,
+    root_of,
+    write_mpd,
+)
 from tests.support.manifests import no_page, tiny_manifest
 from tests.support.mutations import read_files
 from tests.support.paths import VALID

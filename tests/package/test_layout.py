@@ -5,8 +5,8 @@ import re
 import numpy as np
 import pytest
 
-from airgs_codec.package.layout import COLOUR, KEY, STATE
-from airgs_codec.package.tables import KeySteps, StateSteps
+from airgs_codec.package.layout import COLOUR
+from tests.faces import KEY, STATE, KeySteps, StateSteps
 from tests.support.paths import REPOSITORY
 
 COLOURS = 12

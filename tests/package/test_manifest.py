@@ -11,15 +11,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.validate import validate
 from airgs_codec.package import parse
-from airgs_codec.package.dash_check import check_mpd
-from airgs_codec.package.layout import JSON_NAME, group_path
-from airgs_codec.package.mpd import LiveClock, write_mpd
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.parse import pack_group, pack_json, parse_group, parse_root
-from airgs_codec.package.tables import PAGE
+from airgs_codec.package.parse import parse_group
+from tests.faces import (
+    JSON_NAME,
+    PAGE,
+    FormatError,
+    LiveClock,
+    check_mpd,
+    group_path,
+    open_package,
+    pack_group,
+    pack_json,
+    parse_root,
+    root_of,
+    validate,
+    write_mpd,
+)
 from tests.makers.refusals import BREAKS, TABLE, changes, source_of
 from tests.support.mutations import apply, parse_table, places, set_value
 from tests.support.paths import CORPUS, REPOSITORY

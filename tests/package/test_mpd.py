@@ -11,13 +11,20 @@ from fractions import Fraction
 import av
 import pytest
 
-from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.media.mp4 import init_segment
-from airgs_codec.package.dash_check import check_mpd
-from airgs_codec.package.layout import MPD_NAME
-from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import DASH, MIN_BUFFER_S, LiveClock, Run, Streams, still_files, write_mpd
-from airgs_codec.package.tables import NO_FILE
+from airgs_codec.package.mpd import DASH, MIN_BUFFER_S, Run
+from tests.faces import (
+    MPD_NAME,
+    NO_FILE,
+    ConfigError,
+    FormatError,
+    LiveClock,
+    Manifest,
+    Streams,
+    check_mpd,
+    still_files,
+    write_mpd,
+)
 from tests.support.manifests import tiny_manifest, with_segments
 from tests.support.mutations import apply, edit_text
 

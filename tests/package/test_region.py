@@ -9,24 +9,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.errors import ConfigError, FormatError, SceneError
-from airgs_codec.package.package import root_of
-from airgs_codec.package.parse import pack_json, parse_root, read_region
 from airgs_codec.package.references import fault_of
-from airgs_codec.package.region import (
+from airgs_codec.package.region import misread, parse_up, unit_of
+from airgs_codec.scene.formats.form import Axes
+from tests.faces import (
+    ConfigError,
+    FormatError,
+    Place,
+    SceneError,
+    World,
     draw_views,
     levelled,
-    misread,
-    parse_up,
+    pack_json,
+    parse_root,
     place_view,
+    read_region,
     read_world,
-    unit_of,
+    root_of,
     up_of,
     upright,
     world_from,
 )
-from airgs_codec.package.tables import Place, World
-from airgs_codec.scene.formats.form import Axes
 from tests.support.manifests import tiny_manifest
 from tests.support.regions import is_inside, place, region, region_json
 

@@ -3,7 +3,7 @@
 import pytest
 
 from airgs_codec.package import layout
-from airgs_codec.package.layout import FileKind, file_kind, locate
+from tests.faces import FileKind, file_kind, locate
 
 
 def test_kinds_of_files_are_those_of_their_paths():

@@ -4,13 +4,7 @@ import shutil
 
 import pytest
 
-from airgs_codec.cli import manifest
-from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import up_of
-from airgs_codec.package.tables import MAX_PLACES
-from airgs_codec.package.views import set_view
+from tests.faces import MAX_PLACES, ConfigError, FormatError, airgs_manifest, open_package, set_view, up_of, validate
 from tests.support.paths import VALID
 
 
@@ -26,7 +20,7 @@ def bytes_of(folder):
 def test_viewers_begin_where_they_are_told_to_and_nothing_else_changes(package):
     before, places = bytes_of(package), open_package(package).manifest.region.places
     view = ["--position=-1,2,3.5", "--look-at", "0,0,1"]
-    assert manifest.main(["set-view", str(package), *view, "--up", "-y"]) == 0
+    assert airgs_manifest(["set-view", str(package), *view, "--up", "-y"]) == 0
     after, m = bytes_of(package), open_package(package).manifest
     first = m.region.places[0]
     assert (first.position, first.focus, first.name) == ([-1, 2, 3.5], [0, 0, 1], None)
@@ -40,7 +34,7 @@ def test_viewers_begin_where_they_are_told_to_and_nothing_else_changes(package):
 def test_a_named_view_is_found_by_its_name_and_the_first_place_stays(package, capsys):
     places, poster = open_package(package).manifest.region.places, open_package(package).manifest.poster
     set_view(package, view=((1, 1, 1), (0, 0, 0)), name="from above")
-    manifest.main(["set-view", str(package), "--position", "2,2,2", "--look-at", "0,0,0", "--name", "from above"])
+    airgs_manifest(["set-view", str(package), "--position", "2,2,2", "--look-at", "0,0,0", "--name", "from above"])
     m = open_package(package).manifest
     assert m.region.places[:-1] == places and m.poster == poster
     assert (m.region.places[-1].name, m.region.places[-1].position) == ("from above", [2, 2, 2])
@@ -73,5 +67,5 @@ def test_places_run_out(package):
 
 @pytest.mark.parametrize("words", [["--position", "1,2,3"], ["--up", "y", "--name", "x"], ["--position", "1,2"]])
 def test_options_that_say_half_are_refused(package, words, capsys):
-    assert manifest.main(["set-view", str(package), *words]) == 2
+    assert airgs_manifest(["set-view", str(package), *words]) == 2
     assert capsys.readouterr().err.count("\n") == 1

@@ -5,14 +5,19 @@ from datetime import UTC, datetime
 
 import pytest
 
-from airgs_codec.errors import FormatError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.publish import GrowingPackage, write_root, write_tables
-from airgs_codec.package.tables import PAGE
-from airgs_codec.places.place import Folder
+from tests.faces import (
+    PAGE,
+    Folder,
+    FormatError,
+    Groups,
+    GrowingPackage,
+    LiveClock,
+    open_package,
+    root_of,
+    validate,
+    write_root,
+    write_tables,
+)
 from tests.support.growing import PAGED
 from tests.support.mutations import read_files
 

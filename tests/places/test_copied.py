@@ -7,10 +7,8 @@ import shutil
 import numpy as np
 import pytest
 
-from airgs_codec.errors import ConfigError, SceneError, TransportError
 from airgs_codec.places import place as module
-from airgs_codec.places.place import bucket_at
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import ConfigError, SceneError, TransportError, bucket_at, open_sequence
 from tests.support.clip_files import random_rows, splatv_bytes
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence

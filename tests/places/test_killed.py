@@ -7,14 +7,17 @@ from contextlib import suppress
 
 import pytest
 
-from airgs_codec.cli import decode, manifest
-from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.package.publish import staged_package
-from airgs_codec.package.views import set_view
 from airgs_codec.places import whole
-from airgs_codec.places.place import Folder
+from tests.faces import (
+    ConfigError,
+    Folder,
+    airgs_decode,
+    airgs_manifest,
+    open_package,
+    set_view,
+    staged_package,
+    validate,
+)
 from tests.support.paths import VALID
 
 STEPS = ("open", "write", "fsync", "mkdir", "rename", "replace", "unlink", "rmdir")
@@ -61,8 +64,8 @@ def give_up(place):
 RUNS = {
     "set-view": lambda place: set_view(place, up=(0, -1, 0)),
     "replace": replace_package,
-    "frames": lambda place: decode.main([str(VALID / "moving"), "-o", f"{place.parent}/frames/", "--frames", "0:2"]),
-    "a file": lambda place: decode.main([str(VALID / "moving"), "-o", f"{place.parent}/a.splat", "--frames", "1"]),
+    "frames": lambda place: airgs_decode([str(VALID / "moving"), "-o", f"{place.parent}/frames/", "--frames", "0:2"]),
+    "a file": lambda place: airgs_decode([str(VALID / "moving"), "-o", f"{place.parent}/a.splat", "--frames", "1"]),
 }
 
 
@@ -123,10 +126,10 @@ def test_a_second_writer_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
         shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
         with pytest.raises(ConfigError, match="another run that is making this package"):
             give_up(place)
-        assert manifest.main(change) == 0
+        assert airgs_manifest(change) == 0
     assert open_package(place).manifest.region == open_package(VALID / "moving").manifest.region
     with whole.written_alone(place):
         with pytest.raises(ConfigError, match="another run that is writing there"):
             give_up(place)
-        assert manifest.main(change) == 2 and "another run that is writing there" in capsys.readouterr().err
+        assert airgs_manifest(change) == 2 and "another run that is writing there" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == [place.name] and validate(place) == []

@@ -4,10 +4,7 @@ import pickle
 
 import pytest
 
-from airgs_codec.cli import manifest
-from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.package import open_package
-from airgs_codec.places.place import Folder, Memory, place_at
+from tests.faces import ConfigError, Folder, FormatError, Memory, airgs_manifest, open_package, place_at
 from tests.support.paths import VALID
 from tests.support.servers import plainly_serving
 
@@ -64,10 +61,10 @@ def test_a_package_is_read_from_a_web_server(capsys):
         there, here = open_package(address), open_package(VALID / "moving")
         for path in here.manifest.files():
             assert there.read(path) == here.read(path)
-        assert manifest.main(["inspect", address]) == 0
+        assert airgs_manifest(["inspect", address]) == 0
         with pytest.raises(FormatError, match="expected a package"):
             open_package(f"{address}/nothing")
-        assert manifest.main(["validate", address]) == 2
+        assert airgs_manifest(["validate", address]) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 

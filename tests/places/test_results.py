@@ -9,10 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import ConfigError
-from airgs_codec.places.results import open_store, pack, seal, unpack, unseal
-from airgs_codec.scene.beside import Usage
+from airgs_codec.places.results import seal, unpack, unseal
+from tests.faces import ConfigError, EncodeSettings, Usage, open_store, pack
 
 OURS = ("airgs_codec", "tests")
 

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from airgs_codec.errors import ConfigError
 from airgs_codec.places import whole
+from tests.faces import ConfigError
 
 
 def test_a_file_takes_its_place_only_when_it_is_whole(tmp_path):

@@ -5,11 +5,9 @@ from dataclasses import replace
 import pytest
 
 from airgs_codec.package.manifest import on_ladder
-from airgs_codec.play.offers import Offers
-from airgs_codec.play.report import ASKED, BELOW, FAULTS, OVER, SHORT, answer, beaten_words, find_stalls
-from airgs_codec.play.session import simulate
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.report import ASKED, BELOW, FAULTS, OVER, SHORT, beaten_words, find_stalls
 from airgs_codec.play.study import Study, StudySettings, study_answer
+from tests.faces import Offers, SessionSettings, answer, simulate
 from tests.play.test_session import link, play
 from tests.support.manifests import missing, tiny_manifest
 

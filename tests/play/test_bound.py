@@ -8,12 +8,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
+from tests.faces import (
+    NONE,
+    ConfigError,
+    Horizon,
+    Link,
+    Offers,
+    SessionSettings,
+    Slot,
+    Trace,
+    session_bound,
+    simulate,
+    solve_horizon,
+)
 from tests.support.manifests import keys, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)

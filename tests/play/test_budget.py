@@ -5,16 +5,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.package.manifest import Manifest
-from airgs_codec.play.downloader import Lost, Shown, SimulatedDownloader
-from airgs_codec.play.offers import NONE, OVER_BUDGET, Offers
-from airgs_codec.play.player import run
-from airgs_codec.play.policies.named import ADAPTIVE, ORACLES, make_policy
-from airgs_codec.play.report import format_metrics
-from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.offers import OVER_BUDGET
+from airgs_codec.play.policies.named import ORACLES
+from tests.faces import (
+    ADAPTIVE,
+    NONE,
+    ConfigError,
+    Link,
+    Lost,
+    Manifest,
+    Offers,
+    SessionSettings,
+    Shown,
+    SimulatedDownloader,
+    Trace,
+    format_metrics,
+    make_policy,
+    run,
+    session_bound,
+    simulate,
+)
 from tests.support.manifests import in_groups, tiny_manifest
 
 LINK = Link(Trace.open("const:9"), 0.0)

@@ -6,20 +6,30 @@ import gzip
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
-from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
-from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import open_package
-from airgs_codec.package.publish import GrowingPackage, write_tables
-from airgs_codec.places.place import Memory
-from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Request, answer
+from airgs_codec.play.downloader import answer
 from airgs_codec.play.fetcher import Fetcher
-from airgs_codec.play.http import RemoteTables
 from airgs_codec.play.offers import HEADER_BYTES
 from airgs_codec.play.player import Player
 from airgs_codec.play.playout import Playout
-from airgs_codec.play.policies.named import make_policy
-from airgs_codec.play.settings import SessionSettings
+from tests.faces import (
+    JSON_NAME,
+    MPD_NAME,
+    POSTER_NAME,
+    Arrival,
+    Arrived,
+    BatchKind,
+    Groups,
+    GrowingPackage,
+    LiveClock,
+    Manifest,
+    Memory,
+    RemoteTables,
+    Request,
+    SessionSettings,
+    make_policy,
+    open_package,
+    write_tables,
+)
 from tests.support.paths import VALID
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)

@@ -5,11 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from airgs_codec.errors import TransportError
-from airgs_codec.play.offers import Offers
-from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import LONGEST_S, MOST_BPS, Link, Trace
+from airgs_codec.play.trace import LONGEST_S, MOST_BPS
+from tests.faces import Link, Offers, SessionSettings, Trace, TransportError, session_bound, simulate
 from tests.support.manifests import tiny_manifest
 from tools.lab.numerics.outcome import BOUNDED, EXACT, UNFIT
 from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved

@@ -6,10 +6,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.play.film import MOST_PIXELS, STEP_S, walk, walk_through
-from airgs_codec.play.offers import Offers
-from airgs_codec.play.session import simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from tests.faces import Offers, SessionSettings, Trace, simulate
 from tests.support.manifests import tiny_manifest
 from tests.support.regions import arc, row
 

@@ -14,16 +14,29 @@ from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, Thread
 import numpy as np
 import pytest
 
-from airgs_codec.errors import AirgsError, ConfigError, FormatError, TransportError
-from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.package import check_repr_digest, open_package, repr_digest
 from airgs_codec.places import place
-from airgs_codec.play.downloader import Batch, BatchKind, Request
-from airgs_codec.play.http import LEAST_BYTES, FileClient, HttpDownloader, HttpSettings, Transfer, connect, fetch_beside
-from airgs_codec.play.report import format_metrics
-from airgs_codec.play.session import play, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.downloader import Batch
+from airgs_codec.play.http import LEAST_BYTES, FileClient, Transfer, connect, fetch_beside
+from tests.faces import (
+    JSON_NAME,
+    AirgsError,
+    BatchKind,
+    ConfigError,
+    FormatError,
+    HttpDownloader,
+    HttpSettings,
+    Link,
+    Request,
+    SessionSettings,
+    Trace,
+    TransportError,
+    check_repr_digest,
+    format_metrics,
+    open_package,
+    play,
+    repr_digest,
+    simulate,
+)
 from tests.support.browser import Answer, serve
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID

@@ -8,16 +8,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.errors import FormatError
-from airgs_codec.package.references import check_base, check_group
-from airgs_codec.package.tables import NO_FILE
-from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.downloader import SimulatedDownloader
-from airgs_codec.play.ladder import Decision
-from airgs_codec.play.offers import Offers
-from airgs_codec.play.player import run
-from airgs_codec.play.policies.state import Policy
-from airgs_codec.play.session import session_bound, simulate
+from airgs_codec.package.references import check_base
+from tests.faces import (
+    NO_FILE,
+    Decision,
+    FormatError,
+    Horizon,
+    Offers,
+    Policy,
+    SimulatedDownloader,
+    Slot,
+    check_group,
+    run,
+    session_bound,
+    simulate,
+    solve_horizon,
+)
 from tests.play.test_session import link, rules
 from tests.support.manifests import in_groups, keys, missing, tiny_manifest
 from tests.support.session_packages import offers_of

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.play.ladder import Decision, Ladder, Option, saved_shares, select
+from airgs_codec.play.ladder import Ladder, Option, saved_shares, select
 from airgs_codec.play.policies.paper import frame_budget, select_literal
+from tests.faces import ConfigError, Decision
 
 TABLE = json.loads(Path(__file__).with_name("ladder.json").read_text())  # cases that the browser's player reads, too
 

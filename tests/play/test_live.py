@@ -6,14 +6,18 @@ from itertools import pairwise
 
 import pytest
 
-from airgs_codec.errors import TransportError
-from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.package import open_package
 from airgs_codec.play import player
-from airgs_codec.play.http import HttpDownloader, HttpSettings
-from airgs_codec.play.session import play, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from tests.faces import (
+    JSON_NAME,
+    HttpDownloader,
+    HttpSettings,
+    SessionSettings,
+    Trace,
+    TransportError,
+    open_package,
+    play,
+    simulate,
+)
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
 from tests.support.paths import VALID

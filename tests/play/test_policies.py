@@ -8,12 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc
-from airgs_codec.play.policies.named import NAMES, make_policy
 from airgs_codec.play.policies.simple import choose_oracle_frame, choose_oracle_lp, upcoming_horizon
-from airgs_codec.play.policies.state import RESERVE_S, STALL_DB, Download, PlayerState
+from airgs_codec.play.policies.state import RESERVE_S
+from tests.faces import NAMES, NONE, STALL_DB, ConfigError, Download, Offers, PlayerState, make_policy
 from tests.play.test_session import link
 from tests.support.manifests import keys, tiny_manifest
 

@@ -5,12 +5,7 @@ from functools import cache
 
 import pytest
 
-from airgs_codec.errors import FormatError
-from airgs_codec.package.layout import JSON_NAME, group_path
-from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.parse import pack_json
-from airgs_codec.play.http import RemoteTables
+from tests.faces import JSON_NAME, FormatError, Manifest, RemoteTables, group_path, open_package, pack_json, root_of
 from tests.support.long_index import long_index
 from tests.support.paths import VALID
 from tests.support.refusals import cases

@@ -10,20 +10,37 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.errors import ConfigError, FormatError
-from airgs_codec.package.layout import FileKind
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.references import check_group, check_root
+from airgs_codec.package.references import check_root
 from airgs_codec.package.tables import Segment
-from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Replaced, Request, Shown
-from airgs_codec.play.ladder import Decision
 from airgs_codec.play.metrics import SHORTEST_S, session_metrics
-from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.state import STALL_DB, Policy
-from airgs_codec.play.report import answer, format_metrics, write_report
-from airgs_codec.play.session import SessionLog, session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.report import write_report
+from airgs_codec.play.session import SessionLog
+from tests.faces import (
+    NONE,
+    STALL_DB,
+    Arrival,
+    Arrived,
+    BatchKind,
+    ConfigError,
+    Decision,
+    FileKind,
+    FormatError,
+    Link,
+    Offers,
+    Policy,
+    Replaced,
+    Request,
+    SessionSettings,
+    Shown,
+    Trace,
+    answer,
+    check_group,
+    format_metrics,
+    open_package,
+    root_of,
+    session_bound,
+    simulate,
+)
 from tests.support.manifests import missing, tiny_manifest, with_segments
 from tests.support.paths import VALID
 

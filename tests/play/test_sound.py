@@ -9,15 +9,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.cli.play import main
-from airgs_codec.package.layout import sound_path
-from airgs_codec.package.package import open_package
 from airgs_codec.package.tables import FileEntry, Sound
 from airgs_codec.play.film import sound_of
-from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.session import simulate
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Trace
+from tests.faces import NONE, Offers, SessionSettings, Trace, airgs_play, open_package, simulate, sound_path
 from tests.play.test_session import link, play
 from tests.support.chirps import moment, read_samples, write_chirping
 from tests.support.manifests import HASH, in_groups, missing, tiny_manifest
@@ -97,6 +91,6 @@ def test_what_is_heard_goes_with_the_ticks_of_a_session_and_stalls_are_silent(ch
 def test_films_have_the_sound(chirping, tmp_path, capsys):
     seen = tmp_path / "seen.mp4"
     options = ["--trace", "const:9", "--policy", "fixed:0", "--player.loops", "1", "--video", str(seen)]
-    assert main([str(chirping), *options]) == 0
+    assert airgs_play([str(chirping), *options]) == 0
     for second in (0.2, 0.6, 1.1):
         assert heard(read_samples(seen), second) == pytest.approx(second, abs=0.003)

@@ -6,15 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli.play import main
-from airgs_codec.package.package import find_faults, open_package
-from airgs_codec.package.region import draw_views
 from airgs_codec.play.metrics import FIGURES
-from airgs_codec.play.offers import Offers
 from airgs_codec.play.session import measure_decoding
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
-from airgs_codec.play.trace import Trace
+from tests.faces import Offers, SessionSettings, Trace, airgs_play, draw_views, find_faults, open_package
 from tests.play.test_session import link
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
@@ -67,11 +62,11 @@ def test_a_study_compares_on_the_same_links(demo_package, capsys):
         "1",
     ]
     policies = "robust-mpc,paper,paper-literal,throughput,bola,oracle-frame,oracle-lp,fixed:0"
-    assert main([str(demo_package), *options, "--policies", policies]) == 0
+    assert airgs_play([str(demo_package), *options, "--policies", policies]) == 0
     text = capsys.readouterr().out
     assert "2 traces, 2 offsets each (seed 1), unscaled" in text and "mean over display ticks" in text
     assert "links whose smallest rungs" in text and "oracle-lp" in text and " does best on 4 links" in text
-    assert main([str(demo_package), *options, "--policies", policies, "--json"]) == 0
+    assert airgs_play([str(demo_package), *options, "--policies", policies, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert [r["sessions"] for r in record["all"]] == [4] * 8
     assert all(r["figures"]["regret"][0] >= -1e-6 for r in record["all"])
@@ -101,13 +96,13 @@ def test_a_study_repeats_exactly(demo_package):
     ],
 )
 def test_studies_that_cannot_be(demo_package, options, words, capsys):
-    assert main([str(demo_package), *options]) == 2
+    assert airgs_play([str(demo_package), *options]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
 
 
 def test_an_empty_folder_of_traces(demo_package, tmp_path, capsys):
-    assert main([str(demo_package), "--compare", "--traces", str(tmp_path)]) == 2
+    assert airgs_play([str(demo_package), "--compare", "--traces", str(tmp_path)]) == 2
     assert "empty" in capsys.readouterr().err
 
 
@@ -121,13 +116,13 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
     film = tmp_path / "film.mp4"
     play = [str(demo_copy), "--trace", "const:50", "--player.loops", "1", "--video", str(film)]
-    assert main([*play, "--policy", "fixed:0"]) == 0
+    assert airgs_play([*play, "--policy", "fixed:0"]) == 0
     assert first in capsys.readouterr().out and film.exists()
     for group in range(len(package.manifest.groups)):
         (demo_copy / package.manifest.key_files(group, 0, 0)[0]).unlink()
-    assert main(play) == 2
+    assert airgs_play(play) == 2
     assert "nothing can be shown" in capsys.readouterr().err
-    assert main(play[:5]) == 0
+    assert airgs_play(play[:5]) == 0
     assert "no rung can be had" in capsys.readouterr().out
 
 

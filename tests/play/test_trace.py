@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.errors import TransportError
-from airgs_codec.play.trace import Link, Trace, read_trace
+from airgs_codec.play.trace import read_trace
+from tests.faces import Link, Trace, TransportError
 from tests.support.paths import FOX
 
 RACA = (

@@ -7,10 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.media.metrics import PSNR_CAP, Difference, Picture, Quality, pool, psnr
-from airgs_codec.render import render
 from airgs_codec.render.compare import AHEAD, compare, draw_frames, draw_once, draw_still, in_order
+from tests.faces import PSNR_CAP, ConfigError, Difference, Picture, Quality, pool, psnr, render
 from tests.support.plain_metrics import plain_mse, plain_ssim
 from tests.support.scenes import moving_frames
 from tests.support.views import coloured_cloud, ring

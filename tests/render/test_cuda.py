@@ -5,13 +5,13 @@ import pytest
 import torch
 
 from airgs_codec.render import cuda
-from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.backend import Renderer
 from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.losses import mean_psnr
 from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, from_gaussians, render, render_views
+from airgs_codec.trainer.fit.parameters import render, render_views
 from airgs_codec.trainer.fit.variables import PerGaussian
+from tests.faces import ATTRIBUTES, CPU, View, from_gaussians
 from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, ring, views_of
 from tools.lab.bench.devices import compare

@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from airgs_codec.render import cuda
-from airgs_codec.render.backend import CPU
-from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.render.cuda import AbsGrad, OnCuda
 from airgs_codec.render.differentiable import rasterize_views
+from tests.faces import CPU, RasterInputs
 from tests.support import fake_gsplat
 from tests.support.scenes import random_gaussians
 from tests.support.views import ring

@@ -8,20 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.render import Camera, backend, measure_contribution, render, render_views
-from airgs_codec.render.cpu import (
-    RasterInputs,
-    Redraw,
-    activate,
-    blend,
-    contribution_and_gradients,
-    draw,
-    gradients,
-    project,
-)
+from airgs_codec.render import backend, measure_contribution, render_views
+from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, draw, gradients, project
 from airgs_codec.render.differentiable import rasterize
 from airgs_codec.render.reference import blending_weights, render_reference
+from tests.faces import Camera, ConfigError, RasterInputs, Redraw, render
 from tests.support.scenes import random_gaussians
 
 # Single pixels flip at alpha = 1/255 between float32 and float64: one flip moves a pixel by up to 4e-3.

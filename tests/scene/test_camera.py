@@ -6,11 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.render import render
-from airgs_codec.scene.camera import dome_views, look_at, orbit_views, training_views
-from airgs_codec.scene.cameras.read import read_cameras
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.camera import dome_views
+from tests.faces import Gaussians, SceneError, look_at, orbit_views, read_cameras, render, training_views
 from tests.support.multiview_files import matrix_of
 from tests.support.scenes import random_gaussians
 from tests.support.views import ring

@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.frames import Repaired, repair, turn_least
-from airgs_codec.scene.gaussians import (
+from airgs_codec.scene.frames import Repaired, turn_least
+from tests.faces import (
     Gaussians,
+    SceneError,
     conjugate,
     from_rotation_vector,
     multiply,
+    repair,
     to_matrices,
     to_rotation_vector,
 )

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.spatial.transform import Rotation
 
-from airgs_codec.scene.gaussians import (
+from tests.faces import (
     conjugate,
     from_rotation_vector,
     mix_rows,

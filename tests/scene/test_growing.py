@@ -4,9 +4,8 @@ import json
 
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply import is_whole, write_ply
-from airgs_codec.scene.sequence import GrowingFolder
+from airgs_codec.scene.formats.ply import is_whole
+from tests.faces import GrowingFolder, SceneError, write_ply
 from tests.support.scenes import moving_frames
 
 

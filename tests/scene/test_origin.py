@@ -6,22 +6,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.cli.decode import main as decode_files
-from airgs_codec.cli.manifest import main as manifest
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import SceneError
 from airgs_codec.inspect.compare import compare
-from airgs_codec.scene.camera import cameras_from, orbit_views
-from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.camera import cameras_from
 from airgs_codec.scene.formats.table import read
-from airgs_codec.scene.frames import repair
-from airgs_codec.scene.gaussians import join_rows
 from airgs_codec.scene.origin import in_world
-from airgs_codec.scene.sequence import GaussianSequence, open_sequence
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.record import FrameRecord, Model, Record, TrainedFrame
-from airgs_codec.trainer.settings import TrainSettings
+from airgs_codec.trainer.record import Model, TrainedFrame
+from tests.faces import (
+    EncodeSettings,
+    FrameRecord,
+    GaussianSequence,
+    Record,
+    SceneError,
+    TrainSettings,
+    airgs_decode,
+    airgs_manifest,
+    encode,
+    join_rows,
+    open_scene,
+    open_sequence,
+    orbit_views,
+    read_ply,
+    repair,
+    write_ply,
+)
 from tests.support.camera_files import write_colmap_text, write_nerfstudio
 from tests.support.multiview_files import write_cameras
 from tests.support.ply import Column, ply_bytes
@@ -111,7 +118,7 @@ def package(tmp_path_factory):
 @pytest.mark.parametrize("form", ["ply", "splat"])
 def test_what_is_decoded_is_where_it_was(package, tmp_path, capsys, form):
     scene, out = package
-    decode_files([str(out), "-o", str(tmp_path / "back"), "--format", form])
+    airgs_decode([str(out), "-o", str(tmp_path / "back"), "--format", form])
     assert ("sequence.json says it" in capsys.readouterr().out) == (form == "splat")
     back = open_sequence(tmp_path / "back")
     assert compare(scene, back).quality.psnr > 30 and compare(back, out).quality.psnr > 45
@@ -122,7 +129,7 @@ def test_what_is_decoded_is_where_it_was(package, tmp_path, capsys, form):
 def test_rows_know_which_they_were(package, tmp_path):
     """Of a package whose rows were sorted and left out, frame by frame; rows that are twice are none."""
     scene, out = package
-    decode_files([str(out), "-o", str(tmp_path / "back"), "--frames", "1", "--level", "L1", "--against", str(scene)])
+    airgs_decode([str(out), "-o", str(tmp_path / "back"), "--frames", "1", "--level", "L1", "--against", str(scene)])
     with np.load(tmp_path / "back" / "rows.npz") as file:
         rows = file["1"]
     back, given = open_sequence(tmp_path / "back"), open_sequence(scene)
@@ -134,8 +141,8 @@ def test_rows_know_which_they_were(package, tmp_path):
 
 def test_a_package_far_from_zero_is_valid_and_says_so(package, capsys):
     scene, out = package
-    assert manifest(["validate", str(out), "--against", str(scene)]) == 0
-    assert manifest(["inspect", str(out)]) == 0
+    assert airgs_manifest(["validate", str(out), "--against", str(scene)]) == 0
+    assert airgs_manifest(["inspect", str(out)]) == 0
     assert "origin: positions are from (448262" in capsys.readouterr().out
 
 

@@ -7,9 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply import read_ply
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import SceneError, open_sequence, read_ply
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 

@@ -5,8 +5,8 @@ import shutil
 
 import pytest
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.serve.app import Packages, find_file, media_type
+from airgs_codec.serve.app import find_file
+from tests.faces import ConfigError, Packages, media_type
 from tests.support.paths import VALID
 
 PACKAGE = VALID / "two-groups-sh1"

@@ -9,15 +9,12 @@ import shutil
 
 import pytest
 
-from airgs_codec.errors import FormatError
 from airgs_codec.package import parse
 from airgs_codec.package.index import PAGE
-from airgs_codec.package.package import open_package
 from airgs_codec.package.parse import MAX_VALUES
-from airgs_codec.package.tables import digest
 from airgs_codec.serve import pages
-from airgs_codec.serve.app import Packages
 from airgs_codec.serve.pages import describe, list_page
+from tests.faces import FormatError, Packages, digest, open_package
 from tests.support.effort import few_calls
 from tests.support.mutations import apply, edit_text, link_file, read_files, remove_file, set_value, write_files
 from tests.support.paths import VALID

@@ -10,10 +10,9 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 
 import pytest
 
-from airgs_codec.package.manifest import pooled_quality
-from airgs_codec.package.package import open_package
 from airgs_codec.serve import pages
 from airgs_codec.serve.pages import look_at, player_address
+from tests.faces import open_package, pooled_quality
 from tests.support.page import FILES, INLINE, put_page
 from tests.support.paths import VALID
 from tests.support.servers import serving

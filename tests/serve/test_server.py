@@ -14,15 +14,20 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.package.package import check_repr_digest
-from airgs_codec.package.tables import digest
 from airgs_codec.places.whole import write_bytes
-from airgs_codec.play.http import HttpDownloader, HttpSettings
-from airgs_codec.play.session import play
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.serve.app import media_type
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
+from airgs_codec.serve.server import Certificate, check_certificate
+from tests.faces import (
+    ConfigError,
+    HttpDownloader,
+    HttpSettings,
+    ServerSettings,
+    SessionSettings,
+    check_repr_digest,
+    digest,
+    listen,
+    media_type,
+    play,
+)
 from tests.support.mutations import read_files
 from tests.support.paths import VALID
 from tests.support.servers import plainly_serving, say, serving

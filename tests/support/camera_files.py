@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from airgs_codec.scene.camera import Camera
+from tests.faces import Camera
 from tests.support.multiview_files import matrix_of
 
 Rig = Sequence[Camera]

@@ -11,10 +11,7 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.media.sound import encode_sound
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import EncodeSettings, encode, encode_sound, open_sequence
 from tests.support.scenes import moving_frames, write_sequence
 
 LOWEST, RISE = 400.0, 400.0  # Hz, Hz a second

@@ -18,7 +18,7 @@ from airgs_codec.scene.formats.form import Losses
 from airgs_codec.scene.formats.ply_elements import write_floats
 from airgs_codec.scene.formats.spacetime import ROW
 from airgs_codec.scene.formats.splat import SPLAT, write_splat
-from airgs_codec.scene.gaussians import SH_C0, Gaussians
+from tests.faces import SH_C0, Gaussians
 
 WIDTH = 64  # texels of a .splatv, where splaTV has 4096
 

@@ -17,13 +17,9 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, plane_starts, row_places
-from airgs_codec.decoder.decode import _read_key, decode_canonical, decode_frames
-from airgs_codec.decoder.states import decode_pictures
-from airgs_codec.package.package import Package
-from airgs_codec.package.tables import Atlas
+from airgs_codec.decoder.decode import _read_key
 from airgs_codec.render import cpu
-from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import Atlas, Camera, Gaussians, Package, decode_canonical, decode_frames, decode_pictures
 
 ALIGNMENT = 8  # bytes
 BLOCK = 16  # samples either side

@@ -8,10 +8,7 @@ from hashlib import sha256
 import numpy as np
 
 from airgs_codec.coding.atlas import read_codes
-from airgs_codec.decoder.decode import decode_key
-from airgs_codec.decoder.states import decode_pictures
-from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.package import Package
+from tests.faces import Manifest, Package, decode_key, decode_pictures
 
 
 def decode_slopes(package: Package, index: int, level: int) -> np.ndarray | None:

@@ -12,9 +12,8 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.render.differentiable import _Rasterize
-from airgs_codec.scene.camera import Camera
+from tests.faces import Camera, RasterInputs
 
 TILE = 16
 

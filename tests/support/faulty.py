@@ -11,7 +11,7 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
-from airgs_codec.package.package import REPR_DIGEST, repr_digest
+from tests.faces import REPR_DIGEST, repr_digest
 
 FAULTS = ("drop", "truncation", "stall", "wrong bytes", "wrong length", "status", "garbage", "wrong file")
 ROOT = "airgs.json"

@@ -7,13 +7,17 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import open_package
-from airgs_codec.package.parse import build_index, pack_group, pack_json
-from airgs_codec.package.publish import write_root
-from airgs_codec.places.place import Folder
+from tests.faces import (
+    JSON_NAME,
+    Folder,
+    Groups,
+    LiveClock,
+    build_index,
+    open_package,
+    pack_group,
+    pack_json,
+    write_root,
+)
 from tests.support.paths import VALID
 
 PAGED = VALID / "paged"  # 65 groups of a frame; a page holds 64

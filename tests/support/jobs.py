@@ -5,10 +5,7 @@ from pathlib import Path
 
 from airgs_codec.encoder.pipeline import PreparedSequence
 from airgs_codec.encoder.prepare import look_at_frames
-from airgs_codec.encoder.survey import ViewPlan
-from airgs_codec.errors import FormatError
-from airgs_codec.jobs.work import Work
-from airgs_codec.scene.sequence import GaussianSequence
+from tests.faces import FormatError, GaussianSequence, ViewPlan, Work
 
 
 def prepared_as_one_group(sequence: GaussianSequence, views: ViewPlan, work: Work) -> PreparedSequence:

@@ -6,8 +6,8 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-from airgs_codec.package.parse import build_index
 from airgs_codec.package.tables import Spans
+from tests.faces import build_index
 
 
 @cache

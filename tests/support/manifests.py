@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from airgs_codec.errors import FormatError
 from airgs_codec.package import tables as mf
-from airgs_codec.package.manifest import Groups, Manifest
+from tests.faces import FormatError, Groups, Manifest
 from tests.support.regions import region
 
 

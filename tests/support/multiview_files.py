@@ -12,10 +12,7 @@ import av
 import cv2
 import numpy as np
 
-from airgs_codec.media.image import to_bytes, write_png
-from airgs_codec.render import render
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import OPENGL_TO_OPENCV, Camera, Gaussians, render, to_bytes, write_png
 
 
 def matrix_of(camera: Camera) -> list[list[float]]:

@@ -16,9 +16,11 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.package.layout import (
+from tests.faces import (
     INIT_NAME,
     JSON_NAME,
+    PAGE,
+    digest,
     group_path,
     key_media_path,
     key_sidecar_path,
@@ -26,7 +28,6 @@ from airgs_codec.package.layout import (
     sound_path,
     state_media_path,
 )
-from airgs_codec.package.tables import PAGE, digest
 
 Files = dict[str, bytes]
 Mutation = Callable[[Files], Files]

@@ -6,10 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.package import Package
-from airgs_codec.package.region import before_background
-from airgs_codec.scene.camera import Camera
+from tests.faces import Camera, Package, before_background, mse, psnr
 
 PAGE = b'<!doctype html><link rel="icon" href="data:,"><script type="module" src="/web/out/pages/player.js"></script>'
 LEAST_DB = 55  # of pictures of 8 bits

@@ -7,10 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.region import FORGIVEN_DEGREES, FORGIVEN_SHARE
-from airgs_codec.package.tables import Place, Region
-from airgs_codec.scene.camera import Camera
+from tests.faces import Camera, EncodeSettings, Place, Region
 from tests.makers.vectors.region import departure
 
 

@@ -7,12 +7,18 @@ from pathlib import Path
 
 from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.dash_check import largest_picture
-from airgs_codec.package.layout import INIT_NAME, key_media_path, key_sidecar_path, state_media_path
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.package import Package, write_file
-from airgs_codec.package.publish import write_tables
+from airgs_codec.package.package import write_file
 from airgs_codec.package.tables import Group
-from airgs_codec.places.place import Folder
+from tests.faces import (
+    INIT_NAME,
+    Folder,
+    Groups,
+    Package,
+    key_media_path,
+    key_sidecar_path,
+    state_media_path,
+    write_tables,
+)
 
 
 def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import Gaussians
 from tests.support.scenes import frozen, random_gaussians
 
 MOVER = 0.05  # share of the rows

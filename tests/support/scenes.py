@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from airgs_codec.scene.camera import orbit_views
-from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, to_matrices
+from tests.faces import SH_REST, Gaussians, orbit_views, read_ply, to_matrices, write_ply
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX
 

@@ -12,9 +12,9 @@ from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
 
-from airgs_codec.places.place import bucket_at
-from airgs_codec.serve.app import Packages, make_app
-from airgs_codec.serve.server import ServerSettings, listen, serve
+from airgs_codec.serve.app import make_app
+from airgs_codec.serve.server import serve
+from tests.faces import Packages, ServerSettings, bucket_at, listen
 
 
 @contextmanager

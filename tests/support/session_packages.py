@@ -11,9 +11,7 @@ from itertools import pairwise
 from typing import Any
 
 from airgs_codec.package import tables as mf
-from airgs_codec.package.layout import page_path
-from airgs_codec.package.manifest import Groups, Manifest
-from airgs_codec.play.offers import Offers
+from tests.faces import Groups, Manifest, Offers, page_path
 from tests.support.manifests import HASH, tiny_manifest
 
 Numbers = Mapping[str, Any]

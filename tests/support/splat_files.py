@@ -14,8 +14,7 @@ from gaussforge import GaussForge
 from PIL import Image
 
 from airgs_codec.scene.formats.gltf import EXTENSION
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import Gaussians, write_ply
 
 KINDS = {  # suffix of a file: what the library calls its format, and its version of .spz
     ".compressed.ply": ("compressed.ply", 3),

@@ -14,9 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.render import Camera
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, look_at
-from airgs_codec.scene.gaussians import Gaussians
+from tests.faces import OPENGL_TO_OPENCV, Camera, Gaussians, look_at
 from tests.support.scenes import frozen, write_sequence
 
 STATIC_SHARE = 0.4  # of the rows: a floor and a wall, there all the time

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import TrainSettings
 from tests.support.multiview_files import write_views
 from tests.support.views import appeared, coloured_cloud, joined, moved, ring
 

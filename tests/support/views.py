@@ -8,12 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from airgs_codec.analysis.sensitivity import measure_views
-from airgs_codec.render import Camera, render
-from airgs_codec.scene.beside import Usage
-from airgs_codec.scene.camera import look_at
-from airgs_codec.scene.gaussians import Gaussians, join_rows
-from airgs_codec.trainer.data.pictures import Target, View
-from airgs_codec.trainer.fit.parameters import Parameters, from_gaussians
+from airgs_codec.trainer.fit.parameters import Parameters
+from tests.faces import Camera, Gaussians, Target, Usage, View, from_gaussians, join_rows, look_at, render
 from tests.support.scenes import random_gaussians
 
 BALL = np.array([0.9, 0.9, 0.0])  # where something appears

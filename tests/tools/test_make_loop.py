@@ -3,10 +3,7 @@
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.package.package import find_faults, open_package
-from airgs_codec.package.region import place_view
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import decode, find_faults, open_package, open_sequence, place_view
 from tests.support.paths import CORPUS
 from tests.support.scenes import moving_frames, write_sequence
 from tools.make_loop import main, mix

@@ -5,8 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from airgs_codec.trainer import train
-from airgs_codec.trainer.data.readers import open_scene
+from tests.faces import open_scene, train
 from tests.support.multiview_files import write_views
 from tests.support.training import SETTINGS, write_blobs
 from tests.support.views import coloured_cloud, moved, ring

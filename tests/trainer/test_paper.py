@@ -7,18 +7,25 @@ import pytest
 import torch
 
 from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.trainer import train
-from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.fit import optimise, parameters
 from airgs_codec.trainer.fit import trainer as fits
-from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.grow import Densifier, growth_of_3dgs
 from airgs_codec.trainer.fit.losses import windowed_ssim
-from airgs_codec.trainer.fit.parameters import from_gaussians, render
-from airgs_codec.trainer.fit.points import scene_extent
-from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, Trainer
-from airgs_codec.trainer.settings import Temporal, TrainSettings, preset
+from airgs_codec.trainer.fit.parameters import render
+from airgs_codec.trainer.fit.trainer import InMotion
+from tests.faces import (
+    FrameViews,
+    Points,
+    Temporal,
+    Trainer,
+    TrainSettings,
+    fit_first,
+    from_gaussians,
+    open_scene,
+    preset,
+    scene_extent,
+    train,
+)
 from tests.support.scenes import random_gaussians
 from tests.support.training import SETTINGS
 from tests.support.views import moved, random_parameters, ring, views_of

@@ -10,22 +10,27 @@ import numpy as np
 import pytest
 from dask.distributed import LocalCluster
 
-from airgs_codec.cli.train import main as train_main
-from airgs_codec.errors import WorkError
 from airgs_codec.jobs import dask_engine
 from airgs_codec.jobs import work as work_module
 from airgs_codec.jobs.dask_engine import DaskEngine
-from airgs_codec.jobs.engines import Processes
-from airgs_codec.jobs.job import Job
-from airgs_codec.jobs.work import Work
-from airgs_codec.media.image import read_picture, write_png
-from airgs_codec.places.results import open_store
 from airgs_codec.render.cpu import one_thread
-from airgs_codec.trainer import pipeline, train
-from airgs_codec.trainer.capture import Capture
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.pipeline import Farm, open_run, train_in_jobs
-from airgs_codec.trainer.record import read_model
+from airgs_codec.trainer import pipeline
+from airgs_codec.trainer.pipeline import Farm, train_in_jobs
+from tests.faces import (
+    Capture,
+    Job,
+    Processes,
+    Work,
+    WorkError,
+    airgs_train,
+    open_run,
+    open_scene,
+    open_store,
+    read_model,
+    read_picture,
+    train,
+    write_png,
+)
 from tests.support.jobs import square
 from tests.support.training import SETTINGS
 from tests.trainer.test_record import StopError, files, killed_at
@@ -230,7 +235,7 @@ def test_a_job_on_a_gpu_says_so(scene, tmp_path):
     ],
 )
 def test_options_that_cannot_work_are_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):
-    assert train_main([str(blobs), "-o", str(tmp_path / "m"), "--device", "cpu", *words]) == 2
+    assert airgs_train([str(blobs), "-o", str(tmp_path / "m"), "--device", "cpu", *words]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*.ply"))
@@ -240,6 +245,6 @@ def test_the_command_trains_in_jobs_and_reports(blobs, tmp_path, capsys):
     words = [str(blobs), "--device", "cpu", "--iterations", "9,4,2", "--budget", "150", "--sh-degree", "0"]
     words += ["--min-psnr", "0", "--max-drop", "99", "--frames", "0:4"]
     words += ["--group-frames", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "r")]
-    assert train_main([*words, "-o", str(tmp_path / "m"), "--json"]) == 0
+    assert airgs_train([*words, "-o", str(tmp_path / "m"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["keyframes"] == [0, 2]
     assert "<svg" in (tmp_path / "r" / "index.html").read_text()

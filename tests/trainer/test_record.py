@@ -6,13 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.trainer import train
-from airgs_codec.trainer.data.multiview import with_near
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.record import FrameRecord, Record
 from airgs_codec.trainer.report import frames_to_show, training_answer
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import ConfigError, FrameRecord, Record, TrainSettings, open_scene, train, with_near
 from tests.support.training import APPEARS, SETTINGS
 
 

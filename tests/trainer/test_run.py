@@ -12,17 +12,26 @@ import pytest
 
 import airgs_codec as airgs
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, survey_group
-from airgs_codec.errors import ConfigError, SceneError, TrainingError
 from airgs_codec.places.whole import to_json
-from airgs_codec.render.backend import CPU
-from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.trainer import train
-from airgs_codec.trainer.data.multiview import with_held_out
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.fit.trainer import Trainer
 from airgs_codec.trainer.frames import is_known
-from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
+from airgs_codec.trainer.settings import settings_from_table
+from tests.faces import (
+    CPU,
+    ConfigError,
+    GroupSpan,
+    SceneError,
+    Temporal,
+    Trainer,
+    TrainingError,
+    TrainSettings,
+    ViewPlan,
+    open_scene,
+    open_sequence,
+    preset,
+    survey_group,
+    train,
+    with_held_out,
+)
 from tests.support.training import APPEARS, SETTINGS
 from tests.support.views import coloured_cloud, measure_usage, ring
 

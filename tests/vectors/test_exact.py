@@ -8,9 +8,7 @@ from airgs_codec.coding.atlas import read_codes, row_places
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import read_detail, unpack_key_sidecar
-from airgs_codec.errors import FormatError
-from airgs_codec.package.tables import Atlas, Grid
-from airgs_codec.scene.gaussians import morton_decode, morton_encode
+from tests.faces import Atlas, FormatError, Grid, morton_decode, morton_encode
 from tests.support.vectors import cases, data, label, numbers
 
 

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding.channels import colours
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package import package as opening
-from airgs_codec.package.index import GroupIndex
-from airgs_codec.package.layout import group_path
-from airgs_codec.package.package import open_package
+from tests.faces import GroupIndex, decode_frames, group_path, open_package
 from tests.support.long_index import long_index
 from tests.support.paths import REPOSITORY, VECTORS
 from tests.support.vectors import cases, data

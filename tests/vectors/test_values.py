@@ -7,12 +7,9 @@ import torch
 from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.channels import Canonical, StateApplier, colours, dequantise_key
 from airgs_codec.coding.motion import motion_units
-from airgs_codec.coding.quantize import from_codes
 from airgs_codec.coding.sidecar import KeySidecar
-from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import Grid, KeySteps, StateSteps, unpack_matrix
 from airgs_codec.render.reference import sh_colours
-from airgs_codec.scene.gaussians import to_matrices
+from tests.faces import KEY, STATE, Grid, KeySteps, StateSteps, from_codes, to_matrices, unpack_matrix
 from tests.support.vectors import assert_near, cases, float32, label
 
 CHANNELS = (3, 12, 27, 48)  # of colour, by SH degree

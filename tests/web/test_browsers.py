@@ -9,11 +9,9 @@ from urllib.parse import urlencode
 
 import pytest
 
-from airgs_codec.decoder.decode import decode
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.package import open_package
-from airgs_codec.render.cpu import render
 from airgs_codec.serve.pages import PAGE as SHIPPED
+from tests.faces import decode, open_package, render
 from tests.support import media_page, player_page
 from tests.support.browser import WEB, Answer, build_pages, missing
 from tests.support.browsers import BROWSERS, REPORT, play

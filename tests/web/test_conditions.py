@@ -13,10 +13,7 @@ import pytest
 from starlette.datastructures import MutableHeaders
 from starlette.responses import Response
 
-from airgs_codec.package.manifest import Groups
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.parse import pack_json
-from airgs_codec.play.trace import Trace
+from tests.faces import Groups, Trace, open_package, pack_json, root_of
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN
 from tests.support.repeated import write_repeated

@@ -10,12 +10,17 @@ from urllib.parse import urlencode, urlsplit
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import LevelSettings
-from airgs_codec.package.layout import INIT_NAME, MPD_NAME
-from airgs_codec.package.mpd import LiveClock, still_files, write_mpd
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    INIT_NAME,
+    MPD_NAME,
+    LevelSettings,
+    LiveClock,
+    encode,
+    open_package,
+    open_sequence,
+    still_files,
+    write_mpd,
+)
 from tests.support.browser import WEB, missing, serve, visit
 from tests.support.paths import GOLDEN
 from tests.support.regions import QUICK

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.media.h264 import Pictures
-from airgs_codec.package.package import open_package
+from tests.faces import open_package
 from tests.makers import probe_clip
 from tests.support.browser import missing
 from tests.support.media_page import look

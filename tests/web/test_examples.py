@@ -9,16 +9,21 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import encode
-from airgs_codec.media.metrics import psnr
-from airgs_codec.package.layout import JSON_NAME
-from airgs_codec.package.package import open_package, root_of
-from airgs_codec.package.parse import pack_json
-from airgs_codec.package.region import levelled, world_from
-from airgs_codec.package.tables import World
-from airgs_codec.render import look_at, render
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import (
+    JSON_NAME,
+    World,
+    decode,
+    encode,
+    levelled,
+    look_at,
+    open_package,
+    open_sequence,
+    pack_json,
+    psnr,
+    render,
+    root_of,
+    world_from,
+)
 from tests.support.browser import WEB, missing, serve, visit
 from tests.support.paths import GOLDEN
 from tests.support.regions import QUICK

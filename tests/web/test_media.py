@@ -11,12 +11,9 @@ import pytest
 
 from airgs_codec.coding.atlas import picture_size
 from airgs_codec.coding.channels import colours
-from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder import representation
-from airgs_codec.encoder.publish import encode
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.package import REPR_DIGEST, open_package, repr_digest
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import REPR_DIGEST, decode_frames, encode, open_package, open_sequence, repr_digest
 from tests.support.browser import Answer, missing
 from tests.support.digests import lined_files
 from tests.support.growing import Growing

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from airgs_codec.package.package import open_package
 from airgs_codec.serve.pages import PAGE
+from tests.faces import open_package
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN
 

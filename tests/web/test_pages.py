@@ -5,8 +5,7 @@ from urllib.parse import quote, urlsplit
 
 import pytest
 
-from airgs_codec.package.package import open_package
-from airgs_codec.serve.export import export_page
+from tests.faces import export_page, open_package
 from tests.support.browser import WEB, Answer, missing, serve, visit
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 from tests.support.repeated import write_repeated

@@ -6,9 +6,7 @@ from urllib.parse import urlencode
 
 import pytest
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.package.package import open_package
-from airgs_codec.render.cpu import render
+from tests.faces import decode, open_package, render
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN, VALID
 from tests.support.player_page import LEAST_DB, PAGE, camera_of, decibels

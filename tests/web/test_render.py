@@ -8,13 +8,7 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import LevelSettings
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.camera import orbit_views
-from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import SH_REST, Gaussians, LevelSettings, decode, encode, open_package, open_sequence, orbit_views
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.decoded import Rung, write_decoded
 from tests.support.paths import GOLDEN

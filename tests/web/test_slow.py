@@ -4,7 +4,7 @@ from urllib.parse import urlencode
 
 import pytest
 
-from airgs_codec.package.package import open_package
+from tests.faces import open_package
 from tests.support.browser import WEB, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN
 from tests.support.repeated import write_repeated

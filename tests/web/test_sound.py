@@ -11,9 +11,8 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from airgs_codec.package.layout import sound_path
 from airgs_codec.serve.pages import PAGE as SHIPPED
-from airgs_codec.serve.pages import content_policy
+from tests.faces import content_policy, sound_path
 from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
 from tests.support.browsers import BROWSERS, REPORT, play
 from tests.support.chirps import write_chirping

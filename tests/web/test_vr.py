@@ -7,13 +7,19 @@ import shutil
 import numpy as np
 import pytest
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.media.metrics import mse, psnr
-from airgs_codec.package.package import open_package
-from airgs_codec.package.region import before_background, levelled, upright
-from airgs_codec.render.cpu import render
-from airgs_codec.scene.camera import Camera
-from airgs_codec.serve.pages import PAGE, content_policy
+from airgs_codec.serve.pages import PAGE
+from tests.faces import (
+    Camera,
+    before_background,
+    content_policy,
+    decode,
+    levelled,
+    mse,
+    open_package,
+    psnr,
+    render,
+    upright,
+)
 from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
 from tests.support.paths import GOLDEN
 from tests.support.player_page import LEAST_DB

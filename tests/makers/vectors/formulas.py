@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from airgs_codec.package.tables import Grid
+from tests.faces import Grid
 from tests.makers.vectors.text import plain
 from tests.support.vectors import Case
 

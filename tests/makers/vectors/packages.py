@@ -15,10 +15,8 @@ import numpy as np
 
 from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.grid import grid_means
-from airgs_codec.decoder.decode import decode_key
-from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.media.h264 import open_segment
-from airgs_codec.package.package import Package, open_package
+from tests.faces import Package, decode_key, decode_pictures, open_package
 from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row, unpack_transform
 from tests.makers.vectors.tables import PAGE, Tables, pages_to
 from tests.makers.vectors.text import Table, binary

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.policies.mpc import discounted_throughput
-from airgs_codec.play.policies.named import ADAPTIVE
-from airgs_codec.play.policies.state import Coming, Download, PlayerState, estimate_throughput
+from airgs_codec.play.policies.state import Coming, estimate_throughput
+from tests.faces import ADAPTIVE, NONE, Download, Offers, PlayerState
 from tests.makers.vectors.text import Table, plain
 from tests.support.manifests import keys
 from tests.support.session_packages import offers_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar
-from airgs_codec.package.tables import Grid
+from tests.faces import Grid
 from tests.makers.vectors.text import Table, binary, wide
 from tests.support.vectors import Case, cases, numbers
 

@@ -11,25 +11,25 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.errors import FormatError
-from airgs_codec.package.layout import JSON_NAME, group_path
-from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.package import open_package
-from airgs_codec.play.downloader import (
+from airgs_codec.play.downloader import Cut, Event, GiveUp
+from tests.faces import (
+    JSON_NAME,
     Arrival,
     Arrived,
-    Cut,
-    Event,
-    GiveUp,
+    FormatError,
+    Link,
     Lost,
+    Manifest,
     Replaced,
     Request,
+    SessionSettings,
     SimulatedDownloader,
+    Trace,
+    group_path,
+    make_policy,
+    open_package,
+    run,
 )
-from airgs_codec.play.player import run
-from airgs_codec.play.policies.named import make_policy
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.trace import Link, Trace
 from tests.makers.vectors.text import Table, plain
 from tests.support.paths import GOLDEN
 from tests.support.session_packages import Numbers, growing_offers, offers_of

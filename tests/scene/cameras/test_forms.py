@@ -6,10 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.cameras.forms import INRIA_NEAR, PANOPTIC_NEAR, PLACEHOLDER
-from airgs_codec.scene.cameras.read import read_cameras, read_posed
+from airgs_codec.scene.cameras.read import read_posed
+from tests.faces import SceneError, look_at, read_cameras
 from tests.support.camera_files import (
     FORMS,
     as_inria,

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.cameras.read import find_cameras, read_cameras
+from airgs_codec.scene.cameras.read import find_cameras
+from tests.faces import SceneError, read_cameras
 from tests.support.camera_files import FORMS, MARK_HELD_OUT, as_inria, write_colmap_text, write_inria, write_transforms
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence

@@ -12,10 +12,8 @@ import pytest
 from fourdgs.convert import convert_ply_sequence
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.splat import read_splat
-from airgs_codec.scene.gaussians import SH_C0, sigmoid
-from airgs_codec.scene.sequence import open_sequence
+from tests.faces import SH_C0, SceneError, open_sequence, sigmoid
 from tests.support.clip_files import gaussian_set, numbered_4dgs, write_splat4d
 from tests.support.effort import few_calls
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence

@@ -8,16 +8,21 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.cli import encode, manifest
-from airgs_codec.decoder.decode import decode
-from airgs_codec.errors import SceneError
-from airgs_codec.inspect.sides import open_side
-from airgs_codec.package.package import open_package
 from airgs_codec.scene.cameras.forms import PLACEHOLDER
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.formats.table import read_frame_header
-from airgs_codec.scene.gaussians import SATURATED_LOGIT, SH_C0, logits_of, sigmoid
-from airgs_codec.scene.sequence import open_sequence
+from airgs_codec.scene.gaussians import SATURATED_LOGIT, logits_of
+from tests.faces import (
+    SH_C0,
+    SceneError,
+    airgs_encode,
+    airgs_manifest,
+    decode,
+    open_package,
+    open_sequence,
+    open_side,
+    read_frame_header,
+    sigmoid,
+    write_ply,
+)
 from tests.support.camera_files import as_inria
 from tests.support.clip_files import random_rows, splatv_bytes, write_spacetime_ply
 from tests.support.effort import few_calls
@@ -148,7 +153,7 @@ def test_a_clip_is_encoded_and_says_how_it_was_baked(tmp_path, splatv, capsys):
     rows["quaternion"][:7], rows["turn"][:7], rows["mean"][7] = 0, 0, np.nan
     splatv.write_bytes(splatv_bytes(rows, cameras=as_inria(ring(3))))
     options = ["--bake-fps", "8", "--duration", "0.5", "--x264-preset", "ultrafast", "--calibrate", "none"]
-    assert encode.main([str(splatv), "-o", str(tmp_path / "out"), *options, "--measure-pictures", "2"]) == 0
+    assert airgs_encode([str(splatv), "-o", str(tmp_path / "out"), *options, "--measure-pictures", "2"]) == 0
     out = capsys.readouterr().out
     assert f"clip: {splatv}: .splatv, 300 Gaussians baked to 4 frames at 8 a second: 0.5 s\n" in out
     assert "a.splatv frames 0-3: 7 Gaussians with zero quaternions" in out and "1 Gaussians that are not finite" in out
@@ -156,11 +161,11 @@ def test_a_clip_is_encoded_and_says_how_it_was_baked(tmp_path, splatv, capsys):
     assert (package.manifest.frames, package.manifest.fps) == (4, 8)
     assert np.isfinite(decode(package, 3).means).all()
     baking = ["--bake-fps", "8", "--duration", "0.5"]
-    assert manifest.main(["validate", str(tmp_path / "out"), "--against", str(splatv), *baking]) == 0
-    assert manifest.main(["compare", str(splatv), str(tmp_path / "out"), *baking, "--every", "3", "--json"]) == 0
+    assert airgs_manifest(["validate", str(tmp_path / "out"), "--against", str(splatv), *baking]) == 0
+    assert airgs_manifest(["compare", str(splatv), str(tmp_path / "out"), *baking, "--every", "3", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out.split("\n")[-2])
     assert compared["left_out"] == [] and compared["quality"]["psnr"] > 25
-    assert manifest.main(["compare", str(tmp_path / "out"), str(tmp_path / "out"), *baking]) == 2
+    assert airgs_manifest(["compare", str(tmp_path / "out"), str(tmp_path / "out"), *baking]) == 2
     assert "expected a clip" in capsys.readouterr().err
-    assert encode.main([str(splatv), "--duration", "-3"]) == 2
+    assert airgs_encode([str(splatv), "--duration", "-3"]) == 2
     assert "1 to" in capsys.readouterr().err

@@ -3,16 +3,18 @@
 import numpy as np
 import pytest
 
-from airgs_codec.cli.encode import main as encode_command
-from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.errors import SceneError
-from airgs_codec.inspect.validate import validate
-from airgs_codec.package.package import open_package
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.sequence import open_sequence
-from airgs_codec.trainer.data.readers import is_multiview
+from tests.faces import (
+    EncodeSettings,
+    SceneError,
+    airgs_encode,
+    decode,
+    encode,
+    is_multiview,
+    open_package,
+    open_sequence,
+    validate,
+    write_ply,
+)
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.splat_files import SUFFIXES, splat_bytes, write_sog_folder
 
@@ -62,7 +64,7 @@ def test_a_frame_of_another_scene_is_told_before_and_in_the_package(tmp_path, ca
     folder = write_sequence(tmp_path / "scene", frames)
     lone, strange = "000002.ply: 50 Gaussians, frames beside it have 60", "frames 4-5: Gaussians lie elsewhere"
     options = ["--calibrate", "none", "--measure-pictures", "0", "--x264-preset", "ultrafast"]
-    assert encode_command([str(folder), "-o", str(tmp_path / "x.airgs"), *options]) == 0
+    assert airgs_encode([str(folder), "-o", str(tmp_path / "x.airgs"), *options]) == 0
     assert lone in capsys.readouterr().err
     decisions = open_package(tmp_path / "x.airgs").manifest.decisions
     assert [sum(line.startswith(words) for line in decisions) for words in (lone, strange)] == [1, 1]

@@ -10,11 +10,17 @@ import zipfile
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.formats.table import format_of, read_frame, read_frame_header
-from airgs_codec.scene.frames import repair
-from airgs_codec.scene.gaussians import SH_C0, Gaussians, sigmoid
+from tests.faces import (
+    SH_C0,
+    Gaussians,
+    SceneError,
+    format_of,
+    read_frame,
+    read_frame_header,
+    repair,
+    sigmoid,
+    write_ply,
+)
 from tests.support.effort import few_calls
 from tests.support.mutations import edit_tables
 from tests.support.scenes import random_gaussians

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply import read_ply, read_ply_header, read_points, write_ply
+from airgs_codec.scene.formats.ply import read_ply_header, read_points
+from tests.faces import SceneError, read_ply, write_ply
 from tests.support.ply import ORDERS, Column, ply_bytes
 from tests.support.scenes import random_gaussians
 

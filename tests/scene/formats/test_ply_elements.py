@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.errors import SceneError
 from airgs_codec.scene.formats.ply_elements import BLOCK, MOST_ELEMENTS, MOST_PROPERTIES, read_columns, read_header
+from tests.faces import SceneError
 from tests.support.ply import ORDERS, TYPES, Column, ply_bytes
 
 NUMBERS = {

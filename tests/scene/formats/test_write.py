@@ -9,12 +9,9 @@ import pygltflib
 import pytest
 from scipy.spatial import cKDTree
 
-from airgs_codec.decoder.decode import decode
-from airgs_codec.errors import SceneError
-from airgs_codec.package.package import open_package
 from airgs_codec.scene.formats.form import Losses
-from airgs_codec.scene.formats.table import COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame
-from airgs_codec.scene.gaussians import SH_C0, SH_REST, Gaussians
+from airgs_codec.scene.formats.table import COMPRESSED, GLTF, INRIA, SOG, SPLAT, SPZ
+from tests.faces import FRAMES, SH_C0, SH_REST, Gaussians, SceneError, decode, format_of, open_package, read_frame
 from tests.support.paths import GOLDEN
 from tests.support.scenes import random_gaussians
 

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.errors import ConfigError
 from airgs_codec.render import backend
+from tests.faces import ConfigError, EncodeSettings, LevelSettings
 from tests.support.training import write_blobs
 from tools.lab import main, seconds_of
 from tools.lab.bench import devices

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.errors import ConfigError
+from tests.faces import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.lab import published
 from tools.lab.command import PROGRAM, measurement_of

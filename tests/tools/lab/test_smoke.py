@@ -6,11 +6,7 @@ from itertools import islice
 
 import pytest
 
-from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.errors import ConfigError
-from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.trainer.data.readers import open_scene
+from tests.faces import ConfigError, EncodeSettings, LevelSettings, encode, open_scene, write_ply
 from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.temporal import write_temporal

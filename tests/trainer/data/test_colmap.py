@@ -7,10 +7,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.media.image import write_png
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import is_multiview, open_scene
+from tests.faces import Pictures, SceneError, is_multiview, open_scene, write_png
 from tests.support.camera_files import write_colmap_binary, write_colmap_text
 from tests.support.multiview_files import plain, same_camera, write_video
 from tests.support.views import ring

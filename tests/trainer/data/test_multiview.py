@@ -4,20 +4,20 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.errors import SceneError
 from airgs_codec.jobs.job import digest
-from airgs_codec.jobs.work import Work
-from airgs_codec.places.results import open_store
-from airgs_codec.trainer.data.multiview import (
+from airgs_codec.trainer.data.multiview import with_frames, without_masks
+from airgs_codec.trainer.data.readers import CameraFilm, scene_from_films
+from tests.faces import (
     MultiviewScene,
+    SceneError,
     Shot,
+    Work,
     content_of,
+    open_scene,
+    open_store,
     read_contents,
-    with_frames,
     with_held_out,
-    without_masks,
 )
-from airgs_codec.trainer.data.readers import CameraFilm, open_scene, scene_from_films
 from tests.support.multiview_files import plain, write_panoptic, write_video
 from tests.support.views import ring
 

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
 from airgs_codec.media.image import resize
-from airgs_codec.trainer.data.multiview import MultiviewScene, Shot
-from airgs_codec.trainer.data.pictures import PICTURE_BYTES, TARGET_BYTES, Pictures
-from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.trainer.data.pictures import PICTURE_BYTES, TARGET_BYTES
 from airgs_codec.trainer.fit.losses import moments
+from tests.faces import MultiviewScene, Pictures, SceneError, Shot, open_scene
 from tests.support.multiview_files import write_panoptic, write_rgba, write_views
 from tests.support.views import coloured_cloud, ring
 

@@ -7,14 +7,9 @@ import numpy as np
 import pytest
 
 from airgs_codec.media.image import box_mean
-from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data import plates as data_plates
-from airgs_codec.trainer.data.multiview import with_held_out
-from airgs_codec.trainer.data.pictures import Target, View
 from airgs_codec.trainer.data.plates import WINDOW, Plate, plate_of, settle, stands_still
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.pipeline import rested
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import Capture, Target, TrainSettings, View, open_scene, rested, with_held_out
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import ring
 

@@ -2,11 +2,7 @@
 
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.scene.camera import with_pixels
-from airgs_codec.trainer.data.multiview import with_held_out
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import open_scene
+from tests.faces import Pictures, SceneError, open_scene, with_held_out, with_pixels
 from tests.support.camera_files import write_llff
 from tests.support.multiview_files import plain, same_camera, write_video
 from tests.support.views import ring

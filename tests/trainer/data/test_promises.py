@@ -13,13 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.media.image import write_png
-from airgs_codec.scene.beside import Usage, load_usage, save_usage
-from airgs_codec.scene.cameras.read import read_cameras
 from airgs_codec.trainer.data.multiview import hash_files
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import open_scene
+from tests.faces import Pictures, SceneError, Usage, load_usage, open_scene, read_cameras, save_usage, write_png
 
 UNIT = np.eye(4).ravel().tolist()
 CAMERA = {"w": 8, "h": 8, "fl_x": 8, "fl_y": 8, "cx": 4, "cy": 4}

@@ -6,11 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.media.image import write_png
-from airgs_codec.trainer.data.multiview import with_held_out, with_near
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import is_multiview, open_scene
+from tests.faces import Pictures, SceneError, is_multiview, open_scene, with_held_out, with_near, write_png
 from tests.support.camera_files import write_llff
 from tests.support.multiview_files import matrix_of, plain, same_camera, write_panoptic, write_views
 from tests.support.paths import FOX, FOX_VIEWS

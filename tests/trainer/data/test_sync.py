@@ -10,17 +10,23 @@ import cv2
 import numpy as np
 import pytest
 
-from airgs_codec.errors import SceneError
-from airgs_codec.jobs.work import Work
-from airgs_codec.media.image import write_png
-from airgs_codec.places.results import open_store
 from airgs_codec.scene.camera import BLACK
-from airgs_codec.trainer.capture import Capture
-from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, Source, content_of, read_contents
-from airgs_codec.trainer.data.pictures import Pictures
+from airgs_codec.trainer.data.multiview import Source
 from airgs_codec.trainer.data.sync import FEWEST, find_offsets, in_step, read_offsets
-from airgs_codec.trainer.pipeline import rested
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import (
+    Capture,
+    MultiviewScene,
+    Pictures,
+    SceneError,
+    Shot,
+    TrainSettings,
+    Work,
+    content_of,
+    open_store,
+    read_contents,
+    rested,
+    write_png,
+)
 from tests.support.multiview_files import plain
 from tests.support.views import ring
 

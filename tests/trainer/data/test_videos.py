@@ -7,16 +7,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airgs_codec.cli.train import main as train_main
 from airgs_codec.cli.train import match_cameras
-from airgs_codec.errors import SceneError
-from airgs_codec.trainer.capture import Capture
-from airgs_codec.trainer.data.multiview import with_held_out
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import in_step
-from airgs_codec.trainer.pipeline import open_run, rested
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import (
+    Capture,
+    Pictures,
+    SceneError,
+    TrainSettings,
+    airgs_train,
+    open_run,
+    open_scene,
+    rested,
+    with_held_out,
+)
 from tests.support.multiview_files import plain, write_filmed
 from tests.support.views import ring
 
@@ -112,7 +115,7 @@ def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys, suffix, 
     filmed(tmp_path, range(5), b, suffix)
     if change:
         change(tmp_path / f"b{suffix}")
-    assert train_main([str(tmp_path), "-o", str(tmp_path / "m")]) == 2
+    assert airgs_train([str(tmp_path), "-o", str(tmp_path / "m")]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
 

@@ -19,7 +19,8 @@ from airgs_codec.trainer.fit.grow import (
     strongest,
 )
 from airgs_codec.trainer.fit.losses import photometric
-from airgs_codec.trainer.fit.parameters import from_gaussians, render
+from airgs_codec.trainer.fit.parameters import render
+from tests.faces import from_gaussians
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
 
 

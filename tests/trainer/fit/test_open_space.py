@@ -6,17 +6,21 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import render
-from airgs_codec.scene.camera import look_at
-from airgs_codec.scene.gaussians import join_rows
-from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.data.pictures import Target
-from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.grow import in_open_space
 from airgs_codec.trainer.fit.losses import ExposureModel, matched_psnr, mean_psnr
-from airgs_codec.trainer.fit.points import from_points, scene_extent
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
-from airgs_codec.trainer.settings import TrainSettings
+from tests.faces import (
+    FrameViews,
+    Points,
+    Target,
+    Trainer,
+    TrainSettings,
+    fit_first,
+    from_points,
+    join_rows,
+    look_at,
+    render,
+    scene_extent,
+)
 from tests.support.views import coloured_cloud, ring, views_of
 
 FREE = (0.1, 0.1, 2.3)  # behind the two near cameras, before the two far ones

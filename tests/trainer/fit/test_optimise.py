@@ -7,17 +7,25 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.errors import TrainingError
-from airgs_codec.render import cpu, look_at
-from airgs_codec.render.cpu import Redraw
-from airgs_codec.scene.camera import with_pixels
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.pictures import Pictures, Target, View
-from airgs_codec.trainer.data.readers import open_scene
+from airgs_codec.render import cpu
 from airgs_codec.trainer.fit.losses import mean_psnr, photometric
 from airgs_codec.trainer.fit.optimise import Deck, Losses, Schedule, can_be_halved, drawn, halve, optimise
-from airgs_codec.trainer.fit.parameters import Adam, InMotion, from_gaussians, render, to_gaussians, with_motion
+from airgs_codec.trainer.fit.parameters import render, to_gaussians, with_motion
 from airgs_codec.trainer.fit.variables import PerGaussian
+from tests.faces import (
+    Adam,
+    Gaussians,
+    InMotion,
+    Pictures,
+    Redraw,
+    Target,
+    TrainingError,
+    View,
+    from_gaussians,
+    look_at,
+    open_scene,
+    with_pixels,
+)
 from tests.support.views import coloured_cloud, moved, ring, views_of
 
 

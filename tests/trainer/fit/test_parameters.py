@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.coding.quantize import StepSettings
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.pictures import Target
 from airgs_codec.trainer.fit.losses import LAMBDA, _on_cuda, codec_steps, photometric, temporal_weights, windowed_ssim
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, Adam, from_gaussians
+from airgs_codec.trainer.fit.parameters import BETAS
 from airgs_codec.trainer.fit.variables import HIDDEN, PerGaussian
-from airgs_codec.trainer.settings import Temporal
+from tests.faces import ATTRIBUTES, Adam, Gaussians, StepSettings, Target, Temporal, from_gaussians
 from tests.support.scenes import random_gaussians
 from tests.support.views import random_parameters, ring
 

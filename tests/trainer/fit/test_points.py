@@ -5,22 +5,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.render import Camera, cpu, read_cameras
-from airgs_codec.scene.camera import look_at, looked_at
-from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.fit.points import (
-    degrees_apart,
-    from_points,
-    initial_points,
-    intersect,
-    project,
-    scene_extent,
-    triangulate,
-)
+from airgs_codec.render import cpu
+from airgs_codec.scene.camera import looked_at
+from airgs_codec.trainer.fit.points import degrees_apart, initial_points, intersect, project, triangulate
 from airgs_codec.trainer.fit.surround import Cloud, sparse_cloud, surround, surroundings
+from tests.faces import (
+    Camera,
+    Gaussians,
+    Pictures,
+    Points,
+    from_points,
+    look_at,
+    open_scene,
+    read_cameras,
+    scene_extent,
+)
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, joined, ring, views_of
 

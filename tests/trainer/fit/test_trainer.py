@@ -5,15 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.render import render
-from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.fit import first
-from airgs_codec.trainer.fit.first import fit_first, usual_budget
+from airgs_codec.trainer.fit.first import usual_budget
 from airgs_codec.trainer.fit.losses import mean_psnr
-from airgs_codec.trainer.fit.parameters import InMotion
-from airgs_codec.trainer.fit.points import scene_extent
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
-from airgs_codec.trainer.settings import Temporal, TrainSettings
+from tests.faces import FrameViews, InMotion, Points, Temporal, Trainer, TrainSettings, fit_first, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, ring, views_of
 
 TRUTH, CAMERAS = coloured_cloud(), ring(8)

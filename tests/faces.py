@@ -1,0 +1,125 @@
+"""The faces of the package that tests hold on to: where a name moves, this file follows and no test does.
+
+Only kernels (range coder, escapes, grid, rasteriser, MP4, H.264) and rules that no face shows are imported from where
+they are.
+"""
+
+# Errors of one line
+from airgs_codec.errors import (
+    AirgsError, CodecError, ConfigError, FormatError, SceneError, TrainingError, TransportError, WorkError,
+)  # fmt: skip
+
+# Reading and writing: splats, cameras, pictures, places
+from airgs_codec.scene.gaussians import (
+    Gaussians, SH_C0, SH_REST, conjugate, from_rotation_vector, join_rows, mix_rows, morton_decode, morton_encode,
+    multiply, sigmoid, to_matrices, to_rotation_vector,
+)  # fmt: skip
+from airgs_codec.scene.camera import Camera, OPENGL_TO_OPENCV, look_at, orbit_views, training_views, with_pixels
+from airgs_codec.scene.cameras.read import read_cameras
+from airgs_codec.scene.beside import USAGE_NAME, Usage, load_usage, save_usage
+from airgs_codec.scene.frames import repair
+from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
+from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.formats.table import FRAMES, format_of, read_frame, read_frame_header
+from airgs_codec.media.image import read_picture, to_bytes, write_png
+from airgs_codec.media.movie import VideoReader, write_movie
+from airgs_codec.media.sound import encode_sound
+from airgs_codec.places.place import Folder, Memory, bucket_at, place_at
+from airgs_codec.places.results import Store, open_store, pack
+
+# Deciding and encoding
+from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_preview
+from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
+from airgs_codec.encoder.search import DELTA_E, Goal, PSNR
+from airgs_codec.encoder.publish import encode
+from airgs_codec.coding.quantize import StepSettings, from_codes
+
+# Packages: tables, paths, the MPD, validation
+from airgs_codec.package.layout import (
+    FileKind, INIT_NAME, JSON_NAME, KEY, MPD_NAME, POSTER_NAME, STATE, file_kind, group_path, key_media_path,
+    key_sidecar_path, locate, page_path, sound_path, state_media_path,
+)  # fmt: skip
+from airgs_codec.package.tables import (
+    Atlas, Grid, KeySteps, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, StateSteps, World, digest, pack_matrix,
+    unpack_matrix,
+)  # fmt: skip
+from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
+from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
+from airgs_codec.package.package import (
+    Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_package, repr_digest, root_of,
+)  # fmt: skip
+from airgs_codec.package.parse import build_index, pack_group, pack_json, parse_root, read_region
+from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
+from airgs_codec.package.references import check_group
+from airgs_codec.package.region import (
+    MEASURING, before_background, draw_views, levelled, place_view, read_world, up_of, upright, world_from,
+)  # fmt: skip
+from airgs_codec.package.views import set_view
+from airgs_codec.package.dash_check import check_mpd
+from airgs_codec.package.index import GroupIndex
+from airgs_codec.inspect.validate import exceeded, validate, validate_files
+from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.summary import format_summary, summarise
+from airgs_codec.inspect.sides import left_out, open_side, rung_streams
+from airgs_codec.inspect.compare import compare_streams
+
+# Decoding
+from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_segment
+from airgs_codec.decoder.states import decode_pictures
+
+# Rendering and measuring pictures
+from airgs_codec.render import render
+from airgs_codec.render.cpu import RasterInputs, Redraw
+from airgs_codec.render.backend import CPU
+from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, mse, pool, psnr
+
+# Training
+from airgs_codec.trainer import train
+from airgs_codec.trainer.settings import Temporal, TrainSettings, preset
+from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.data.multiview import (
+    MultiviewScene, Points, Shot, content_of, read_contents, with_held_out, with_near,
+)  # fmt: skip
+from airgs_codec.trainer.data.pictures import Pictures, Target, View
+from airgs_codec.trainer.data.readers import is_multiview, open_scene
+from airgs_codec.trainer.fit.first import fit_first
+from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, from_gaussians
+from airgs_codec.trainer.fit.points import from_points, scene_extent
+from airgs_codec.trainer.pipeline import open_run, rested
+from airgs_codec.trainer.record import FrameRecord, Record, read_model
+
+# Playing
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.trace import Link, Trace
+from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.ladder import Decision
+from airgs_codec.play.downloader import (
+    Arrival, Arrived, BatchKind, Lost, Replaced, Request, Shown, SimulatedDownloader,
+)  # fmt: skip
+from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
+from airgs_codec.play.player import run
+from airgs_codec.play.report import answer, format_metrics
+from airgs_codec.play.session import play, session_bound, simulate
+from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
+from airgs_codec.play.policies.state import Download, PlayerState, Policy, STALL_DB
+from airgs_codec.play.bound import Horizon, Slot, solve_horizon
+
+# Serving
+from airgs_codec.serve.app import Packages, media_type
+from airgs_codec.serve.pages import content_policy
+from airgs_codec.serve.server import ServerSettings, listen
+from airgs_codec.serve.export import export_page
+
+# Work in jobs
+from airgs_codec.jobs.engines import Processes
+from airgs_codec.jobs.job import Job
+from airgs_codec.jobs.work import Work, temporary_work
+
+# Commands
+from airgs_codec.cli.decode import main as airgs_decode
+from airgs_codec.cli.encode import main as airgs_encode
+from airgs_codec.cli.manifest import main as airgs_manifest
+from airgs_codec.cli.play import main as airgs_play
+from airgs_codec.cli.serve import main as airgs_serve
+from airgs_codec.cli.train import main as airgs_train
