@@ -12,7 +12,7 @@ import pytest
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
 
 from tests.support.mutations import read_files
-from tests.support.paths import FOX
+from tests.support.packages import PACKAGES
 
 # A first example may have to compile a kernel: how long one takes says nothing.
 hypothesis.settings.register_profile("airgs", deadline=None)
@@ -59,15 +59,25 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
 
 
 @pytest.fixture(scope="session")
-def demo_package(made_once):
-    """The folder of the embedded scene as a package with measured quality. Never written to: see `demo_copy`."""
-    from tests.faces import EncodeSettings, encode, open_sequence
+def package_of(made_once):
+    """A function that gives the folder of a package in `tests.support.packages`, encoded once for all. Only read it."""
+    given = {}
 
-    settings = EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
-    folder = made_once("fox.airgs", lambda folder: encode(open_sequence(FOX), folder, settings))
-    before = read_files(folder)
-    yield folder
-    assert read_files(folder) == before, "a test wrote into the shared package"
+    def get(name: str) -> Path:
+        if name not in given:
+            folder = made_once(f"{name}.airgs", PACKAGES[name])
+            given[name] = folder, read_files(folder)
+        return given[name][0]
+
+    yield get
+    for name, (folder, before) in given.items():
+        assert read_files(folder) == before, f"a test wrote into the shared package {name}"
+
+
+@pytest.fixture(scope="session")
+def demo_package(package_of):
+    """The folder of the embedded scene as a package with measured quality. Never written to: see `demo_copy`."""
+    return package_of("fox")
 
 
 @pytest.fixture
