@@ -14,20 +14,23 @@ from airgs_codec.scene.gaussians import (
     Gaussians, SH_C0, SH_REST, conjugate, from_rotation_vector, join_rows, mix_rows, morton_decode, morton_encode,
     multiply, sigmoid, to_matrices, to_rotation_vector,
 )  # fmt: skip
-from airgs_codec.scene.camera import Camera, OPENGL_TO_OPENCV, look_at, orbit_views, training_views, with_pixels
-from airgs_codec.scene.cameras.read import read_cameras
+from airgs_codec.scene.camera import (
+    Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, training_views, with_pixels,
+)  # fmt: skip
+from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
 from airgs_codec.scene.beside import USAGE_NAME, Usage, load_usage, save_usage
-from airgs_codec.scene.frames import repair
+from airgs_codec.scene.frames import Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
-from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.formats.ply import read_ply, read_points, write_ply
 from airgs_codec.scene.formats.table import FRAMES, format_of, read_frame, read_frame_header
 from airgs_codec.media.image import read_picture, to_bytes, write_png
 from airgs_codec.media.movie import VideoReader, write_movie
-from airgs_codec.media.sound import encode_sound
-from airgs_codec.places.place import Folder, Memory, bucket_at, place_at
-from airgs_codec.places.results import Store, open_store, pack
+from airgs_codec.media.sound import decode_sound, encode_sound
+from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
+from airgs_codec.places.results import Store, open_store, pack, seal, unpack, unseal
 
 # Deciding and encoding
+from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_preview
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
 from airgs_codec.encoder.search import DELTA_E, Goal, PSNR
@@ -46,9 +49,11 @@ from airgs_codec.package.tables import (
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
 from airgs_codec.package.package import (
-    Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_package, repr_digest, root_of,
+    Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest, root_of,
 )  # fmt: skip
-from airgs_codec.package.parse import build_index, pack_group, pack_json, parse_root, read_region
+from airgs_codec.package.parse import (
+    build_index, extend_index, pack_group, pack_json, parse_group, parse_root, read_region,
+)  # fmt: skip
 from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
 from airgs_codec.package.references import check_group
 from airgs_codec.package.region import (
@@ -71,7 +76,7 @@ from airgs_codec.decoder.states import decode_pictures
 from airgs_codec.render import render
 from airgs_codec.render.cpu import RasterInputs, Redraw
 from airgs_codec.render.backend import CPU
-from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, mse, pool, psnr
+from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, delta_e_metric, mse, pool, psnr
 
 # Training
 from airgs_codec.trainer import train
