@@ -43,8 +43,8 @@ from airgs_codec.package.layout import (
     key_sidecar_path, locate, page_path, sound_path, state_media_path,
 )  # fmt: skip
 from airgs_codec.package.tables import (
-    Atlas, Grid, KeySteps, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, StateSteps, World, digest, pack_matrix,
-    unpack_matrix,
+    Atlas, FileEntry, Grid, KeySteps, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound, StateSteps,
+    World, digest, pack_matrix, unpack_matrix,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
@@ -55,7 +55,7 @@ from airgs_codec.package.parse import (
     build_index, extend_index, pack_group, pack_json, parse_group, parse_root, read_region,
 )  # fmt: skip
 from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
-from airgs_codec.package.references import check_group
+from airgs_codec.package.references import check_base, check_group, check_root
 from airgs_codec.package.region import (
     MEASURING, before_background, draw_views, levelled, place_view, read_world, up_of, upright, world_from,
 )  # fmt: skip
@@ -97,15 +97,17 @@ from airgs_codec.trainer.record import FrameRecord, Record, read_model
 # Playing
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
-from airgs_codec.play.offers import NONE, Offers
+from airgs_codec.play.offers import Batch, NONE, Offers
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
     Arrival, Arrived, BatchKind, Lost, Replaced, Request, Shown, SimulatedDownloader,
 )  # fmt: skip
 from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
-from airgs_codec.play.report import answer, format_metrics
-from airgs_codec.play.session import play, session_bound, simulate
+from airgs_codec.play.report import answer, format_metrics, write_report
+from airgs_codec.play.film import sound_of, walk, walk_through
+from airgs_codec.play.study import Study, StudySettings, run_study, study_answer
+from airgs_codec.play.session import SessionLog, play, session_bound, simulate
 from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
 from airgs_codec.play.policies.state import Download, PlayerState, Policy, STALL_DB
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
@@ -113,11 +115,11 @@ from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 # Serving
 from airgs_codec.serve.app import Packages, media_type
 from airgs_codec.serve.pages import content_policy
-from airgs_codec.serve.server import ServerSettings, listen
+from airgs_codec.serve.server import Certificate, ServerSettings, listen
 from airgs_codec.serve.export import export_page
 
 # Work in jobs
-from airgs_codec.jobs.engines import Processes
+from airgs_codec.jobs.engines import InProcess, Processes
 from airgs_codec.jobs.job import Job
 from airgs_codec.jobs.work import Work, temporary_work
 

@@ -1,13 +1,50 @@
-"""Small manifests with known sizes, for tests of the player."""
+"""Small manifests with known sizes, and sessions over them, for tests of the player."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from airgs_codec.package import tables as mf
-from tests.faces import FormatError, Groups, Manifest
+from tests.faces import FormatError, Groups, Link, Manifest, Offers, SessionLog, SessionSettings, Trace, simulate
 from tests.support.regions import region
+
+BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
+BARE |= {"pipelined": False, "replace": False, "abandon": False}
+
+
+def rules(**options: Any) -> SessionSettings:
+    """Rules under which a session can be followed with a pencil, but for `options`."""
+    return SessionSettings(**(BARE | options))
+
+
+def link(
+    rates: Sequence[float],
+    starts: Sequence[float] | None = None,
+    duration: float | None = None,
+    rtt: float = 0.0,
+    end: str = "loop",
+) -> Link:
+    """A link of these bit/s, each from its start on, or for a second."""
+    starts = list(range(len(rates))) if starts is None else starts
+    last = float(duration or starts[-1] + 1)
+    return Link(Trace("t", np.array(starts, float), np.array(rates, float), last, end=end), rtt)
+
+
+def play(
+    m: Manifest,
+    over: Link,
+    policy: Any = "fixed:0",
+    headers: int = 0,
+    faults: Mapping[str, FormatError] | None = None,
+    first: int = 0,
+    **options: Any,
+) -> SessionLog:
+    """A session with 1000 bytes of airgs.json and the bare rules but for `options`."""
+    return simulate(Offers(m, headers, 1000, first=first), over, policy, rules(**options), faults)
 
 
 def missing(*paths: str) -> dict[str, FormatError]:
