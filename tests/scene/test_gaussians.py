@@ -1,22 +1,16 @@
-"""Rows of two frames as one; quaternions and rotation vectors, Morton codes and indices invert one another."""
+"""Rows of Gaussians: rotations and codes invert one another, repairs are named, axes are turned least."""
+
+from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.spatial.transform import Rotation
 
-from tests.faces import (
-    conjugate,
-    from_rotation_vector,
-    mix_rows,
-    morton_decode,
-    morton_encode,
-    multiply,
-    to_matrices,
-    to_rotation_vector,
-)
-from tests.support.scenes import random_gaussians
+from tests import faces
+from tests.support.scenes import moving_frames, random_gaussians
 
 unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
     lambda q: np.linalg.norm(q, axis=1).min() > 1e-3
@@ -26,7 +20,7 @@ unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
 def test_rows_come_from_one_or_the_other_in_all_columns():
     a, b = (random_gaussians(6, 1, seed) for seed in (1, 2))
     choose = np.array([True, False, False, True, True, False])
-    mixed = mix_rows(a, b, choose)
+    mixed = faces.mix_rows(a, b, choose)
     for name in a.__slots__:
         column = getattr(mixed, name)
         assert column.dtype == np.float32
@@ -38,27 +32,91 @@ def test_rows_come_from_one_or_the_other_in_all_columns():
 def test_rotation_vectors_invert_up_to_sign(a, b):
     a = a / np.linalg.norm(a, axis=1, keepdims=True)
     b = b / np.linalg.norm(b, axis=1, keepdims=True)
-    relative = to_rotation_vector(multiply(a, conjugate(b)))
-    back = multiply(from_rotation_vector(relative), b)
+    relative = faces.to_rotation_vector(faces.multiply(a, faces.conjugate(b)))
+    back = faces.multiply(faces.from_rotation_vector(relative), b)
     np.testing.assert_allclose(np.abs((back * a).sum(axis=1)), 1, atol=1e-7)
     assert np.linalg.norm(relative, axis=1).max() <= np.pi + 1e-9
 
 
 def test_rotation_vectors_at_the_extremes():
     q = np.array([[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [1, 1e-12, 0, 0]])
-    v = to_rotation_vector(q)
+    v = faces.to_rotation_vector(q)
     np.testing.assert_allclose(v, [[0, 0, 0], [0, 0, 0], [np.pi, 0, 0], [2e-12, 0, 0]], atol=1e-15)
 
 
 def test_matrices_are_those_of_scipy():
     q = np.random.default_rng(0).normal(size=(20, 4))
-    np.testing.assert_allclose(to_matrices(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(faces.to_matrices(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12)
 
 
 @given(npst.arrays(np.int64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1)))
 def test_morton_codes_invert(index):
-    np.testing.assert_array_equal(morton_decode(morton_encode(index)), index)
+    np.testing.assert_array_equal(faces.morton_decode(faces.morton_encode(index)), index)
 
 
 def test_morton_bits_interleave_x_first():
-    assert morton_encode(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])).tolist() == [1, 2, 4, 8, 63]
+    assert faces.morton_encode(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])).tolist() == [
+        1,
+        2,
+        4,
+        8,
+        63,
+    ]
+
+
+def test_repairs_are_made_in_every_frame_and_named():
+    a, b = moving_frames(6, 2)
+    means = b.means.copy()
+    means[4, 1] = np.nan
+    quaternions = a.quaternions.copy()
+    quaternions[2] = 0
+    logits = a.opacity_logits.copy()
+    logits[0], logits[1] = np.inf, -np.inf
+    done = faces.repair([replace(a, quaternions=quaternions, opacity_logits=logits), replace(b, means=means)], "scene")
+    assert [len(f) for f in done.frames] == [6, 6]
+    assert [f.opacity_logits[4] for f in done.frames] == [a.opacity_logits[4], -20]
+    np.testing.assert_array_equal(done.frames[1].means[4], a.means[4])
+    assert done.frames[0].quaternions[2].tolist() == [1, 0, 0, 0]
+    assert done.frames[0].opacity_logits[:2].tolist() == [20, -20]
+    np.testing.assert_allclose(np.linalg.norm(done.frames[1].quaternions, axis=1), 1, atol=1e-6)
+    assert ["not shown" in n for n in done.notes] == [True, False] and "1 Gaussians with zero" in done.notes[1]
+
+
+def test_a_scene_without_a_finite_row_is_refused():
+    g = random_gaussians(3)
+    with pytest.raises(faces.SceneError, match="100% of what is opaque in frame 0"):
+        faces.repair([replace(g, means=np.full((3, 3), np.inf, np.float32))], "scene")
+
+
+def _covariances(g):
+    axes = faces.to_matrices(g.quaternions) * np.exp(g.log_scales.astype(np.float64))[:, None]
+    return axes @ axes.transpose(0, 2, 1)
+
+
+def test_rows_that_lie_anyhow_are_turned_least_and_show_the_same():
+    """All frames of a row get the same names: what it turns by from frame to frame stays, in the axes of the world."""
+    still = faces.repair([random_gaussians(500)], "scene").frames[0]
+    spin = faces.from_rotation_vector(np.tile([0.0, 0.0, 1.4], (500, 1)))  # more than any naming of axes takes away
+    frames = [still, replace(still, quaternions=faces.multiply(spin, still.quaternions).astype(np.float32))]
+    turned = faces.turn_least(faces.Repaired(frames, [])).frames
+    for before, after in zip(frames, turned, strict=True):
+        np.testing.assert_allclose(_covariances(after), _covariances(before), rtol=1e-4, atol=1e-6)
+        assert np.array_equal(after.means, before.means) and np.array_equal(after.opacity_logits, before.opacity_logits)
+    angles = np.linalg.norm(faces.to_rotation_vector(turned[1].quaternions.astype(np.float64)), axis=1)
+    assert angles.max() < np.radians(62.8)  # no rotation is farther from all of the 24 that bring a cube to itself
+    between = np.abs(
+        np.einsum("ni,ni->n", faces.multiply(turned[1].quaternions, faces.conjugate(turned[0].quaternions)), spin)
+    )
+    np.testing.assert_allclose(between, 1, atol=1e-5)
+
+
+def test_names_of_axes_that_mean_something_stay():
+    """Rows with a thin first axis and any heading: turned least, half of them would have their second one thin."""
+    g = random_gaussians(500)
+    heading = np.random.default_rng(1).uniform(-2.5, 2.5, 500)
+    upright = faces.from_rotation_vector(np.stack([0 * heading, 0 * heading, heading], axis=1)).astype(np.float32)
+    thin = g.log_scales - np.array([3, 0, 0], np.float32)
+    named = faces.Repaired([replace(g, quaternions=upright, log_scales=thin)], [])
+    assert faces.turn_least(named) is named
+    alike = faces.Repaired([replace(g, quaternions=upright)], [])
+    assert faces.turn_least(alike) is not alike

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from tests.faces import Camera
 from tests.support.multiview_files import matrix_of
 
+PLACEHOLDER = [-3.0089893469241797, -0.11086489695181866, -3.7527640949141428]  # of the camera in every .splatv
 Rig = Sequence[Camera]
 Writer = Callable[[Path, Rig], Path]
 
