@@ -1,53 +1,75 @@
-"""Cameras: the convention, what files hold, who may be looked at and who is measured on; made ones see the scene."""
+"""Cameras that callers make, who may be looked at and who is measured on; made ones see the scene."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airgs_codec.scene.camera import dome_views
-from tests.faces import Gaussians, SceneError, look_at, orbit_views, read_cameras, render, training_views
-from tests.support.multiview_files import matrix_of
+from tests.faces import AirgsError, Camera, Gaussians, dome_views, look_at, orbit_views, render, training_views
 from tests.support.scenes import random_gaussians
 from tests.support.views import ring
 
-
-def test_what_a_camera_looks_at_is_in_the_middle_and_up_is_up():
-    view = look_at(np.array([3.0, 1, -2]), np.array([0, 0, 1.0]), np.array([0, 1.0, 0]), size=64, fov_y=0.8, name="a")
-    x, y, z = view.world_to_camera[:3, :3] @ [0, 0, 1] + view.world_to_camera[:3, 3]
-    assert (x, y) == pytest.approx((0, 0)) and z == pytest.approx(np.linalg.norm([3, 1, -3]))
-    assert (view.world_to_camera[:3, :3] @ [0, 1, 0])[1] < 0  # y of a picture points down
-    np.testing.assert_allclose(view.position, [3, 1, -2])
-    assert np.linalg.det(view.world_to_camera[:3, :3]) == pytest.approx(1)
+EYE = np.eye(4)
+UPS = [(0, 1, 0), (0, -1, 0), (0, 0, 2), (1, -1, 0.5)]
 
 
-def test_a_camera_that_looks_along_up_is_finite():
-    view = look_at(np.zeros(3), np.array([0, 2.0, 0]), np.array([0, 1.0, 0]), size=8, fov_y=1.0, name="a")
-    assert np.isfinite(view.world_to_camera).all()
+def test_a_camera_sees_its_target_in_the_middle_and_up_is_up():
+    camera = Camera.look_at((3, 1, -2), (0, 1, 4), (0, 1, 0), size=(200, 100), fov_y=60)
+    inside = camera.world_to_camera @ [[0, 3], [1, 1.5], [4, -2], [1, 1]]
+    x, y, z = inside[:3, 0]
+    assert (camera.width, camera.height, camera.cx, camera.cy) == (200, 100, 100, 50)
+    assert abs(x) < 1e-9 and abs(y) < 1e-9 and z == pytest.approx(45**0.5)
+    assert inside[1, 1] < 0, "y is down in OpenCV's axes"
+    assert np.isclose(2 * np.degrees(np.arctan(50 / camera.fy)), 60) and camera.fx == camera.fy
+    assert np.allclose(camera.position, (3, 1, -2)) and np.isclose(np.linalg.det(camera.world_to_camera[:3, :3]), 1)
 
 
-def entry(view, **fields):
-    intrinsics = {"w": view.width, "h": view.height, "fl_x": view.fx, "fl_y": view.fy, "cx": view.cx, "cy": view.cy}
-    return {"transform_matrix": matrix_of(view), **intrinsics, **fields}
+def test_a_square_camera_has_its_field_of_view_in_radians_and_is_finite_along_up():
+    view = look_at(np.zeros(3), np.array([0, 2.0, 0]), np.array([0, 1.0, 0]), size=64, fov_y=0.8, name="a")
+    assert np.isfinite(view.world_to_camera).all() and (view.width, view.height, view.cx, view.cy) == (64, 64, 32, 32)
+    assert 2 * np.arctan(32 / view.fx) == pytest.approx(0.8) and view.fx == view.fy
+
+
+def test_a_camera_is_made_of_either_matrix_and_of_either_lens():
+    seen = Camera.look_at((3, 1, -2), (0, 1, 4), size=(200, 100), fov_y=60)
+    pose = np.linalg.inv(seen.world_to_camera)
+    lens = [[seen.fx, 0, 100], [0, seen.fy, 50], [0, 0, 1]]
+    for matrix in ({"camera_to_world": pose}, {"world_to_camera": seen.world_to_camera[:3].tolist()}):
+        for kind in ({"fov_y": 60}, {"intrinsics": lens}):
+            made = Camera.from_matrix(**matrix, **kind, size=(200, 100), name=seen.name)
+            assert np.allclose(made.world_to_camera, seen.world_to_camera)
+            assert (made.width, made.height) == (200, 100)
+            assert np.allclose((made.fx, made.fy, made.cx, made.cy), (seen.fx, seen.fy, 100, 50))
 
 
 @pytest.mark.parametrize(
-    "fields",
+    ("more", "line"),
     [
-        {"w": 0},
-        {"near": 0},
-        {"near": float("inf")},
-        {"transform_matrix": [[1]]},
-        {"fl_x": None},
-        {"transform_matrix": np.zeros((4, 4)).tolist()},
-        {"transform_matrix": np.full((4, 4), np.nan).tolist()},
+        ({}, "expected camera_to_world or world_to_camera"),
+        ({"camera_to_world": EYE, "world_to_camera": EYE, "fov_y": 50}, "got both or none"),
+        ({"camera_to_world": EYE}, "fov_y or intrinsics"),
+        ({"camera_to_world": 2 * EYE, "fov_y": 50}, "not a rotation"),
+        ({"camera_to_world": 0 * EYE, "fov_y": 50}, "camera_to_world"),
+        ({"world_to_camera": np.eye(3), "fov_y": 50}, "world_to_camera: expected finite numbers of shape"),
+        ({"world_to_camera": EYE * np.nan, "fov_y": 50}, "world_to_camera: expected finite"),
+        ({"world_to_camera": EYE, "fov_y": 180}, "focal lengths"),
+        ({"world_to_camera": EYE, "fov_y": "wide"}, "fov_y: expected finite numbers"),
+        ({"world_to_camera": EYE, "fov_y": 50, "size": (0, 10)}, "has size 0x10"),
+        ({"world_to_camera": EYE, "fov_y": 50, "size": 64}, "size: expected finite numbers of shape"),
     ],
 )
-def test_an_entry_that_describes_no_camera_is_refused(tmp_path, fields):
-    (tmp_path / "t.json").write_text(json.dumps({"frames": [entry(ring(1)[0], **fields)]}))
-    with pytest.raises(SceneError, match=r"t\.json: expected a nerfstudio"):
-        read_cameras(tmp_path / "t.json")
+def test_a_camera_that_is_none_is_refused(more, line):
+    with pytest.raises(AirgsError, match=line) as caught:
+        Camera.from_matrix(**{"size": (64, 64)} | more)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "more", [{"target": (1, 1, 1)}, {"up": (0, 0, 0)}, {"target": (1, 2)}, {"target": (0, 0, np.inf)}, {"fov_y": 0}]
+)
+def test_a_camera_that_looks_nowhere_is_refused(more):
+    with pytest.raises(AirgsError):
+        Camera.look_at(**{"position": (1, 1, 1), "target": (0, 0, 0), "size": (64, 64)} | more)
 
 
 def test_held_out_cameras_are_never_trained_on():
@@ -71,14 +93,14 @@ def test_generated_views_of_one_gaussian_far_from_the_origin_are_finite():
     assert all(np.isfinite(v.world_to_camera).all() for v in orbit_views(far, 3))
 
 
-@pytest.mark.parametrize("up", [(0, 1, 0), (0, -1, 0), (0, 0, 2)])
+@pytest.mark.parametrize("up", UPS[:3])
 def test_a_ring_is_above_the_horizon_and_upright(up):
     axis = np.array(up, float) / np.linalg.norm(up)
     for view in orbit_views(random_gaussians(50), 6, 32, np.array(up, float)):
         assert -view.world_to_camera[2, :3] @ axis >= np.sin(np.radians(9)) and view.world_to_camera[1, :3] @ axis < 0
 
 
-@pytest.mark.parametrize("up", [(0, 1, 0), (0, -1, 0), (0, 0, 2), (1, -1, 0.5)])
+@pytest.mark.parametrize("up", UPS)
 def test_a_dome_is_above_its_horizon_and_all_around(up):
     axis = np.array(up, float) / np.linalg.norm(up)
     views = dome_views(random_gaussians(50), 20, 64, np.array(up, float), (0.2, 0.9))
@@ -89,7 +111,6 @@ def test_a_dome_is_above_its_horizon_and_all_around(up):
 
 
 def test_a_whole_sphere_has_no_side_that_is_not_seen():
-    sides = np.stack(
-        [-v.world_to_camera[2, :3] for v in dome_views(random_gaussians(50), 12, 64, np.array([0, 1.0, 0]))]
-    )
-    assert (np.eye(3) @ sides.T).max(axis=1).min() > 0.8 and (np.eye(3) @ sides.T).min(axis=1).max() < -0.8
+    views = dome_views(random_gaussians(50), 12, 64, np.array([0, 1.0, 0]))
+    sides = np.stack([-v.world_to_camera[2, :3] for v in views])
+    assert sides.max(axis=0).min() > 0.8 and sides.min(axis=0).max() < -0.8
