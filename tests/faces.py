@@ -30,11 +30,13 @@ from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
 from airgs_codec.places.results import Store, open_store, pack, seal, unpack, unseal
 
 # Deciding and encoding
+from airgs_codec.analysis.rows import Restored
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_preview
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
 from airgs_codec.encoder.search import DELTA_E, Goal, PSNR
-from airgs_codec.encoder.publish import encode
+from airgs_codec.encoder.prepare import order_rows, prepare
+from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
 from airgs_codec.coding.quantize import StepSettings, from_codes
 
 # Packages: tables, paths, the MPD, validation
