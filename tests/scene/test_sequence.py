@@ -1,4 +1,4 @@
-"""Sequences on disk: what is found beside the frames, what takes precedence, what is refused."""
+"""What `open_sequence` opens: files, folders of any format and those that grow; what is refused and told."""
 
 import json
 from dataclasses import replace
@@ -7,61 +7,49 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tests.faces import SceneError, open_sequence, read_ply
+from tests import faces
+from tests.faces import GrowingFolder, SceneError, open_sequence, read_frame, write_ply
+from tests.support.camera_files import saved
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.splat_files import splat_bytes, write_sog_folder
 
 
-def test_frames_are_in_natural_order(tmp_path):
-    frames = moving_frames(10, 3)
-    write_sequence(tmp_path, frames)
-    for old, new in (("000000", "f1"), ("000001", "f2"), ("000002", "f10")):
-        (tmp_path / f"{old}.ply").rename(tmp_path / f"{new}.ply")
-    assert [p.stem for p in open_sequence(tmp_path).paths] == ["f1", "f2", "f10"]
+def names_of(folder):
+    return [path.name for path in open_sequence(folder).paths]
+
+
+def write_names(folder, names):
+    folder.mkdir(exist_ok=True)
+    for name in names.split():
+        write_ply(folder / name, random_gaussians(9))
+    return folder
+
+
+@pytest.mark.parametrize("names", ["f1 f2 f10", "time_00000 time_00002 time_00010", "frame-1 frame-2 frame-10"])
+@pytest.mark.parametrize("suffix", [".ply", ".splat", ".v3.spz"])
+def test_a_folder_of_any_format_in_natural_order(tmp_path, names, suffix):
+    for name, g in zip(names.split(), moving_frames(20, 3), strict=True):
+        path = tmp_path / f"{name}{suffix}"
+        write_ply(path, g) if suffix == ".ply" else path.write_bytes(splat_bytes(g, suffix))
+    assert names_of(tmp_path) == [f"{name}{suffix}" for name in names.split()]
+    assert len(open_sequence(tmp_path).load([0, 2]).frames[1]) == 20 and not faces.is_multiview(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".v4.spz", ".glb"])
+def test_one_static_file_of_any_format_is_a_scene_without_cameras(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(splat_bytes(random_gaussians(30, 1), suffix))
+    sequence = open_sequence(path)
+    assert (len(sequence), sequence.sh_degree, sequence.cameras, sequence.alone) == (1, 1, (), True)
+    np.testing.assert_array_equal(sequence.read(0).means, read_frame(path).means)
 
 
 def test_the_embedded_scene_opens_with_its_cameras_and_keyframes_from_zero():
     s = open_sequence(FOX)
     assert (len(s), s.fps, s.keyframes, s.sh_degree, len(s.cameras)) == (10, Fraction(24), (0, 5), 1, 20)
-    assert s.origin == (0, 0, 0) and not s.notes
-    np.testing.assert_array_equal(s.read(0).means, read_ply(s.paths[0]).means)
-
-
-@pytest.mark.parametrize(
-    ("settings", "says"),
-    [
-        ("{", "sequence.json"),
-        ('{"fps": 0}', "fps"),
-        ('{"fps": "1e30000000"}', "sequence.json"),
-        ('{"keyframes": [99]}', "keyframes"),
-        ("[]", "sequence.json"),
-    ],
-)
-def test_bad_settings_are_refused(tmp_path, settings, says):
-    write_sequence(tmp_path, moving_frames(4, 2))
-    (tmp_path / "sequence.json").write_text(settings)
-    with pytest.raises(SceneError, match=says):
-        open_sequence(tmp_path)
-
-
-def test_no_folder_no_frames_no_gaussians_and_a_changed_degree_are_refused(tmp_path):
-    with pytest.raises(SceneError, match="got nothing"):
-        open_sequence(tmp_path / "none")
-    with pytest.raises(SceneError, match="at least one"):
-        open_sequence(tmp_path)
-    write_sequence(tmp_path / "a", [random_gaussians(3), random_gaussians(3, degree=1)])
-    with pytest.raises(SceneError, match="SH degree 0"):
-        open_sequence(tmp_path / "a")
-    write_sequence(tmp_path / "b", [random_gaussians(3), random_gaussians(3).take(np.arange(0))])
-    with pytest.raises(SceneError, match="at least one Gaussian"):
-        open_sequence(tmp_path / "b")
-
-
-def test_bad_cameras_are_refused(tmp_path):
-    write_sequence(tmp_path, moving_frames(4, 2))
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": [{"camera": "a"}]}))
-    with pytest.raises(SceneError, match=r"transforms\.json"):
-        open_sequence(tmp_path)
+    assert s.origin == (0, 0, 0) and not s.notes and replace(s, credit="by nobody").attribution == "by nobody"
+    np.testing.assert_array_equal(s.read(0).means, faces.read_ply(s.paths[0]).means)
 
 
 def test_settings_given_to_open_take_precedence_and_paths_may_be_words(tmp_path):
@@ -89,3 +77,174 @@ def test_frames_are_loaded_together(tmp_path):
     assert [len(f) for f in sequence.load([0, 2]).frames] == [6, 6]
     assert [f.opacities()[4] > 0.01 for f in sequence.load([0, 2]).frames] == [frames[0].opacities()[4] > 0.01, False]
     assert "frames 0-2: 1 Gaussians that are not finite" in sequence.load([0, 2]).notes[0]
+
+
+@pytest.mark.parametrize(
+    ("names", "says"),
+    [
+        ("f_1 f_2 f_3", ""),
+        ("f_01_lod0 f_02_lod0", ""),
+        ("first second", ""),
+        ("frame_1 frame_3 frame_10", "frame_#: 7 numbers are missing, the first between 1 and 3: frames are taken as"),
+        (
+            "frame_1 frame_2 take2-frame_3",
+            "frames have names of 2 kinds, frame_# (2), take2-frame_# (1): all are taken",
+        ),
+        ("t1_f1 t1_f2 t2_f1", "frames have names of 2 kinds, t1_f# (2), t2_f# (1)"),
+        ("f1 f01 f2", "f#: some frames have the same number, such as 1"),
+        ("f1 f2 background", "frames have names of 2 kinds, background (1), f# (2)"),
+    ],
+)
+def test_odd_names_are_told(tmp_path, names, says):
+    write_names(tmp_path, " ".join(f"{name}.ply" for name in names.split()))
+    notes = open_sequence(tmp_path).notes
+    assert len(notes) == (says != "") and "".join(notes).startswith(says)
+
+
+def test_a_frame_of_another_scene_is_told_before_and_to_those_who_encode(tmp_path, capsys):
+    """By its number of rows where that is another one, else by where its Gaussians lie."""
+    frames = moving_frames(60, 6)
+    frames[2] = random_gaussians(50)
+    frames[4] = frames[4].placed(np.zeros(3), 100)
+    folder = write_sequence(tmp_path / "scene", frames)
+    lone, strange = "000002.ply: 50 Gaussians, frames beside it have 60", "frames 4-5: Gaussians lie elsewhere"
+    assert faces.airgs_encode([str(folder), "--audio", str(tmp_path / "none.wav")]) == 2
+    assert lone in capsys.readouterr().err
+    settings = faces.EncodeSettings(calibrate="none", measure_pictures=0)
+    with faces.temporary_work() as work:
+        notes = faces.prepare(faces.order_rows(open_sequence(folder), settings, work), settings, work, None).notes
+    assert [sum(line.startswith(words) for line in notes) for words in (lone, strange)] == [1, 1]
+
+
+def test_folders_of_sog_are_frames_and_one_is_a_scene(tmp_path):
+    for name in ("f2", "f10"):
+        write_sog_folder(tmp_path / name, random_gaussians(30))
+    assert names_of(tmp_path) == ["f2", "f10"]
+    for place in (tmp_path / "f2", tmp_path / "f2" / "meta.json"):
+        sequence = open_sequence(place)
+        assert len(sequence) == 1 and len(sequence.read(0)) == 30
+    assert not faces.is_multiview(tmp_path) and not faces.is_multiview(tmp_path / "f2")
+
+
+@pytest.mark.parametrize("inner", ["", "point_cloud"])
+def test_of_a_model_the_newest_iteration_is_taken(tmp_path, inner):
+    for number in (7000, 30000, 900):
+        folder = tmp_path / "point_cloud" / f"iteration_{number}"
+        folder.mkdir(parents=True)
+        write_ply(folder / "point_cloud.ply", random_gaussians(number // 100))
+    (tmp_path / "input.ply").write_bytes(b"ply\n")
+    assert len(open_sequence(tmp_path / inner).read(0)) == 300
+
+
+def test_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
+    for i, g in enumerate(moving_frames(20, 3)):
+        write_ply(tmp_path / f"{i}.ply", g)
+    (tmp_path / "sequence.json").write_text('{"fps": 12, "keyframes": [0, 2]}')
+    sequence = open_sequence(tmp_path / "1.ply")
+    assert (len(sequence), sequence.fps, sequence.keyframes) == (1, 30, None)
+
+
+def test_hidden_files_are_no_frames_and_capitals_are_and_equal_numbers_have_an_order(tmp_path):
+    write_names(tmp_path, "2.ply 1.PLY 01.ply 001.ply")
+    (tmp_path / "._1.ply").write_bytes(b"\0\5\x16\7")
+    assert names_of(tmp_path) == ["001.ply", "01.ply", "1.PLY", "2.ply"]
+
+
+def written(*frames, **files):
+    """Frames in .ply, and JSON by its name."""
+
+    def write(folder):
+        write_sequence(folder, list(frames), cameras=False)
+        for name, text in files.items():
+            (folder / f"{name}.json").write_text(text)
+        return folder
+
+    return write
+
+
+FRAMES = moving_frames(4, 2)
+REFUSED = {
+    "no JSON": (written(*FRAMES, sequence="{"), r"sequence\.json"),
+    "no rate": (written(*FRAMES, sequence='{"fps": 0}'), "fps"),
+    "a huge rate": (written(*FRAMES, sequence='{"fps": "1e30000000"}'), r"sequence\.json"),
+    "no keyframe": (written(*FRAMES, sequence='{"keyframes": [99]}'), "keyframes"),
+    "a list": (written(*FRAMES, sequence="[]"), r"sequence\.json"),
+    "no camera": (written(*FRAMES, transforms='{"frames": [{"camera": "a"}]}'), r"transforms\.json"),
+    "no folder": (lambda folder: folder / "none", "got nothing"),
+    "no frame": (lambda folder: folder, "at least one"),
+    "degrees": (written(random_gaussians(3), random_gaussians(3, degree=1)), "SH degree 0"),
+    "no row": (written(random_gaussians(3), random_gaussians(3).take(np.arange(0))), "at least one Gaussian"),
+    "a clip": (lambda folder: saved(folder / "a.splatv", b"").parent, r"a\.splatv by its own name"),
+    "another format": (lambda folder: saved(folder / "a.ksplat", b"x"), r"a\.ksplat: expected one of \.ply, "),
+    "levels of detail": (  # as splat-transform makes them of a large scene, in folders that are each a whole SOG
+        lambda folder: saved(write_sog_folder(folder / "0_0", FRAMES[0]).parent / "lod-meta.json", {}).parent,
+        "expected frames, got levels of detail",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_is_no_sequence_is_refused(tmp_path, name):
+    make, says = REFUSED[name]
+    with pytest.raises(SceneError, match=says):
+        open_sequence(make(tmp_path))
+
+
+def test_a_mixture_is_refused_and_ply_goes_first(tmp_path):
+    for suffix in (".splat", ".v3.spz"):
+        (tmp_path / f"a{suffix}").write_bytes(splat_bytes(random_gaussians(9), suffix))
+    with pytest.raises(SceneError, match=r"one format, got \.splat, \.spz"):
+        open_sequence(tmp_path)
+    assert names_of(write_names(tmp_path, "a.ply")) == ["a.ply"]
+
+
+def test_a_frame_of_a_growing_folder_is_taken_once_it_is_whole(tmp_path):
+    first, second = moving_frames(20, 2)
+    folder = GrowingFolder(tmp_path / "scene", fps=24)
+    assert folder.look() is None
+    (tmp_path / "scene").mkdir()
+    path = tmp_path / "scene" / "frame1.ply"
+    write_ply(path, first)
+    data = path.read_bytes()
+    for size in (0, 10, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:size])
+        assert folder.look() is None
+    path.write_bytes(data)
+    assert len(folder.look()) == 1
+    write_ply(tmp_path / "scene" / "frame2.ply", second)
+    sequence = folder.look()
+    assert [p.name for p in sequence.paths] == ["frame1.ply", "frame2.ply"] and sequence.fps == 24
+    assert folder.look() is sequence
+    folder.check_finished()
+
+
+def test_a_later_frame_waits_for_the_one_before(tmp_path):
+    frames = moving_frames(20, 3)
+    folder = GrowingFolder(tmp_path)
+    write_ply(tmp_path / "1.ply", frames[0])
+    (tmp_path / "2.ply").write_bytes(b"ply\n")
+    write_ply(tmp_path / "3.ply", frames[2])
+    assert len(folder.look()) == 1
+    with pytest.raises(SceneError, match=r"2\.ply"):
+        folder.check_finished()
+    write_ply(tmp_path / "2.ply", frames[1])
+    assert len(folder.look()) == 3
+
+
+def test_keyframes_that_are_named_later_are_seen(tmp_path):
+    folder = GrowingFolder(write_sequence(tmp_path, moving_frames(20, 3), cameras=False))
+    assert folder.look().keyframes is None
+    (tmp_path / "sequence.json").write_text(json.dumps({"fps": 25, "keyframes": [0, 2]}))
+    assert folder.look().keyframes == (0, 2)
+
+
+def test_frames_out_of_order_and_none_at_all_are_refused(tmp_path):
+    folder = GrowingFolder(tmp_path)
+    with pytest.raises(SceneError, match="at least one"):
+        folder.check_finished()
+    first, second = moving_frames(20, 2)
+    write_ply(tmp_path / "7.ply", first)
+    folder.look()
+    write_ply(tmp_path / "6.ply", second)
+    with pytest.raises(SceneError, match=r"6\.ply: expected frames to come in the order of their names"):
+        folder.look()
