@@ -1,15 +1,153 @@
-"""Frames and point clouds: every form of .ply that holds them, and one line for what does not."""
+"""PLY: one table in every form and order reads the same, frames and points of it, and one line for what is neither."""
+
+import tracemalloc
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from airgs_codec.scene.formats.ply import read_ply_header, read_points
-from tests.faces import SceneError, read_ply, write_ply
-from tests.support.ply import ORDERS, Column, ply_bytes
+from airgs_codec.scene.formats.ply_elements import read_columns, read_header
+from tests.faces import SceneError, read_frame_header, read_ply, read_points, write_ply
+from tests.support.ply import ORDERS, TYPES, Column, ply_bytes
 from tests.support.scenes import random_gaussians
 
 PROPERTIES = ["x", "y", "z", *(f"f_dc_{i}" for i in range(3)), "opacity", *(f"scale_{i}" for i in range(3))]
 PROPERTIES += [f"rot_{i}" for i in range(4)]
+MESH = {
+    "before": [Column("corners", "int", [[1, 2, 3], [4]], "uchar")],
+    "vertex": [Column("x", "float", [1.5, 2.5]), Column("n", "uchar", [7, 8])],
+}
+NUMBERS = {
+    name: st.integers(int(np.iinfo(kind).min), int(np.iinfo(kind).max))
+    if kind[0] != "f"
+    else st.floats(width=8 * int(kind[1]), allow_nan=True, allow_infinity=True)
+    for name, kind in TYPES.items()
+}
+
+
+@st.composite
+def columns(draw, rows, names):
+    kinds = draw(st.lists(st.sampled_from(sorted(TYPES)), min_size=len(names), max_size=len(names)))
+    values = [draw(st.lists(NUMBERS[kind], min_size=rows, max_size=rows)) for kind in kinds]
+    return [Column(*column) for column in zip(names, kinds, values, strict=True)]
+
+
+@st.composite
+def neighbours(draw):
+    rows = draw(st.integers(0, 4))
+    out = draw(columns(rows, draw(st.permutations(["red", "x"]))))
+    if draw(st.booleans()):
+        lists = draw(st.lists(st.lists(st.integers(0, 255), max_size=5), min_size=rows, max_size=rows))
+        column = Column("vertex_indices", "int", lists, draw(st.sampled_from(["uchar", "int"])))
+        out.insert(draw(st.integers(0, 2)), column)
+    return out
+
+
+def table_of(path, names):
+    header = read_header(path)
+    return read_columns(path, header, header.element("vertex"), [names])[0]
+
+
+@given(st.data())
+@settings(max_examples=150)
+def test_ascii_little_and_big_endian_give_the_same_table(tmp_path_factory, data):
+    """Whatever stands before and after, in any order of properties and types, with comments and CR LF."""
+    path = tmp_path_factory.mktemp("ply") / "a.ply"
+    vertex = data.draw(columns(data.draw(st.integers(0, 6)), data.draw(st.permutations(["x", "y", "z", "w"]))))
+    elements = {"vertex": vertex}
+    if data.draw(st.booleans()):
+        elements = {"before": data.draw(neighbours()), **elements}
+    if data.draw(st.booleans()):
+        elements["face"] = data.draw(neighbours())
+    comments = data.draw(
+        st.lists(st.sampled_from(["comment", "comment end_header", "obj_info property float x"]), max_size=3)
+    )
+    wanted = np.array([np.array(c.values, np.result_type("f4", *(TYPES[c.type] for c in vertex))) for c in vertex]).T
+    for form in ORDERS:
+        for newline in ("\n", "\r\n"):
+            path.write_bytes(ply_bytes(elements, form, newline, comments))
+            np.testing.assert_array_equal(table_of(path, [c.name for c in vertex]), wanted.reshape(-1, 4))
+
+
+@pytest.mark.parametrize("form", ORDERS)
+def test_more_rows_than_a_block_are_all_read(tmp_path, form):
+    values = np.random.default_rng(0).normal(size=2 * 16384 + 5).astype("f4")
+    elements = {"before": [Column("i", "int", range(3))], "vertex": [Column("x", "float", values)]}
+    (tmp_path / "a.ply").write_bytes(ply_bytes(elements, form))
+    np.testing.assert_array_equal(table_of(tmp_path / "a.ply", ["x"])[:, 0], values)
+
+
+@pytest.mark.parametrize("form", ORDERS)
+def test_a_file_cut_anywhere_is_refused(tmp_path, form):
+    path, whole = tmp_path / "a.ply", ply_bytes(MESH, form)
+    cut = 1 if form != "ascii" else 3  # a line may lack its end, and 8 its newline
+    for end in range(len(whole) - cut + 1):
+        path.write_bytes(whole[:end])
+        with pytest.raises(SceneError) as caught:
+            table_of(path, ["x", "n"])
+        assert "\n" not in str(caught.value) and "a.ply" in str(caught.value)
+
+
+@pytest.mark.parametrize("form", ORDERS)
+@pytest.mark.parametrize("element", ["before", "vertex"])
+def test_absurd_counts_are_refused_before_memory_is_taken(tmp_path, form, element):
+    path = tmp_path / "a.ply"
+    for count in (10**6, 10**17):
+        text = ply_bytes(MESH, form).replace(f"element {element} 2".encode(), f"element {element} {count}".encode())
+        path.write_bytes(text)
+        tracemalloc.start()
+        with pytest.raises(SceneError, match="truncated"):
+            table_of(path, ["x"])
+        assert tracemalloc.get_traced_memory()[1] < 3e6
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("form", ORDERS)
+def test_a_header_declares_no_more_than_a_scene_can_need(tmp_path, form):
+    path = tmp_path / "a.ply"
+    vertex = [Column(f"p{i}", "uchar", [i % 256]) for i in range(4096 - 63)]
+    elements = {f"e{i}": [Column("x", "uchar", [])] for i in range(63)} | {"vertex": vertex}
+    path.write_bytes(ply_bytes(elements, form))
+    assert table_of(path, ["p7"])[0, 0] == 7
+    for more, got in (
+        ({"more": [Column("x", "uchar", [])]}, "65 elements and 4097 properties"),
+        ({f"e{i}": [Column("x", "uchar", [])] for i in range(20_000)}, "20001 elements"),
+        ({"vertex": [Column(f"p{i}", "uchar", [1]) for i in range(45_000)]}, "45063 properties"),
+    ):
+        path.write_bytes(ply_bytes(elements | more, form))
+        with pytest.raises(SceneError, match=f"64 elements and 4096 properties, got .*{got}"):
+            read_header(path)
+
+
+ILL_FORMED = [
+    ("ply\n", "ply"), ("format ascii 1.0", "format ascii 2.0"), ("format ascii 1.0", "comment"),
+    ("element vertex 2", "element vertex -2"), ("element vertex 2", "element vertex two"),
+    ("element vertex 2", f"element vertex {'9' * 5000}"), ("float x", "real x"), ("float x", "float"),
+    ("list uchar", "list float"), ("uchar n", "uchar x"), ("element before", "element vertex"), ("end_header", "end"),
+    ("element vertex 2", "element vertex 2\nproperty list uchar int more"),
+    ("1.5", "one"), ("1.5 7", "1.5"), ("1.5 7", "1.5 300"), ("1.5 7", "1.5 7.5"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new"), ILL_FORMED)
+def test_what_is_not_well_formed_is_refused_in_one_line(tmp_path, old, new):
+    text = ply_bytes(MESH).decode()
+    assert old in text
+    (tmp_path / "a.ply").write_text(text.replace(old, new))
+    with pytest.raises(SceneError) as caught:
+        table_of(tmp_path / "a.ply", ["x"])
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+
+
+@pytest.mark.parametrize("form", ["binary_little_endian", "binary_big_endian"])
+def test_a_list_of_negative_length_is_refused(tmp_path, form):
+    elements = {"before": [Column("corners", "int", [[]], "int")], **{"vertex": MESH["vertex"]}}
+    data = ply_bytes(elements, form)
+    at = data.index(b"end_header\n") + len(b"end_header\n")
+    (tmp_path / "a.ply").write_bytes(data[:at] + b"\xff" * 4 + data[at + 4 :])
+    with pytest.raises(SceneError, match="list of -1"):
+        table_of(tmp_path / "a.ply", ["x"])
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
@@ -19,16 +157,16 @@ def test_what_was_written_is_read_back_exactly(tmp_path, degree):
     back = read_ply(tmp_path / "a.ply")
     for name in g.__slots__:
         np.testing.assert_array_equal(getattr(back, name), getattr(g, name))
-    assert (read_ply_header(tmp_path / "a.ply").count, back.sh_degree) == (37, degree)
+    assert (read_frame_header(tmp_path / "a.ply").count, back.sh_degree) == (37, degree)
 
 
 def ascii_ply(names, rows):
-    return ply_bytes({"vertex": [Column(n, "float", [row[i] for row in rows]) for i, n in enumerate(names)]}).decode()
+    return ply_bytes({"vertex": [Column(n, "float", [row[i] for row in rows]) for i, n in enumerate(names)]})
 
 
 def test_ascii_in_any_property_order(tmp_path):
     names = PROPERTIES[::-1]
-    (tmp_path / "a.ply").write_text(ascii_ply(names, [list(range(len(names)))]))
+    (tmp_path / "a.ply").write_bytes(ascii_ply(names, [list(range(len(names)))]))
     g = read_ply(tmp_path / "a.ply")
     value = {n: float(i) for i, n in enumerate(names)}
     assert g.means.tolist() == [[value["x"], value["y"], value["z"]]]
@@ -38,7 +176,7 @@ def test_ascii_in_any_property_order(tmp_path):
 
 def test_f_rest_is_channel_major_in_the_file(tmp_path):
     names = PROPERTIES + [f"f_rest_{i}" for i in range(9)]
-    (tmp_path / "a.ply").write_text(ascii_ply(names, [[0] * len(PROPERTIES) + list(range(9))]))
+    (tmp_path / "a.ply").write_bytes(ascii_ply(names, [[0] * len(PROPERTIES) + list(range(9))]))
     assert read_ply(tmp_path / "a.ply").sh_rest[0].tolist() == [[0, 3, 6], [1, 4, 7], [2, 5, 8]]
 
 
@@ -78,22 +216,19 @@ def test_what_is_no_point_cloud_is_refused(tmp_path, elements):
 @pytest.mark.parametrize(
     ("content", "says"),
     [
+        (None, "cannot read"),
         (b"", "expected a .ply header"),
         (b"not a ply at all\n", "expected a .ply header"),
-        (ascii_ply(["x", "y", "z"], [[0, 0, 0]]).encode(), "missing f_dc_0"),
-        (ascii_ply([*PROPERTIES, "f_rest_0"], [[0] * 15]).encode(), "expected 0, 9, 24 or 45 f_rest"),
-        (ascii_ply([*PROPERTIES, *(f"f_rest_{i}" for i in range(1, 10))], [[0] * 23]).encode(), "missing f_rest_0"),
-        (ascii_ply([*PROPERTIES, "log_duration"], [[0] * 15]).encode(), "got those of FTGS, which move"),
-        (ascii_ply(PROPERTIES, [[0] * 14]).replace("vertex 1", "vertex 9").encode(), "truncated"),
+        (ascii_ply(["x", "y", "z"], [[0, 0, 0]]), "missing f_dc_0"),
+        (ascii_ply([*PROPERTIES, "f_rest_0"], [[0] * 15]), "expected 0, 9, 24 or 45 f_rest"),
+        (ascii_ply([*PROPERTIES, *(f"f_rest_{i}" for i in range(1, 10))], [[0] * 23]), "missing f_rest_0"),
+        (ascii_ply([*PROPERTIES, "log_duration"], [[0] * 15]), "got those of FTGS, which move"),
+        (ascii_ply(PROPERTIES, [[0] * 14]).replace(b"vertex 1", b"vertex 9"), "truncated"),
     ],
 )
 def test_a_broken_file_is_refused_in_one_line(tmp_path, content, says):
-    (tmp_path / "bad.ply").write_bytes(content)
+    if content is not None:
+        (tmp_path / "bad.ply").write_bytes(content)
     with pytest.raises(SceneError, match=says) as caught:
         read_ply(tmp_path / "bad.ply")
     assert "bad.ply" in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="cannot read"):
-        read_ply(tmp_path / "none.ply")
