@@ -76,7 +76,7 @@ from airgs_codec.decoder.states import decode_pictures
 
 # Rendering and measuring pictures
 from airgs_codec.render import render
-from airgs_codec.render.cpu import RasterInputs, Redraw
+from airgs_codec.render.cpu import RasterInputs, Redraw, one_thread
 from airgs_codec.render.backend import CPU
 from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, delta_e_metric, mse, pool, psnr
 
@@ -93,7 +93,7 @@ from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, from_gaussians
 from airgs_codec.trainer.fit.points import from_points, scene_extent
-from airgs_codec.trainer.pipeline import open_run, rested
+from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_in_jobs
 from airgs_codec.trainer.record import FrameRecord, Record, read_model
 
 # Playing

@@ -1,6 +1,7 @@
 """The index: a long package starts as quickly as a short one, and every group is found with a page for each level."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import accumulate, pairwise
 
 import pytest
@@ -8,31 +9,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from airgs_codec.package.index import count_groups
-from airgs_codec.package.package import open_manifest
-from airgs_codec.package.parse import extend_index
-from tests.faces import (
-    PAGE,
-    FormatError,
-    GroupIndex,
-    Groups,
-    build_index,
-    decode,
-    digest,
-    file_kind,
-    group_path,
-    locate,
-    open_package,
-    pack_group,
-    pack_json,
-    parse_root,
-    root_of,
-    write_mpd,
-)
+from tests import faces
+from tests.faces import FormatError, GroupIndex, Groups, build_index, decode, digest, open_package, pack_json, root_of
 from tests.support.manifests import no_page, tiny_manifest
-from tests.support.mutations import read_files
+from tests.support.mutations import read_files, write_files
 from tests.support.paths import VALID
 from tests.support.regions import arc
 
+PAGE = 64
 GROUPS, FRAMES = 7200, 30  # two hours at 30 frames a second
 START_BYTES = 16_000
 MOST = 5000  # groups whose index is made by chance
@@ -59,8 +43,26 @@ def table_of(number):
     return b"%d" % number
 
 
+@cache
 def index_of(count):
     return build_index(ALL[:count], [table_of(n) for n in range(count)])
+
+
+def places_of(count, broken=()):
+    """The places of so many groups, the paths of all pages, and those that are read; the broken ones cannot be."""
+    (index, pages), read = index_of(count), []
+
+    def read_page(path, _):
+        read.append(path)
+        if path in broken:
+            raise FormatError("hash_mismatch", path, "of another package")
+        return pages[path]
+
+    return GroupIndex(index, read_page), pages, read
+
+
+def segment_before(group):
+    return sum(len(part.segments) for part in ALL[:group])
 
 
 @given(count=st.integers(1, MOST), seed=st.randoms(use_true_random=False))
@@ -79,8 +81,7 @@ def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count
     assert len(pages) == sum(count // PAGE**level for level in range(1, 9))
     firsts = list(accumulate((len(part.segments) for part in ALL[:count]), initial=0))
     chosen = range(count) if seed is None else sorted({0, count - 1, *seed.choices(range(count), k=300)})
-    read = []
-    places = GroupIndex(index, lambda path, _: read.append(path) or pages[path])
+    places, _, read = places_of(count)
     for number in chosen:
         part, entry = ALL[number], places.entry(number)
         assert (entry.start, entry.stop, entry.segments) == (part.start, part.stop, len(part.segments))
@@ -89,8 +90,8 @@ def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count
         assert {places.at_segment(firsts[number] + s) for s in part.segments} == {number}
     assert len(read) == len(set(read))
     for number in (0, count // 2, count - 1):
-        way = []
-        GroupIndex(index, lambda path, _, way=way: way.append(path) or pages[path]).at_frame(ALL[number].start)
+        fresh, _, way = places_of(count)
+        fresh.at_frame(ALL[number].start)
         assert len(way) < len(index) and way == list(places.pages_to("groups", number))
         assert way == list(places.pages_to("segments", firsts[number]))
     assert (places.groups, places.frames, places.segments) == (count, ALL[count - 1].stop, firsts[-1])
@@ -109,7 +110,7 @@ def test_extending_one_by_one_gives_the_same_as_building_at_once():
     index, pages = [], {}
     for number in range(PAGE * PAGE + 2):
         before = index
-        index, filled = extend_index(index, number, ALL[number], table_of(number))
+        index, filled = faces.extend_index(index, number, ALL[number], table_of(number))
         assert not set(filled) & set(pages)  # what is written is never written again
         pages |= filled
         carried = len(filled)
@@ -121,14 +122,11 @@ def test_extending_one_by_one_gives_the_same_as_building_at_once():
 
 @pytest.mark.parametrize(("count", "needed"), [(63, 0), (64, 1), (65, 0), (128, 1), (4095, 0), (4096, 2), (4097, 0)])
 def test_the_newest_group_needs_a_page_for_each_level_that_was_just_filled(count, needed):
-    index, pages = index_of(count)
-    assert len(list(GroupIndex(index, lambda path, _: pages[path]).pages_to("groups", count - 1))) == needed
+    assert len(list(places_of(count)[0].pages_to("groups", count - 1))) == needed
 
 
 def test_pages_that_are_not_there_are_asked_for_from_the_root_on():
-    index, pages = index_of(4500)
-    read = []
-    places = GroupIndex(index, lambda path, _: read.append(path) or pages[path])
+    places, _, read = places_of(4500)
     there, rounds = set(), []
     while missing := places.missing_pages(range(segment_before(4000), places.segments), there):
         rounds.append(missing)
@@ -139,40 +137,20 @@ def test_pages_that_are_not_there_are_asked_for_from_the_root_on():
     assert read == ["index/2/1.json"]  # those of groups are there, but not needed to say so
 
 
-def test_what_a_page_that_cannot_be_read_leads_to_is_not_looked_for():
-    index, pages = index_of(4500)
-    broken, read = {"index/1/3.json", "index/1/66.json"}, []
-
-    def read_page(path, _):
-        read.append(path)
-        if path in broken:
-            raise FormatError("hash_mismatch", path, "of another package")
-        return pages[path]
-
-    found = list(GroupIndex(index, read_page).sweep())
+def test_what_a_page_that_cannot_be_read_leads_to_is_not_looked_for_and_its_segments_are_guessed():
+    broken = {"index/1/3.json", "index/1/66.json"}
+    places, pages, read = places_of(4500, broken)
+    found = list(places.sweep())
     groups = [number for number in found if isinstance(number, int)]
     assert groups == [n for n in range(4500) if n // PAGE not in (2, 65)]
     assert {error.where for error in found if not isinstance(error, int)} == broken and len(found) == len(groups) + 2
     assert len(read) == len(set(read)) == len(pages)
 
-
-def segment_before(group):
-    return sum(len(part.segments) for part in ALL[:group])
-
-
-def test_a_segment_whose_pages_cannot_be_read_is_guessed():
-    index, pages = index_of(4500)
-
-    def read(path, _):
-        if path == "index/1/3.json":
-            raise FormatError("hash_mismatch", path, "of another package")
-        return pages[path]
-
-    places, last = GroupIndex(index, read), segment_before(192) - 1
+    last = segment_before(192) - 1
     assert places.guess_span(0) == (0, 1) and ALL[0].segments == range(1)
-    found = [places.guess_span(segment) for segment in range(segment_before(128), last + 1)]
-    assert found[0][0] == ALL[128].start and found[-1][1] == ALL[192].start
-    assert all(a[1] == b[0] for a, b in pairwise(found))
+    guessed = [places.guess_span(segment) for segment in range(segment_before(128), last + 1)]
+    assert guessed[0][0] == ALL[128].start and guessed[-1][1] == ALL[192].start
+    assert all(a[1] == b[0] for a, b in pairwise(guessed))
     with pytest.raises(FormatError):
         places.at_segment(last)
 
@@ -181,33 +159,23 @@ def test_a_segment_whose_pages_cannot_be_read_is_guessed():
 def long():
     """The tables of two hours, as large as those of a scene with three tiers and qualities and five levels."""
     m = tiny_manifest(
-        groups=(FRAMES,),
-        fps=(30, 1),
-        key_bytes=((30_000, 20_000, 10_000),) * 3,
-        state_bytes=(50_000, 40_000, 30_000, 20_000, 10_000),
-        psnr=((40.0, 39.0, 38.0),) * 5,
-    )
-    group = m.groups[0]
-    groups = [
-        replace(
-            group,
-            start=FRAMES * n,
-            stop=FRAMES * (n + 1),
-            segments=[replace(group.segments[0], start=FRAMES * n, stop=FRAMES * (n + 1))],
-        )
-        for n in range(GROUPS)
-    ]
+        groups=(FRAMES,), fps=(30, 1), key_bytes=((30_000, 20_000, 10_000),) * 3,
+        state_bytes=(50_000, 40_000, 30_000, 20_000, 10_000), psnr=((40.0, 39.0, 38.0),) * 5,
+    )  # fmt: skip
+    group, groups = m.groups[0], []
+    for n in range(GROUPS):
+        span = {"start": FRAMES * n, "stop": FRAMES * (n + 1)}
+        groups.append(replace(group, **span, segments=[replace(group.segments[0], **span)]))
     tables = [digest(b"%d" % n).encode() * 80 for n in range(GROUPS)]  # 2.5 kB each
     index, pages = build_index(groups, tables)
-    region = arc(90, 13, 1.234567)
-    m = replace(m, frames=GROUPS * FRAMES, region=region)
+    m = replace(m, frames=GROUPS * FRAMES, region=arc(90, 13, 1.234567))
     return replace(m, groups=Groups(index, lambda path, _: pages[path], lambda n, _: groups[n])), pages
 
 
 def test_what_two_hours_fetch_before_their_first_group_is_small(long):
     m, pages = long
-    root, mpd = pack_json(root_of(m)), write_mpd(m)
-    assert parse_root(root) == root_of(m)
+    root, mpd = pack_json(root_of(m)), faces.write_mpd(m)
+    assert faces.parse_root(root) == root_of(m)
     way = [pages[path] for path in m.groups.places.pages_to("groups", 0)]
     assert len(way) == 2 and len(root) + len(mpd) + sum(len(pack_json(page)) for page in way) <= START_BYTES
     assert len(mpd) < 3_000
@@ -223,9 +191,10 @@ def test_places_outside_the_sequence_are_none(long):
             m.entry(wrong)
 
 
-@pytest.mark.parametrize("path", ["index/1/64.json", "index/2/1.json", "index/1/112.json"])
-def test_pages_are_checked_against_the_level_above(long, path):
+@pytest.mark.parametrize(("level", "number"), [(1, 64), (2, 1), (1, 112)])
+def test_pages_are_checked_against_the_level_above(long, level, number):
     m, pages = long
+    path = f"index/{level}/{number}.json"
     page = pages[path]
     sums = {name: [2 * getattr(page, name)[0], *getattr(page, name)[2:]] for name in ("frames", "segments")}
     broken = {
@@ -234,30 +203,28 @@ def test_pages_are_checked_against_the_level_above(long, path):
         "columns of one length": replace(page, sha256=page.sha256[32:]),
         "got (63, ": replace(page, bytes=page.bytes[1:], sha256=page.sha256[32:], **sums),
     }
-    _, (level, number) = locate(path)
+
+    def check(files):
+        opened = faces.open_manifest(root_of(m), lambda name, _: pack_json(files[name]))
+        opened.groups.places.check_page(level, number - 1)
+
+    check(pages)
     for words, table in broken.items():
-        files = pages | {path: table}
-        manifest = open_manifest(root_of(m), lambda name, _, files=files: pack_json(files[name]))
         with pytest.raises(FormatError) as caught:
-            manifest.groups.places.check_page(level, number - 1)
+            check(pages | {path: table})
         assert caught.value.reason == "bad_value" and caught.value.where == path and words in caught.value.detail
-        whole = open_manifest(root_of(m), lambda name, _: pack_json(pages[name]))
-        whole.groups.places.check_page(level, number - 1)
 
 
 def test_a_frame_is_decoded_from_its_own_tables(tmp_path):
     """Nothing but the root, one page, the table of the group and the files of the group is read."""
-    files = read_files(VALID / "paged")
-    kept = {"airgs.json", "manifest.mpd", "index/1/1.json", group_path(7)}
-    for name, data in files.items():
-        if name in kept or (name.endswith(("/7.bin", "/7.m4s")) and file_kind(name)):
-            (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-            (tmp_path / name).write_bytes(data)
-    whole, part = open_package(VALID / "paged"), open_package(tmp_path)
+    kept = {"airgs.json", "manifest.mpd", "index/1/1.json", "group/7.json.gz"}
+    files = read_files(VALID / "paged").items()
+    own = {name: data for name, data in files if name in kept or name.endswith(("/7.bin", "/7.m4s"))}
+    whole, part = open_package(VALID / "paged"), open_package(write_files(tmp_path, own))
     assert (decode(part, 6).means == decode(whole, 6).means).all()
     with pytest.raises(FormatError) as caught:
         decode(part, 7)
-    assert (caught.value.reason, caught.value.where) == ("missing_file", group_path(8))
+    assert (caught.value.reason, caught.value.where) == ("missing_file", "group/8.json.gz")
 
 
 def test_tables_that_were_used_long_ago_are_read_again(monkeypatch):
@@ -272,4 +239,4 @@ def test_tables_that_were_used_long_ago_are_read_again(monkeypatch):
 
 def test_a_table_has_the_same_bytes_every_time():
     group = tiny_manifest().groups[0]
-    assert pack_group(group) == pack_group(replace(group)) and pack_group(group)[4:8] == bytes(4)
+    assert faces.pack_group(group) == faces.pack_group(replace(group)) and faces.pack_group(group)[4:8] == bytes(4)

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -9,45 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airgs_codec.package.references import fault_of
-from airgs_codec.package.region import misread, parse_up, unit_of
-from airgs_codec.scene.formats.form import Axes
-from tests.faces import (
-    ConfigError,
-    FormatError,
-    Place,
-    SceneError,
-    World,
-    draw_views,
-    levelled,
-    pack_json,
-    parse_root,
-    place_view,
-    read_region,
-    read_world,
-    root_of,
-    up_of,
-    upright,
-    world_from,
-)
+from tests import faces
+from tests.faces import ConfigError, FormatError, Place, World, draw_views, open_package, up_of, upright, world_from
 from tests.support.manifests import tiny_manifest
+from tests.support.paths import VALID
 from tests.support.regions import is_inside, place, region, region_json
 
 ROW = region(place(-3.0), place(0.0), place(3.0, reach=1.5))
-AS_JSON = region_json(ROW)
-UP = np.array([0.0, -1.0, 0.0])
-
-
-def offsets(drawn, at):
-    return np.stack([view.position for view in drawn]) - np.array(at.position)
-
-
-def off_focus(drawn, at):
-    """(n,) degrees between view axes and the direction to the focus."""
-    ahead = np.array(at.focus) - np.stack([view.position for view in drawn])
-    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-    axes = np.stack([view.world_to_camera[2, :3] for view in drawn])
-    return np.degrees(np.arccos(np.clip((ahead * axes).sum(axis=1), -1, 1)))
+BARE = faces.root_of(tiny_manifest())
+QUARTERS = [0.25, 0.5, 0.75]
 
 
 @given(
@@ -80,41 +51,43 @@ def test_places_take_turns():
 
 
 def test_distances_are_even_directions_even_over_the_sphere_and_axes_even_over_the_disk():
-    drawn, at = draw_views(region(place(0.0, reach=2.0)), 2000, 1), place(0.0, reach=2.0)
-    steps = offsets(drawn, at)
-    distance = np.linalg.norm(steps, axis=1) / 2
-    assert np.quantile(distance, [0.25, 0.5, 0.75]) == pytest.approx([0.25, 0.5, 0.75], abs=0.04)
-    heights = steps / np.linalg.norm(steps, axis=1, keepdims=True)
-    for axis in range(3):  # Archimedes: the height of a point of the sphere is even
-        assert np.quantile(heights[:, axis], [0.25, 0.5, 0.75]) == pytest.approx([-0.5, 0, 0.5], abs=0.06)
-    area = (off_focus(drawn, at) / 10) ** 2
-    assert np.quantile(area, [0.25, 0.5, 0.75]) == pytest.approx([0.25, 0.5, 0.75], abs=0.04)
+    at = place(0.0, reach=2.0)
+    drawn = draw_views(region(at), 2000, 1)
+    positions = np.stack([view.position for view in drawn])
+    steps = positions - np.array(at.position)
+    distance = np.linalg.norm(steps, axis=1, keepdims=True)
+    assert np.quantile(distance / 2, QUARTERS) == pytest.approx(QUARTERS, abs=0.04)
+    for heights in (steps / distance).T:  # Archimedes: the height of a point of the sphere is even
+        assert np.quantile(heights, QUARTERS) == pytest.approx([-0.5, 0, 0.5], abs=0.06)
+    ahead = np.array(at.focus) - positions
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    axes = np.stack([view.world_to_camera[2, :3] for view in drawn])
+    off_focus = np.degrees(np.arccos(np.clip((ahead * axes).sum(axis=1), -1, 1)))
+    assert np.quantile((off_focus / 10) ** 2, QUARTERS) == pytest.approx(QUARTERS, abs=0.04)
 
 
 def test_without_extent_draws_are_the_places():
     points = region(place(-1.0, reach=0.0), place(2.0, reach=0.0), turn=0.0)
-    places = {1: place_view(points, points.places[1]), 0: place_view(points, points.places[0])}
     for view in draw_views(points, 4, 3):
-        same = places[int(view.position[0] > 0)]
+        same = faces.place_view(points, points.places[int(view.position[0] > 0)])
         np.testing.assert_allclose(view.world_to_camera, same.world_to_camera, atol=1e-12)
         assert (view.width, view.height, view.near) == (32, 24, 0.01)
         assert 2 * np.degrees(np.arctan(12 / view.fy)) == pytest.approx(50) and view.fx == view.fy
 
 
-def written(tmp_path, text):
-    path = tmp_path / "region.json"
-    path.write_text(text)
-    return path
-
-
-def test_a_region_comes_back_from_a_file_as_given(tmp_path):
-    assert read_region(written(tmp_path, json.dumps(AS_JSON))) == replace(ROW, source="file")
+def read_region(tmp_path, text):
+    (tmp_path / "region.json").write_text(text)
+    return faces.read_region(tmp_path / "region.json")
 
 
 def changed(name, value, of=None):
-    data = copy.deepcopy(AS_JSON)
+    data = copy.deepcopy(region_json(ROW))
     (data["places"][1] if of else data)[name] = value
     return json.dumps(data)
+
+
+def test_a_region_comes_back_from_a_file_as_given(tmp_path):
+    assert read_region(tmp_path, json.dumps(region_json(ROW))) == replace(ROW, source="file")
 
 
 @pytest.mark.parametrize(
@@ -135,14 +108,14 @@ def changed(name, value, of=None):
 )
 def test_a_file_that_is_no_region_is_one_line(tmp_path, text, reason, detail):
     with pytest.raises(FormatError) as caught:
-        read_region(written(tmp_path, text))
+        read_region(tmp_path, text)
     assert caught.value.reason == reason and detail in str(caught.value) and "\n" not in str(caught.value)
 
 
 def test_a_region_that_cannot_be_read_is_one_line(tmp_path):
     for path in (tmp_path / "none.json", tmp_path):
-        with pytest.raises(SceneError, match="cannot read a viewing region"):
-            read_region(path)
+        with pytest.raises(faces.SceneError, match="cannot read a viewing region"):
+            faces.read_region(path)
 
 
 def test_up_is_level_in_the_pictures_of_all_places_whichever_way_they_look_down():
@@ -154,24 +127,36 @@ def test_up_is_level_in_the_pictures_of_all_places_whichever_way_they_look_down(
         level = np.array([np.cos(2.4 * i), np.sin(2.4 * i)]) @ sides
         view, tip = level * np.cos(pitch) - up * np.sin(pitch), level * np.sin(pitch) + up * np.cos(pitch)
         places.append(Place((-3 * view).tolist(), [0.0, 0.0, 0.0], (2 * tip).tolist(), 0.5))
-    region = replace(ROW, source="found", places=places)
-    assert upright(region) == pytest.approx(up, abs=1e-3)
+    assert upright(replace(ROW, source="found", places=places)) == pytest.approx(up, abs=1e-3)
 
 
-TURN = [0.8, -0.6, 0.0, 0.6, 0.8, 0.0, 0.0, 0.0, 1.0]
-
-
-def transform(axes, shift=(0.0, 0.0, 0.0)):
-    return np.hstack([np.reshape(axes, (3, 3)), np.reshape(shift, (3, 1))]).ravel().tolist()
+@pytest.fixture
+def package(tmp_path):
+    """A package that does not tell which way is up."""
+    return shutil.copytree(VALID / "moving", tmp_path / "moving.airgs")
 
 
 @pytest.mark.parametrize(
-    ("up", "moved"), [("y", [2, 3, 5]), ("-y", [2, -3, -5]), ("z", [2, 5, -3]), ("-z", [2, -5, 3]), ("x", [-3, 2, 5])]
+    ("up", "direction", "moved"),
+    [
+        ("y", [0, 1, 0], [2, 3, 5]),
+        ("-y", [0, -1, 0], [2, -3, -5]),
+        ("z", [0, 0, 1], [2, 5, -3]),
+        ("-z", [0, 0, -1], [2, -5, 3]),
+        ("x", [1, 0, 0], [-3, 2, 5]),
+    ],
 )
-def test_axes_turn_as_people_know_them(up, moved):
-    world = world_from(parse_up(up))
+def test_axes_turn_as_people_know_them(package, up, direction, moved):
+    assert faces.airgs_manifest(["set-view", str(package), f"--up={up}"]) == 0
+    world = open_package(package).manifest.world
     assert (np.reshape(world.transform, (3, 4)) @ [2, 3, 5, 1]).tolist() == moved
-    assert up_of(world).tolist() == list(parse_up(up)) and not world.metric
+    assert up_of(world).tolist() == direction and not world.metric
+
+
+@pytest.mark.parametrize("text", ["up", "1,2", "0,0,0", "nan,0,1", "1,inf,0", ""])
+def test_what_is_no_direction_is_refused(package, text, capsys):
+    assert faces.airgs_manifest(["set-view", str(package), f"--up={text}"]) == 2
+    assert "up" in capsys.readouterr().err and open_package(package).manifest.world is None
 
 
 @given(
@@ -180,25 +165,33 @@ def test_axes_turn_as_people_know_them(up, moved):
 )
 def test_any_direction_goes_up_in_a_right_handed_world(up, metres):
     world = world_from(up, metres)
-    assert fault_of(world.transform) is None
+    axes = np.reshape(world.transform, (3, 4))[:, :3] / (metres or 1)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(axes) > 0 and world.metric == (metres is not None)
     np.testing.assert_allclose(up_of(world), np.array(up) / np.linalg.norm(up), atol=1e-9)
-    assert unit_of(world) == (None if metres is None else pytest.approx(metres))
 
 
 @given(tilt=st.floats(-1e-7, 1e-7), sway=st.floats(-1e-7, 1e-7))
 def test_directions_beside_minus_y_turn_alike(tilt, sway):
-    np.testing.assert_allclose(
-        world_from((tilt, -1.0, sway)).transform, world_from((0, -1, 0)).transform, atol=1e-6, rtol=0
-    )
+    turns = [world_from(up).transform for up in ((tilt, -1.0, sway), (0, -1, 0))]
+    np.testing.assert_allclose(*turns, atol=1e-6, rtol=0)
 
 
-def test_the_least_and_the_largest_scale_may_stand_whatever_the_turn():
+def test_a_reader_takes_the_least_and_the_largest_scale_whatever_the_turn():
     for up in np.random.default_rng(0).normal(size=(100, 3)).tolist():
-        assert [fault_of(world_from(up, metres).transform) for metres in (1e-6, 1e6)] == [None, None]
+        for metres in (1e-6, 1e6):
+            told = replace(BARE, world=world_from(up, metres))
+            assert faces.parse_root(faces.pack_json(told)) == told
+
+
+@pytest.mark.parametrize("metres", [0.0, -1.0, 1e9, float("nan")])
+def test_what_is_no_length_is_refused(metres):
+    with pytest.raises(ConfigError, match="scale"):
+        world_from((0, 1, 0), metres)
 
 
 def test_a_transform_is_read_from_text_and_json_of_three_or_four_rows(tmp_path):
-    values = transform(np.array(TURN) * 0.5, (1, 2, 3))
+    values = [0.4, -0.3, 0.0, 1.0, 0.3, 0.4, 0.0, 2.0, 0.0, 0.0, 0.5, 3.0]  # a turn about z, of half the size
     rows = np.reshape([*values, 0, 0, 0, 1], (4, 4))
     file = tmp_path / "world"
     for text in (
@@ -208,7 +201,7 @@ def test_a_transform_is_read_from_text_and_json_of_three_or_four_rows(tmp_path):
         json.dumps(values),
     ):
         file.write_text(text)
-        assert read_world(file) == World(values, metric=True)
+        assert faces.read_world(file) == World(values, metric=True)
 
 
 @pytest.mark.parametrize(
@@ -234,45 +227,32 @@ def test_other_files_are_refused_in_a_line(tmp_path, text, words):
     file = tmp_path / "world.txt"
     file.write_text(text)
     with pytest.raises(ConfigError, match=words) as refusal:
-        read_world(file)
+        faces.read_world(file)
     assert str(refusal.value).startswith(str(file)) and "\n" not in str(refusal.value)
     with pytest.raises(ConfigError, match="cannot read"):
-        read_world(tmp_path / "nothing")
+        faces.read_world(tmp_path / "nothing")
 
 
-@pytest.mark.parametrize("text", ["up", "1,2", "0,0,0", "nan,0,1", "1,inf,0", ""])
-def test_what_is_no_direction_is_refused(text):
-    with pytest.raises(ConfigError, match="up"):
-        world_from(parse_up(text))
-
-
-@pytest.mark.parametrize("metres", [0.0, -1.0, 1e9, float("nan")])
-def test_what_is_no_length_is_refused(metres):
-    with pytest.raises(ConfigError, match="scale"):
-        world_from((0, 1, 0), metres)
-
-
-def test_a_package_without_it_has_no_such_field_and_one_with_it_comes_back():
-    bare = root_of(tiny_manifest())
-    assert b"world" not in pack_json(bare)
-    told = replace(bare, world=world_from((0.1, 0.2, -3.0), 0.3))
-    assert parse_root(pack_json(told)) == told and parse_root(pack_json(bare)) == bare
-
-
-def test_what_is_told_is_up_at_every_place():
-    m = tiny_manifest()
-    assert levelled(m.region, None) is m.region
-    told = levelled(m.region, world_from((0, 0, 1)))
+def test_what_is_told_is_up_at_every_place_and_what_is_not_has_no_field():
+    assert b"world" not in faces.pack_json(BARE)
+    assert faces.levelled(BARE.region, None) is BARE.region
+    told = faces.levelled(BARE.region, world_from((0, 0, 1)))
     assert all(place.up == [0, 0, 1] for place in told.places)
     assert upright(told).tolist() == [0, 0, 1]
 
 
-def test_a_format_that_means_another_up_is_named():
-    up, down = world_from((0, 1, 0)), world_from((0, -1, 0))
-    assert misread(up, ".spz", Axes((0, 1, 0))) == [] == misread(down, "INRIA .ply", None)
-    (line,) = misread(down, "glTF", Axes((0, 1, 0), 1.0))
-    assert line == (
-        "coordinates stay: readers of glTF take up: (0, 1, 0); units: one is 1 m; "
-        "here it is up: (0, -1, 0); units: not told"
-    )
-    assert "not told" in misread(None, ".spz", Axes((0, 1, 0)))[0]
+@pytest.mark.parametrize(
+    ("up", "name", "line"),
+    [
+        ((0, 1, 0), "a.spz", None),
+        ((0, -1, 0), "a.ply", None),
+        ((0, -1, 0), "a.glb", "glTF take up: (0, 1, 0); units: one is 1 m; here it is up: (0, -1, 0); units: not told"),
+        (None, "a.spz", ".spz take up: (0, 1, 0); units: not told; here it is up: not told, players take that"),
+    ],
+)
+def test_a_format_that_means_another_up_is_named(package, tmp_path, capsys, up, name, line):
+    if up:
+        faces.set_view(package, up=up)
+    assert faces.airgs_decode([str(package), "-o", str(tmp_path / name), "--frames", "0:1"]) == 0
+    out = capsys.readouterr().out
+    assert f"\ncoordinates stay: readers of {line}" in out if line else "coordinates stay" not in out
