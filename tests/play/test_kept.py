@@ -8,27 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.package.references import check_base
-from tests.faces import (
-    NO_FILE,
-    Decision,
-    FormatError,
-    Horizon,
-    Offers,
-    Policy,
-    SimulatedDownloader,
-    Slot,
-    check_group,
-    run,
-    session_bound,
-    simulate,
-    solve_horizon,
-)
-from tests.play.test_session import link, rules
-from tests.support.manifests import in_groups, keys, missing, tiny_manifest
+from tests import faces
+from tests.faces import NO_FILE, Decision, FormatError, Horizon, Offers, Policy, Slot, simulate, solve_horizon
+from tests.support.manifests import in_groups, keys, link, missing, play, rules, tiny_manifest
 from tests.support.session_packages import offers_of
-
-RULES = rules()
 
 
 def keeping(m, number=2, of=1, pictures=(True, False)):
@@ -53,30 +36,34 @@ def _difference(atlas, there):
     return replace(atlas, rows=rows, planes=planes, centres=centres, max_error=errors)
 
 
-def play(m, policy="fixed:0", over=None, faults=None, **options):
-    return simulate(Offers(m, 0, 1000), over or link([8e4]), policy, replace(RULES, **options), faults)
+KEPT = keeping(tiny_manifest())
+THREE = tiny_manifest(groups=(10, 10, 10))
 
 
 def test_the_manifest_is_one():
-    m = keeping(tiny_manifest())
-    check_group(m, m.groups.places.entry(1), m.groups[1], "group")
-    check_base(m.groups[1], m.groups[0], "group")
+    entry = KEPT.groups.places.entry(1)
+    faces.check_group(KEPT, entry, KEPT.groups[1], "group")
+    faces.check_base(KEPT.groups[1], KEPT.groups[0], "group")
     with pytest.raises(FormatError, match="centres"):
-        check_group(m, m.groups.places.entry(1), replace(m.groups[1], keeps=None), "group")
+        faces.check_group(KEPT, entry, replace(KEPT.groups[1], keeps=None), "group")
 
 
-def test_who_has_the_base_fetches_only_what_is_new():
-    """Of 3000 + 1000 B of pictures the second group has the first tier's alone, with both sidecars."""
-    log = play(keeping(tiny_manifest()))
-    assert [f.bytes for f in log.fetches if f.kind == "group"] == [6300, 3000 + 200 + 2100]
-
-
-def test_who_joins_at_a_group_fetches_the_table_and_keys_of_its_base():
-    offers = Offers(keeping(tiny_manifest()), 0, 1000, first=1)
-    log = simulate(offers, link([8e4]), "fixed:0", RULES)
-    tables = [f.bytes for f in log.fetches if f.kind == "tables"]
-    assert tables == [1000, 100, 100]  # airgs.json, the table of the group, then that of its base
-    assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100]
+@pytest.mark.parametrize(
+    ("m", "options", "media", "tables"),
+    [
+        # Of 3000 + 1000 B of pictures the second group has the first tier's alone, with both sidecars.
+        (KEPT, {}, [6300, 3000 + 200 + 2100], [1000, 100, 100]),
+        (KEPT, {"loops": 2}, [6300, 5300, 6300, 5300], [1000, 100, 100]),
+        # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
+        (KEPT, {"first": 1}, [3000 + 200 + 4200 + 2100], [1000, 100, 100]),
+        (keeping(keeping(THREE), 3), {"first": 1}, [9500, 5300], [1000, 100, 100, 100]),
+    ],
+    ids=["who has the base", "each loop", "who joins", "two groups that differ from one"],
+)
+def test_what_differs_is_fetched_and_the_base_where_it_is_not_there(m, options, media, tables):
+    log = play(m, link([8e4]), **options)
+    assert [f.bytes for f in log.fetches if f.kind == "group"] == media
+    assert [f.bytes for f in log.fetches if f.kind == "tables"] == tables
 
 
 def test_the_page_of_the_base_is_fetched_first():
@@ -88,13 +75,12 @@ def test_the_page_of_the_base_is_fetched_first():
     numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
     offers = offers_of(numbers)
     offers.first = 65
-    log = simulate(offers, link([8e4]), "fixed:0", RULES)
+    log = simulate(offers, link([8e4]), "fixed:0", rules())
     assert [f.bytes for f in log.fetches] == [1000, 90, 4000, 90, 20 + 70 + 30 + 500 + 700]
 
 
 def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
-    m = keeping(tiny_manifest())
-    c = Offers(m, 0, 1000)
+    c = Offers(KEPT, 0, 1000)
     q0, q1 = (c.rungs.index((q, 0)) for q in (0, 1))
     sizes = c.offer(1).sizes(keys(2))
     assert sizes[q0] == 3000 + 200 + 2100
@@ -107,50 +93,36 @@ def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
     assert c.wire_bytes([c.file_bytes(p) for p in batch.files]) == sizes[q1]
 
 
-def test_each_loop_fetches_the_base_again():
-    log = play(keeping(tiny_manifest()), loops=2)
-    assert [f.bytes for f in log.fetches if f.kind == "group"] == [6300, 5300, 6300, 5300]
-
-
-def test_two_groups_after_each_other_differ_from_one():
-    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10))), 3)
-    offers = Offers(m, 0, 1000, first=1)
-    log = simulate(offers, link([8e4]), "fixed:0", RULES)
-    assert [f.bytes for f in log.fetches if f.kind == "group"] == [3000 + 200 + 4200 + 2100, 5300]
-
-
 @pytest.mark.parametrize("path", ["group/1.json.gz", "key/T0/1.bin"])
 def test_a_group_whose_base_cannot_be_had_is_lost_and_the_next_one_is_not(path):
-    m = keeping(tiny_manifest(groups=(10, 10, 10)))
-    log = play(m, faults=missing(path))
+    log = play(keeping(THREE), link([8e4]), faults=missing(path))
     assert [s.rung is None for s in log.shown] == [True, True, False]
 
 
-def test_the_programme_pays_for_a_base_once():
-    c = Offers(keeping(tiny_manifest()), 0, 1000)
-    both = (Slot(c.offer(0), 0.0, 6300.0), Slot(c.offer(1), 0.0, 6300.0 + 5300))
-    best = solve_horizon(Horizon(both), integer=True)
-    assert best is not None and best.quality == pytest.approx(40.0)
-    alone = solve_horizon(Horizon((replace(both[1], capacity=9500.0),)), integer=True)
-    assert alone is not None and alone.first_bytes == pytest.approx(9500)
-    held = solve_horizon(Horizon((replace(both[1], capacity=5300.0),), keys(2)), integer=True)
-    assert held is not None and held.quality == pytest.approx(40.0)
+FOUR = keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4)  # group 3, between those that differ, stands by itself
 
 
-def test_a_base_is_paid_once_however_far_back_it_was_needed():
-    """Groups 2 and 4 differ from group 1, which is not shown; group 3, between them, stands by itself."""
-    c = Offers(keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4, 1), 0, 1000)
-    ends = np.cumsum([9500.0, 6300.0, 5300.0])
-    slots = tuple(Slot(c.offer(position), 0.0, float(end)) for position, end in zip((1, 2, 3), ends, strict=True))
-    best = solve_horizon(Horizon(slots), integer=True)
-    assert best is not None and best.quality == pytest.approx(40.0)
-    short = solve_horizon(Horizon((*slots[:2], replace(slots[2], capacity=ends[2] - 1))), integer=True)
-    assert short is not None and short.quality < 40
-    for end, whole in ((6300.0 + 9500.0, True), (6300.0 + 9499.0, False)):  # nobody needed it before
-        alone = solve_horizon(
-            Horizon((replace(slots[1], capacity=6300.0), replace(slots[2], capacity=end))), integer=True
-        )
-        assert alone is not None and (alone.quality == pytest.approx(40.0)) is whole
+@pytest.mark.parametrize(
+    ("m", "positions", "ends", "decoded", "whole"),
+    [
+        (KEPT, (0, 1), [6300, 5300], (), True),
+        (KEPT, (0, 1), [6300, 5299], (), False),
+        (KEPT, (1,), [9500], (), True),
+        (KEPT, (1,), [9499], (), False),
+        (KEPT, (1,), [5300], (2,), True),
+        (FOUR, (1, 2, 3), [9500, 6300, 5300], (), True),
+        (FOUR, (1, 2, 3), [9500, 6300, 5299], (), False),
+        (FOUR, (2, 3), [6300, 9500], (), True),  # nobody needed the base before
+        (FOUR, (2, 3), [6300, 9499], (), False),
+    ],
+)
+def test_the_programme_pays_for_a_base_once_however_far_back_it_was_needed(m, positions, ends, decoded, whole):
+    """All is at its best with as many bytes for each slot after the one before, and not with one byte less."""
+    c = Offers(m, 0, 1000)
+    slots = tuple(Slot(c.offer(p), 0.0, float(end)) for p, end in zip(positions, np.cumsum(ends), strict=True))
+    best = solve_horizon(Horizon(slots, keys(*decoded)), integer=True)
+    assert best is not None and (best.quality == pytest.approx(40.0)) is whole
+    assert not whole or best.first_bytes == pytest.approx(ends[0])
 
 
 @given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.tuples(st.booleans(), st.booleans()))
@@ -158,8 +130,8 @@ def test_a_base_is_paid_once_however_far_back_it_was_needed():
 def test_no_session_beats_the_bound(rates, pictures):
     m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, pictures), 4, 1, pictures)
     for policy, loops in itertools.product(("throughput", "robust-mpc", "oracle-lp", "fixed:Q1+L1"), (1, 2)):
-        log = play(m, policy, link(rates), loops=loops, replace=True, abandon=True)
-        best = session_bound(log)
+        log = play(m, link(rates), policy, loops=loops, replace=True, abandon=True)
+        best = faces.session_bound(log)
         assert best is not None and best >= log.mean_quality - 1e-6
 
 
@@ -187,6 +159,5 @@ def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
             if m.groups[base - 1].keeps is None and chance.random() < 0.7:
                 m = keeping(m, number, base, [(True, False), (True, True), (False, False)][chance.integers(3)])
         guessed.clear()
-        c = Offers(m, 0, 1000, first=int(chance.integers(3)))
-        downloader = SimulatedDownloader(link([8e4]), c)
-        assert list(run(c, downloader, Policy("any", choose), replace(RULES, loops=2))) and guessed
+        log = play(m, link([8e4]), Policy("any", choose), first=int(chance.integers(3)), loops=2)
+        assert log.shown and guessed
