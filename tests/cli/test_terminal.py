@@ -12,7 +12,6 @@ from tests import faces
 from tests.support.paths import FOX as FRAMES
 from tests.support.paths import FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import moving_frames, write_sequence
-from tests.support.training import write_blobs
 
 EVERYDAY = 18  # options of a command, on one screen
 NAMES = ("decode", "encode", "manifest", "play", "serve", "train")
@@ -161,10 +160,9 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("words", "says"), MISTAKES, ids=[words for words, _ in MISTAKES])
-def test_a_mistake_is_one_line_and_2_and_leaves_nothing(words, says, folder, made_once, capsys):
-    blobs = made_once("blobs", write_blobs) if "BLOBS" in words else None
+def test_a_mistake_is_one_line_and_2_and_leaves_nothing(words, says, folder, blobs, capsys):
     places = PLACES | {"BLOBS": blobs, "NOTHING": ""}
-    others = [FRAMES.parent, *([blobs.parent] if blobs else [])]
+    others = [FRAMES.parent, blobs.parent]
     command, *arguments = [str(places.get(word, word)) for word in words.split()]
     before = sorted(folder.rglob("*")), [sorted(os.listdir(place)) for place in others]
     assert COMMANDS[command](arguments) == 2
