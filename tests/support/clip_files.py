@@ -14,13 +14,15 @@ from fourdgs.keyframe_delta_file import write_sequence
 from fourdgs.keyframe_delta_writer import Sample
 from numpy.typing import NDArray
 
-from airgs_codec.scene.formats.form import Losses
-from airgs_codec.scene.formats.ply_elements import write_floats
-from airgs_codec.scene.formats.spacetime import ROW
-from airgs_codec.scene.formats.splat import SPLAT, write_splat
+import airgs_codec as airgs
 from tests.faces import SH_C0, Gaussians
+from tests.support.ply import Column, ply_bytes
 
 WIDTH = 64  # texels of a .splatv, where splaTV has 4096
+ROW = np.dtype([
+    ("mean", "<f4", 3), ("quaternion", "<f2", 4), ("scale", "<f2", 3), ("unused_1", "<f2"), ("rgba", "u1", 4),
+    ("motion", "<f2", (3, 3)), ("unused_2", "<f2"), ("turn", "<f2", 4), ("centre", "<f2"), ("width", "<f2"),
+])  # fmt: skip
 
 
 def random_rows(count: int, seed: int = 0) -> NDArray[np.void]:
@@ -61,13 +63,12 @@ def write_spacetime_ply(path: Path, rows: NDArray[np.void], *more: str) -> Path:
         "rot_": rows["quaternion"],
         "omega_": rows["turn"],
     } | {name: np.zeros(len(rows)) for name in more}
-    names: list[str] = []
+    vertex = []
     for name, column in columns.items():
-        several = [f"{name}{i}" for i in range(column.shape[-1])]
-        names += list(name) if name == "xyz" else [name] if column.ndim == 1 else several
-    table = np.concatenate([np.reshape(c, (len(rows), -1)) for c in columns.values()], axis=1).astype(np.float32)
-    with path.open("wb") as file:
-        write_floats(file, names, iter([table]), len(rows))
+        several = list(name) if name == "xyz" else [f"{name}{i}" for i in range(column.shape[-1])]
+        names = [name] if column.ndim == 1 else several
+        vertex += [Column(n, "float", c) for n, c in zip(names, np.reshape(column, (len(rows), -1)).T, strict=True)]
+    path.write_bytes(ply_bytes({"vertex": vertex}, "binary_little_endian"))
     return path
 
 
@@ -76,7 +77,7 @@ def write_splat4d(path: Path, frames: Sequence[Gaussians], fps: int) -> NDArray[
     folder = path.with_suffix("")
     folder.mkdir()
     for number, g in enumerate(frames):
-        write_splat(folder / f"frame_{number:04d}.splat", Losses(SPLAT.holds, ".splat").fit(g, "frame"))
+        airgs.write(g, folder / f"frame_{number:04d}.splat")
     command = str(Path(sys.executable).with_name("splat4d"))
     words = ["encode", "-i", folder, "-o", path, "--fps", fps, "--gop", 3, "--perm-out", folder / "order"]
     subprocess.run([command, *map(str, words)], check=True, capture_output=True)

@@ -1,62 +1,46 @@
-"""Files of many frames: what is baked from moving Gaussians, what is refused, how an encode goes through."""
+"""Files of many frames: what is baked from moving Gaussians, what libraries decode, what is refused, and an encode."""
 
+import importlib.util
 import json
 import pickle
+import shutil
+import struct
 from fractions import Fraction
 
+import fourdgs
 import numpy as np
 import pytest
+from fourdgs.convert import convert_ply_sequence
 
-from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.scene.cameras.forms import PLACEHOLDER
-from airgs_codec.scene.gaussians import SATURATED_LOGIT, logits_of
-from tests.faces import (
-    SH_C0,
-    SceneError,
-    airgs_encode,
-    airgs_manifest,
-    decode,
-    open_package,
-    open_sequence,
-    open_side,
-    read_frame_header,
-    sigmoid,
-    write_ply,
-)
-from tests.support.camera_files import as_inria
-from tests.support.clip_files import random_rows, splatv_bytes, write_spacetime_ply
+from tests import faces
+from tests.faces import SceneError, open_sequence, plan_groups, read_frame, sigmoid
+from tests.support import clip_files
+from tests.support.camera_files import PLACEHOLDER, as_inria, saved
 from tests.support.effort import few_calls
-from tests.support.scenes import random_gaussians
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.views import ring
 
 
 @pytest.fixture
 def splatv(tmp_path):
-    path = tmp_path / "a.splatv"
-    path.write_bytes(splatv_bytes(random_rows(300)))
-    return path
+    return saved(tmp_path / "a.splatv", clip_files.splatv_bytes(clip_files.random_rows(300)))
 
 
 def test_a_gaussian_moves_turns_and_fades_as_its_row_says(tmp_path):
-    rows = random_rows(2)
+    rows = clip_files.random_rows(2)
     rows["mean"], rows["motion"] = (1, 2, 3), [(1, 0, 0), (0, 2, 0), (0, 0, 4)]
     rows["quaternion"], rows["turn"], rows["scale"] = (1, 0, 0, 0), (0, 2, 0, 0), (0, 1, 0.5)
     rows["centre"], rows["width"], rows["rgba"] = 0.25, 0.5, (255, 0, 51, 128)
-    (tmp_path / "a.splatv").write_bytes(splatv_bytes(rows))
+    saved(tmp_path / "a.splatv", clip_files.splatv_bytes(rows))
     g = open_sequence(tmp_path / "a.splatv", bake_fps=4, duration=1).read(3)  # half of the clip after the centre
     assert g.means[1].tolist() == [1.5, 2.5, 3.5] and g.quaternions[1].tolist() == [1, 1, 0, 0]
     np.testing.assert_allclose(g.log_scales[1], [-np.inf, 0, np.log(0.5)], atol=1e-6)
-    np.testing.assert_allclose(g.sh_dc[1] * SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
+    np.testing.assert_allclose(g.sh_dc[1] * faces.SH_C0 + 0.5, [1, 0, 0.2], atol=1e-6)
     assert sigmoid(g.opacity_logits)[1] == pytest.approx(128 / 255 / np.e, abs=1e-6)
 
 
-def test_opacities_of_0_and_1_are_finite_and_none_is_made_up():
-    assert logits_of(np.array([0.0, 1, 0.5])).tolist() == [-SATURATED_LOGIT, SATURATED_LOGIT, 0]
-    assert np.isnan(logits_of(np.array([np.nan]))).all()
-
-
 def test_the_model_as_ply_gives_the_frames_of_its_splatv(tmp_path, splatv):
-    write_spacetime_ply(tmp_path / "a.ply", random_rows(300))
+    clip_files.write_spacetime_ply(tmp_path / "a.ply", clip_files.random_rows(300))
     a, b = (open_sequence(tmp_path / name, bake_fps=12, duration=Fraction(1, 2)) for name in ("a.ply", "a.splatv"))
     assert len(a) == len(b) == 6 and (a.fps, a.sh_degree) == (12, 0)
     for frame in (0, 5):
@@ -73,99 +57,245 @@ def test_how_many_frames_is_said_and_the_clip_can_be_sent_to_a_worker(splatv):
     packed = pickle.dumps(sequence)
     assert len(packed) < 3000
     np.testing.assert_array_equal(pickle.loads(packed).read(49).means, sequence.read(49).means)
-    side = open_side(str(splatv))
+    side = faces.open_side(str(splatv))
     assert (side.frames, side.fps) == (50, 30)
     assert side.bytes_per_frame == pytest.approx(splatv.stat().st_size / 50)
 
 
-@pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ({"bake_fps": 0}, "0 < fps"),
-        ({"duration": 0}, "1 to"),
-        ({"duration": 10**9}, "1 to"),
-        ({"duration": -1}, "1 to"),
-    ],
-)
-def test_a_clip_without_frames_or_without_end_is_refused(splatv, options, says):
-    with pytest.raises(SceneError, match=says):
-        open_sequence(splatv, **options)
-
-
 def test_frames_are_not_baked_and_clips_are_no_frames(tmp_path, splatv):
-    write_ply(tmp_path / "b.ply", random_gaussians(5))
+    faces.write_ply(tmp_path / "b.ply", random_gaussians(5))
     with pytest.raises(SceneError, match=r"expected a clip to bake \(\.splatv.*got frames"):
         open_sequence(tmp_path / "b.ply", bake_fps=10)
-    write_spacetime_ply(tmp_path / "c.ply", random_rows(5))
+    clip_files.write_spacetime_ply(tmp_path / "c.ply", clip_files.random_rows(5))
     for path in (splatv, tmp_path / "c.ply"):
         with pytest.raises(SceneError, match="expected one frame"):
-            read_frame_header(path)
+            faces.read_frame_header(path)
     with pytest.raises(SceneError, match=r"c\.ply: expected one frame"):
         open_sequence(tmp_path)
 
 
 def test_its_own_cameras_are_taken_but_not_that_of_every_splatv(tmp_path):
     rig = as_inria(ring(3))
-    (tmp_path / "a.splatv").write_bytes(splatv_bytes(random_rows(5), cameras=rig))
-    sequence = open_sequence(tmp_path / "a.splatv")
+    sequence = open_sequence(
+        saved(tmp_path / "a.splatv", clip_files.splatv_bytes(clip_files.random_rows(5), cameras=rig))
+    )
     assert len(sequence.cameras) == 3 and sequence.cameras_path == tmp_path / "a.splatv"
-    (tmp_path / "cameras.json").write_text(json.dumps(rig[:2]))
-    (tmp_path / "b.splatv").write_bytes(splatv_bytes(random_rows(5), cameras=[rig[0] | {"position": PLACEHOLDER}]))
-    sequence = open_sequence(tmp_path / "b.splatv")
+    saved(tmp_path / "cameras.json", rig[:2])
+    of_all = clip_files.splatv_bytes(clip_files.random_rows(5), cameras=[rig[0] | {"position": PLACEHOLDER}])
+    sequence = open_sequence(saved(tmp_path / "b.splatv", of_all))
     assert len(sequence.cameras) == 2 and "into every file" in sequence.clip.note
 
 
 def test_rows_that_pad_the_texture_are_left_out(tmp_path):
-    rows = np.concatenate([random_rows(10), np.zeros(6, random_rows(1).dtype)])
-    (tmp_path / "a.splatv").write_bytes(splatv_bytes(rows))
-    assert len(open_sequence(tmp_path / "a.splatv").read(0)) == 10
+    rows = np.concatenate([clip_files.random_rows(10), np.zeros(6, clip_files.random_rows(1).dtype)])
+    assert len(open_sequence(saved(tmp_path / "a.splatv", clip_files.splatv_bytes(rows))).read(0)) == 10
 
 
-def broken_files():
-    rows = random_rows(20)
-    good = splatv_bytes(rows)
-    yield "empty", b"", "expected a .splatv"
-    yield "short", good[: -64 * 8], "truncated"
-    yield "odd", good[:-1], "truncated"
-    yield "zeros", splatv_bytes(np.zeros_like(rows)), "rows of zeros"
-    yield "wide", splatv_bytes(rows, texwidth=1 << 62), "truncated"
-    yield "text", splatv_bytes(rows, texwidth="4096"), "at least 1"
-    yield "none", splatv_bytes(rows, type="other"), "one chunk"
-    yield "long", good[:4] + b"\xff\xff\xff\xff" + good[8:], "header"
+ROWS = clip_files.random_rows(20)
+GOOD = clip_files.splatv_bytes(ROWS)
+BROKEN = {
+    "empty": (b"", "expected a .splatv"),
+    "short": (GOOD[: -64 * 8], "truncated"),
+    "odd": (GOOD[:-1], "truncated"),
+    "zeros": (clip_files.splatv_bytes(np.zeros_like(ROWS)), "rows of zeros"),
+    "wide": (clip_files.splatv_bytes(ROWS, texwidth=1 << 62), "truncated"),
+    "text": (clip_files.splatv_bytes(ROWS, texwidth="4096"), "at least 1"),
+    "none": (clip_files.splatv_bytes(ROWS, type="other"), "one chunk"),
+    "long": (GOOD[:4] + b"\xff\xff\xff\xff" + GOOD[8:], "header"),
+}
 
 
-@pytest.mark.parametrize(("name", "data", "says"), list(broken_files()), ids=lambda v: v if isinstance(v, str) else "")
-def test_a_broken_splatv_is_refused(tmp_path, name, data, says):
-    (tmp_path / f"{name}.splatv").write_bytes(data)
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_splatv_is_refused(tmp_path, name):
+    data, says = BROKEN[name]
+    path = saved(tmp_path / f"{name}.splatv", data)
     with few_calls(20_000), pytest.raises(SceneError, match=says) as caught:
-        open_sequence(tmp_path / f"{name}.splatv")
+        open_sequence(path)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("more", "says"), [(("f_t_0",), "of a network"), (("f_dc_3",), "of a network")])
-def test_the_full_model_is_refused(tmp_path, more, says):
-    with pytest.raises(SceneError, match=says):
-        open_sequence(write_spacetime_ply(tmp_path / "a.ply", random_rows(5), *more))
+@pytest.mark.parametrize("more", ["f_t_0", "f_dc_3"])
+def test_the_full_model_is_refused(tmp_path, more):
+    with pytest.raises(SceneError, match="of a network"):
+        open_sequence(clip_files.write_spacetime_ply(tmp_path / "a.ply", clip_files.random_rows(5), more))
 
 
 def test_a_clip_is_encoded_and_says_how_it_was_baked(tmp_path, splatv, capsys):
-    rows = random_rows(300)
+    rows = clip_files.random_rows(300)
     rows["quaternion"][:7], rows["turn"][:7], rows["mean"][7] = 0, 0, np.nan
-    splatv.write_bytes(splatv_bytes(rows, cameras=as_inria(ring(3))))
-    options = ["--bake-fps", "8", "--duration", "0.5", "--x264-preset", "ultrafast", "--calibrate", "none"]
-    assert airgs_encode([str(splatv), "-o", str(tmp_path / "out"), *options, "--measure-pictures", "2"]) == 0
-    out = capsys.readouterr().out
-    assert f"clip: {splatv}: .splatv, 300 Gaussians baked to 4 frames at 8 a second: 0.5 s\n" in out
-    assert "a.splatv frames 0-3: 7 Gaussians with zero quaternions" in out and "1 Gaussians that are not finite" in out
-    package = open_package(tmp_path / "out")
+    splatv.write_bytes(clip_files.splatv_bytes(rows, cameras=as_inria(ring(3))))
+    baking, out = ["--bake-fps", "8", "--duration", "0.5"], str(tmp_path / "out")
+    options = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "2"]
+    assert faces.airgs_encode([str(splatv), "-o", out, *baking, *options]) == 0
+    told = capsys.readouterr().out
+    assert f"clip: {splatv}: .splatv, 300 Gaussians baked to 4 frames at 8 a second: 0.5 s\n" in told
+    assert "a.splatv frames 0-3: 7 Gaussians with zero quaternions" in told
+    assert "1 Gaussians that are not finite" in told
+    package = faces.open_package(out)
     assert (package.manifest.frames, package.manifest.fps) == (4, 8)
-    assert np.isfinite(decode(package, 3).means).all()
-    baking = ["--bake-fps", "8", "--duration", "0.5"]
-    assert airgs_manifest(["validate", str(tmp_path / "out"), "--against", str(splatv), *baking]) == 0
-    assert airgs_manifest(["compare", str(splatv), str(tmp_path / "out"), *baking, "--every", "3", "--json"]) == 0
+    assert np.isfinite(faces.decode(package, 3).means).all()
+    assert faces.airgs_manifest(["validate", out, "--against", str(splatv), *baking]) == 0
+    assert faces.airgs_manifest(["compare", str(splatv), out, *baking, "--every", "3", "--json"]) == 0
     compared = json.loads(capsys.readouterr().out.split("\n")[-2])
     assert compared["left_out"] == [] and compared["quality"]["psnr"] > 25
-    assert airgs_manifest(["compare", str(tmp_path / "out"), str(tmp_path / "out"), *baking]) == 2
+    assert faces.airgs_manifest(["compare", out, out, *baking]) == 2
     assert "expected a clip" in capsys.readouterr().err
-    assert airgs_encode([str(splatv), "--duration", "-3"]) == 2
+    assert faces.airgs_encode([str(splatv), "--duration", "-3"]) == 2
     assert "1 to" in capsys.readouterr().err
+
+
+def bound(g):
+    """How far .4dgs may move a mean."""
+    return 0.051 * float(np.median(np.exp(g.log_scales)))
+
+
+def expect_close(found, expected, means, scales=0.021, alpha=4e-3, rotation=0.02):
+    """Attributes within the bounds that the libraries keep; rows are the same."""
+    assert len(found) == len(expected)
+    np.testing.assert_allclose(found.means, expected.means, atol=means)
+    np.testing.assert_allclose(found.log_scales, expected.log_scales, atol=scales)
+    np.testing.assert_allclose(sigmoid(found.opacity_logits), expected.opacities(), atol=alpha)
+    colours = [np.clip(g.sh_dc * faces.SH_C0 + 0.5, 0, 1) for g in (found, expected)]
+    np.testing.assert_allclose(*colours, atol=alpha)
+    a, b = (g.quaternions.astype(np.float64) for g in (found, expected))
+    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b))
+    assert 2 * np.arccos(np.clip(np.abs((a * b).sum(axis=1)), 0, 1)).max() < rotation
+
+
+def test_splat4d_frames_are_within_the_bounds_of_its_writer(tmp_path):
+    frames = moving_frames(300, 5)
+    order = clip_files.write_splat4d(tmp_path / "a.splat4d", frames, fps=24)
+    sequence = open_sequence(tmp_path / "a.splat4d")
+    assert (len(sequence), sequence.fps, sequence.sh_degree) == (5, 24, 0)
+    assert "300 Gaussians in 5 frames, 24 a second" in sequence.clip.note
+    for number in (4, 0):
+        stored = read_frame(tmp_path / "a" / f"frame_{number:04d}.splat").take(order.astype(np.intp))
+        expect_close(sequence.read(number), stored, 2.1e-3, alpha=0.016, rotation=1e-3)
+    assert plan_groups(sequence).spans == [(0, 5)]
+
+
+def test_numbered_4dgs_rows_are_in_the_order_of_their_numbers(tmp_path):
+    frames, chance = moving_frames(100, 6), np.random.default_rng(0)
+    orders = [chance.permutation(100) for _ in frames]
+    states = [(g.take(order), order) for g, order in zip(frames, orders, strict=True)]
+    (tmp_path / "a.4dgs").write_bytes(clip_files.numbered_4dgs(states, fps=12))
+    sequence = open_sequence(tmp_path / "a.4dgs")
+    assert (len(sequence), sequence.fps) == (6, 12)
+    for number in range(6):
+        expect_close(sequence.read(number), frames[number], bound(frames[0]))
+    twice = open_sequence(tmp_path / "a.4dgs", bake_fps=24)
+    assert len(twice) == 12
+    sent = pickle.loads(pickle.dumps(twice))  # as other processes read it
+    np.testing.assert_array_equal(sent.read(5).means, sequence.read(2).means)
+
+
+def moving_set():
+    """Three windows of a second each for 20 rows, and rows that are there all the time; some fade."""
+    g = random_gaussians(80)
+    clip = clip_files.gaussian_set(g, 3.0, np.arange(80 * 9, dtype=np.int64).reshape(80, 9).astype(np.uint8))
+    window = np.minimum(np.arange(80) // 20, 3)
+    clip.win_lo, clip.win_hi = np.where(window < 3, window, 0.0), np.where(window < 3, window + 1.0, 3.0)
+    clip.mu_t = (clip.win_lo + 0.5).astype(np.float32)
+    clip.sigma_t = np.where(np.arange(80) % 2, np.inf, 0.25).astype(np.float32)
+    clip.colors[:, 3] = np.maximum(clip.colors[:, 3], 0.3)
+    clip.motions = np.random.default_rng(1).normal(size=(80, 3)).astype(np.float32)
+    return clip
+
+
+def test_a_4dgs_shows_what_its_library_does(tmp_path):
+    fourdgs.write(str(tmp_path / "a.4dgs"), moving_set(), 3.0)
+    sequence = open_sequence(tmp_path / "a.4dgs", bake_fps=10)
+    assert (len(sequence), sequence.sh_degree) == (30, 1)
+    scene = fourdgs.read(str(tmp_path / "a.4dgs"))
+    for number in (0, 14, 15, 29):
+        g, state = sequence.read(number), scene.state_at((number + 0.5) / 10)
+        assert len(g) == len(state["indices"])
+        np.testing.assert_allclose(g.means, state["centers"], atol=1e-6)
+        np.testing.assert_allclose(sigmoid(g.opacity_logits), state["opacity"], atol=1e-3)
+        codes = scene.gaussians.sh[state["indices"]].reshape(-1, 3, 3).transpose(0, 2, 1)
+        np.testing.assert_allclose(g.sh_rest, codes * (8 / 255) - 4, atol=1e-5)
+
+
+def test_a_converted_sequence_has_its_frames_whole(tmp_path):
+    frames = moving_frames(60, 4, degree=1)
+    clip, seconds = convert_ply_sequence(str(write_sequence(tmp_path / "scene", frames)), fps=25)
+    fourdgs.write(str(tmp_path / "a.4dgs"), clip, seconds)
+    sequence = open_sequence(tmp_path / "a.4dgs")
+    assert (len(sequence), sequence.fps, sequence.sh_degree) == (4, 25, 1)
+    for number, g in enumerate(frames):
+        found = sequence.read(number)
+        order = ((g.means[None] - found.means[:, None]) ** 2).sum(axis=2).argmin(axis=1)
+        expect_close(found, g.take(order), bound(g))
+        np.testing.assert_allclose(found.sh_rest, g.take(order).sh_rest, atol=0.02)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clips")
+    frames = moving_frames(40, 3)
+    saved(folder / "a.splatv", clip_files.splatv_bytes(ROWS))
+    clip_files.write_splat4d(folder / "a.splat4d", frames, fps=24)
+    saved(folder / "a.4dgs", clip_files.numbered_4dgs([(g, np.arange(40)) for g in frames], fps=24))
+    fourdgs.write(str(folder / "b.4dgs"), moving_set(), 3.0)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "says"),
+    [
+        ("a.splatv", {"bake_fps": 0}, "0 < fps"),
+        ("a.splatv", {"duration": 0}, "1 to"),
+        ("a.splatv", {"duration": 10**9}, "1 to"),
+        ("a.splatv", {"duration": -1}, "1 to"),
+        ("a.splat4d", {"bake_fps": 3}, r"a\.splat4d: expected no"),
+        ("a.splat4d", {"duration": 1}, r"a\.splat4d: expected no"),
+        ("a.4dgs", {"duration": 1}, r"a\.4dgs: expected no"),
+    ],
+)
+def test_a_clip_without_frames_or_end_and_a_choice_that_is_none_are_refused(good, name, options, says):
+    with pytest.raises(SceneError, match=says):
+        open_sequence(good / name, **options)
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        ("a.splat4d", b"SP4D", b"SP5D", "expected a .splat4d header"),
+        ("a.splat4d", b"SP4D\x01", b"SP4D\x02", "of version 2"),
+        ("a.splat4d", b'"n":40,', b'"n":4e9,', "expected a .splat4d header"),
+        ("a.splat4d", b'"n":40,"t"', b'"n":99999999,"t"', "can hold"),
+        ("a.splat4d", b'"fps":24.0', b'"fps":-4.0', "fps"),
+        ("a.splat4d", b'"fps":24.0', b'"fps":"1e99999999"', "expected a .splat4d header"),
+        ("a.4dgs", b"\x894DGS", b"\x894DGT", "what fourdgs cannot read"),
+        ("a.4dgs", np.float64(0.125).tobytes(), np.float64(1e300).tobytes(), "1 to 262144 frames"),
+        ("b.4dgs", b"gaussian-birth", b"gaussian-death", "gaussian-death"),
+    ],
+)
+def test_a_header_that_cannot_be_is_refused(tmp_path, good, name, old, new, says):
+    data = (good / name).read_bytes()
+    assert old in data
+    data = data.replace(old, new, 1)
+    if name.endswith(".splat4d"):
+        data = data[:8] + (int.from_bytes(data[8:12], "little") + len(new) - len(old)).to_bytes(4, "little") + data[12:]
+    (tmp_path / name).write_bytes(data)
+    with few_calls(200_000), pytest.raises(SceneError, match=says) as caught:
+        open_sequence(tmp_path / name)
+    assert "\n" not in str(caught.value) and str(caught.value).count(name) == 1
+
+
+@pytest.mark.parametrize("name", ["a.splat4d", "a.4dgs", "b.4dgs"])
+def test_a_missing_library_and_an_empty_file_are_said(tmp_path, good, name, monkeypatch):
+    (tmp_path / name).write_bytes(b"")
+    with pytest.raises(SceneError, match=f"{name}: expected .*4d"):
+        open_sequence(tmp_path / name)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(shutil, "which", lambda name, path: None)
+    with pytest.raises(SceneError, match=r"airgs-codec\[formats\]"):
+        open_sequence(good / name).read(0)
+
+
+@pytest.mark.parametrize("fps", ["1/0", "1e30000000", "fast", 0, 2000, None])
+def test_a_splat4d_whose_frame_rate_is_none_is_refused_at_once(tmp_path, fps):
+    header = json.dumps({"n": 5, "t": 1, "fps": fps}).encode()
+    with pytest.raises(SceneError, match=r"a\.splat4d: expected"):
+        open_sequence(saved(tmp_path / "a.splat4d", struct.pack("<4sII", b"SP4D", 1, len(header)) + header))
