@@ -18,7 +18,7 @@ from airgs_codec.scene.camera import (
     Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, training_views, with_pixels,
 )  # fmt: skip
 from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
-from airgs_codec.scene.beside import USAGE_NAME, Usage, load_usage, save_usage
+from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, save_usage
 from airgs_codec.scene.frames import Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.scene.formats.ply import read_ply, read_points, write_ply
@@ -32,21 +32,24 @@ from airgs_codec.places.results import Store, open_store, pack, seal, unpack, un
 # Deciding and encoding
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_preview
+from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_in_paper, as_preview
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
-from airgs_codec.encoder.search import DELTA_E, Goal, PSNR
+from airgs_codec.encoder.plan import keep_rows, lay_out
+from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
+from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
+from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
-from airgs_codec.coding.quantize import StepSettings, from_codes
+from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, with_step
 
 # Packages: tables, paths, the MPD, validation
 from airgs_codec.package.layout import (
-    FileKind, INIT_NAME, JSON_NAME, KEY, MPD_NAME, POSTER_NAME, STATE, file_kind, group_path, key_media_path,
-    key_sidecar_path, locate, page_path, sound_path, state_media_path,
+    FileKind, INIT_NAME, JSON_NAME, KEY, MPD_NAME, POSTER_NAME, SOUND_INIT_NAME, STATE, file_kind, group_path,
+    key_media_path, key_sidecar_path, locate, page_path, sound_path, state_media_path,
 )  # fmt: skip
 from airgs_codec.package.tables import (
     Atlas, FileEntry, Grid, KeySteps, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound, StateSteps,
-    World, digest, pack_matrix, unpack_matrix,
+    World, digest, file_entry, pack_matrix, unpack_matrix,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tests.faces import EncodeSettings, encode, encode_sound, open_sequence
 from tests.support.scenes import moving_frames, write_sequence
 
+SOUNDING = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2)
 LOWEST, RISE = 400.0, 400.0  # Hz, Hz a second
 
 
@@ -46,10 +47,7 @@ def write_chirping(root: Path, frames: int, fps: Fraction, group_frames: int) ->
     """A package of a small scene that moves, with a chirp as long as it."""
     sequence = open_sequence(write_sequence(root / "scene", moving_frames(40, frames)), fps=fps)
     sound = encode_sound(write_chirp(root / "chirp.wav", float(frames / fps)), frames / fps)
-    settings = EncodeSettings(
-        calibrate="none", measure_pictures=0, group_frames=group_frames, preset="veryfast", threads=2
-    )
-    encode(replace(sequence, sound_track=sound), root / "chirping", settings)
+    encode(replace(sequence, sound_track=sound), root / "chirping", replace(SOUNDING, group_frames=group_frames))
     return root / "chirping"
 
 

@@ -2,11 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from tests.faces import EncodeSettings, encode, open_sequence
+import numpy as np
+
+from tests.faces import (
+    APART,
+    EncodeSettings,
+    Gaussians,
+    GaussianSequence,
+    LevelSettings,
+    encode,
+    open_sequence,
+    orbit_views,
+)
+from tests.support.chirps import SOUNDING, write_chirping
 from tests.support.paths import FOX
+from tests.support.regions import QUICK, place, region
+from tests.support.rooms import room_behind_a_door, room_frames
+from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
+
+TWO_LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
+TIERED_LEVELS = (
+    LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1),
+)  # fmt: skip
+PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=1, keep_all=True)
+GROUP = 3  # frames of a group of `keys` and `rows`
+SEGMENT = 8  # frames of a segment of `lines`
+SEEN = replace(region(place(0.0)), width=96, height=72)
+NTSC = Fraction(30_000, 1001)  # frames a second of `sound`
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """How a package is made of frames in memory."""
+
+    groups: Callable[[], Sequence[Sequence[Gaussians]]]  # frames of each
+    settings: EncodeSettings
+    fps: float = 30.0
+    cameras: bool = False  # around the first frame
+
+    def scene(self) -> GaussianSequence:
+        groups = self.groups()
+        frames = [frame for group in groups for frame in group]
+        cameras = orbit_views(frames[0], count=4, size=64) if self.cameras else ()
+        starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
+        sequence = GaussianSequence.from_arrays(frames, fps=self.fps, cameras=cameras)
+        return replace(sequence, keyframes=tuple(starts.tolist()))
+
+    def __call__(self, folder: Path) -> None:
+        encode(self.scene(), folder, self.settings)
 
 
 def fox(folder: Path) -> None:
@@ -15,4 +65,125 @@ def fox(folder: Path) -> None:
     encode(open_sequence(FOX), folder, settings)
 
 
-PACKAGES: dict[str, Callable[[Path], object]] = {"fox": fox}
+def sound(folder: Path) -> None:
+    """Three groups of 13 frames that move, with a chirp as long as they."""
+    with TemporaryDirectory() as root:
+        shutil.copytree(write_chirping(Path(root), 39, NTSC, 13), folder)
+
+
+def silent(folder: Path) -> None:
+    """The same without sound."""
+    with TemporaryDirectory() as root:
+        scene = write_sequence(Path(root), moving_frames(40, 39))
+        encode(open_sequence(scene, fps=NTSC), folder, replace(SOUNDING, group_frames=13))
+
+
+def kept_groups() -> list[list[Gaussians]]:
+    """Groups that differ from an earlier one by nothing, by a part, by a little, by a mover, and by an open door.
+
+    The 400 rows of groups 1 to 4: another room in the second, whose colours change in a part from the third on.
+    380 rows, 5 to 8: colours change by a twentieth of a step, then those of 100 rows by thirty, then by nothing.
+    5000 rows and a mover, 9 and 10. A room whose door is shut, and open, 11 and 12.
+    """
+    one, other, still = random_gaussians(400, seed=1), random_gaussians(400, seed=2), random_gaussians(380)
+    coloured = replace(other, sh_dc=np.concatenate([other.sh_dc[:100] + 1, other.sh_dc[100:]]))
+    change = np.zeros((380, 3), np.float32)
+    change[:, 0] = 0.05 * QUICK.steps.key.sh_dc
+    slight = replace(still, sh_dc=still.sh_dc + change)
+    change[:100, 0] = 30 * QUICK.steps.key.sh_dc
+    much = replace(still, sh_dc=still.sh_dc + change)
+    room, doors = room_frames(5000, 2 * GROUP), [room_behind_a_door(1500, is_open) for is_open in (False, True)]
+    alike = [one, other, coloured, coloured, still, slight, much, still]
+    return [*([g] * GROUP for g in alike), room[:GROUP], room[GROUP:], *([g] * GROUP for g in doors)]
+
+
+def pruned_groups() -> list[list[Gaussians]]:
+    """Of which rows that pictures do not need are left out: a mover is not there, then is; a door is shut, then open.
+
+    The last group is the first one without the last row, which is hidden there.
+    """
+    first, second = room_frames(1000, 1)[0], room_frames(1000, 3)[2]
+    hidden = first.opacity_logits.copy()
+    hidden[1000:] = -12
+    away = replace(first, opacity_logits=hidden)
+    doors = [room_behind_a_door(1500, is_open) for is_open in (False, True)]
+    return [[g] * GROUP for g in (away, second, *doors, away.take(np.arange(len(away) - 1)))]
+
+
+def drifting(count: int, frames: int) -> list[Gaussians]:
+    """Every row moves evenly in a way of its own, turns and changes its colour; some go and come, some jump far."""
+    rng, first = np.random.default_rng(3), random_gaussians(count)
+    way, turn, dye = (rng.normal(size=(count, n)) * size for n, size in ((3, 0.02), (4, 0.01), (3, 0.02)))
+    way[:5] *= 200  # past what 8 bits hold, slopes too
+    coming = np.arange(count) % 7 == 0
+
+    def frame(t: int) -> Gaussians:
+        logits = np.where(coming & (t % 6 < 3), -9, first.opacity_logits)
+        columns = first.means + t * way, first.quaternions + t * turn, first.log_scales, logits, first.sh_dc + t * dye
+        return frozen(Gaussians(*(column.astype(np.float32) for column in columns), first.sh_rest))
+
+    return [frame(t) for t in range(frames)]
+
+
+def lined_groups() -> list[list[Gaussians]]:
+    """Two segments of even motion, a frame alone, a segment of uneven motion, one in which a row jumps and returns."""
+    rng, first, even = np.random.default_rng(1), random_gaussians(300), drifting(900, 2 * SEGMENT + 1)
+    shifts = rng.normal(size=(SEGMENT, 300, 3)).astype(np.float32) / 9
+    uneven = [replace(first, means=first.means + shift) for shift in shifts]
+    jump = moving_frames(200, 5)
+    means = jump[3].means.copy()
+    means[11] += 500.0
+    jump[3] = replace(jump[3], means=means)
+    return [even[:-1], even[-1:], uneven, jump]
+
+
+def few_groups() -> list[list[Gaussians]]:
+    """Groups at the ends of what there may be, in segments of a frame: nothing moves, something that is away and back,
+    constant colours and opacities, few rows and those about 16 times 16."""
+    still, g = moving_frames(60, 1)[0], random_gaussians(80)
+    there, back = (replace(still, means=still.means + np.float32(shift)) for shift in (0.1, -0.1))
+    flat = Gaussians(
+        g.means, g.quaternions, g.log_scales, np.full(80, 3, np.float32), np.ones((80, 3), np.float32), g.sh_rest
+    )
+    counts = [moving_frames(count, 2) for count in (1, 2, 255, 256, 257)]
+    return [moving_frames(50, 1) * 5, [still, there, back], [flat], *counts]
+
+
+def wide_groups() -> list[list[Gaussians]]:
+    """Few rows and those about 16 times 16, with all SH bands."""
+    return [moving_frames(count, 2, degree=3) for count in (1, 2, 255, 256, 257)]
+
+
+def dim_bands() -> list[list[Gaussians]]:
+    """A scene with all SH bands, of which the first alone has values."""
+    frames = moving_frames(400, 3, degree=3)
+    rest = np.random.default_rng(0).normal(0, 0.5, frames[0].sh_rest.shape).astype(np.float32)
+    rest[:, 3:] = 0
+    return [[replace(g, sh_rest=rest) for g in frames]]
+
+
+def swaying() -> list[list[Gaussians]]:
+    """Ten groups of thirty frames of a scene that goes there and back."""
+    there = moving_frames(60, 40)
+    turn = [*range(40), *range(38, 0, -1)]
+    frames = [there[turn[i % len(turn)]] for i in range(300)]
+    return [frames[i : i + 30] for i in range(0, 300, 30)]
+
+
+KEPT_KEYS = replace(QUICK, decide_pictures=4, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1)))
+PACKAGES: dict[str, Callable[[Path], object]] = {
+    "fox": fox,
+    "sound": sound,
+    "silent": silent,
+    "keys": Encoded(kept_groups, KEPT_KEYS, fps=GROUP),
+    "rows": Encoded(pruned_groups, replace(KEPT_KEYS, keep_all=False), fps=GROUP),
+    "lines": Encoded(
+        lined_groups,
+        replace(PLAIN, segment_s=SEGMENT / 30, levels=(LevelSettings(0.0), LevelSettings(0.3, 2.0))),
+        cameras=True,
+    ),
+    "few": Encoded(few_groups, replace(PLAIN, segment_s=1 / 30), cameras=True),
+    "wide": Encoded(wide_groups, replace(PLAIN, levels=TWO_LEVELS), cameras=True),
+    "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
+    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=APART, levels=TIERED_LEVELS)),
+}
