@@ -3,6 +3,7 @@
 import itertools
 import json
 import math
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -36,72 +37,71 @@ def test_a_slow_slide_ends_at_the_floor_5(floor, expected):
     assert kept(34, 32, 30, 28, 26, min_quality=floor) == expected
 
 
+@pytest.mark.parametrize(
+    ("qualities", "saved", "left"),
+    [
+        # From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %: a cliff; the same levels 10 % apart have none.
+        ([40.0, 38.0, 36.8], saved_shares([1000, 600, 500]), [0, 1]),
+        ([40.0, 38.0, 36.8], [0.0, 0.1, 0.2], [0, 1, 2]),
+        # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff; of 1 dB it would be one.
+        ([40.0, 36.0, 34.0, 31.7], [0.0, 0.4, 0.5, 0.6], [0, 1, 2, 3]),
+    ],
+)
+def test_drops_count_per_tenth_of_the_bytes_saved(qualities, saved, left):
+    levels = [Option(i, 1000 - i, *row) for i, row in enumerate(zip(qualities, saved, strict=True))]
+    assert [p.index for p in Ladder.build(levels).options] == left
+
+
+def test_what_levels_save():
+    assert saved_shares([1000, 600, 500]) == pytest.approx([0, 0.4, 0.5])
+    assert saved_shares([0, 0]) == [0, 0] and saved_shares([5, 9]) == [0, 0]
+
+
+NOTHING_FITS = "nothing fits 10 B, taking the smallest"
+
+
+@pytest.mark.parametrize(
+    ("qualities", "sizes", "budget", "expected"),
+    [
+        ((40, 39, 38, 37), [1000, 400, 700, 300], 500, Decision(1, True, "400 B fit 500 B", 400)),  # 9
+        ((40, 39, 38, 20), None, 10, Decision(2, False, NOTHING_FITS, 200)),  # 7: with a cliff
+        ((40, 39, 38), None, 10, Decision(2, False, NOTHING_FITS, 100)),  # 8: without one
+        ((40, 39), [100, 0], -5, Decision(1, True, "0 B fit 0 B", 0)),  # 14: who sends nothing always fits
+        *(
+            ((40, 39), None, budget, Decision(1, False, "nothing fits 0 B, taking the smallest", 100))
+            for budget in (math.nan, -1.0, -math.inf, 0.0)  # 12: budgets that are none
+        ),
+    ],
+)
+def test_the_best_that_fits_or_the_smallest(qualities, sizes, budget, expected):
+    assert select(Ladder.build(dense(*qualities, sizes=sizes)), budget) == expected
+
+
 def test_sizes_that_do_not_fall_9():
-    points = dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300])
-    ladder = Ladder.build(points)
-    assert [p.index for p in ladder.options] == [0, 1, 3]
-    assert select(ladder, 500).index == 1
+    assert [p.index for p in Ladder.build(dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300])).options] == [0, 1, 3]
 
 
-def test_drops_count_per_tenth_of_the_bytes_saved():
-    """From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %; the same levels 10 % apart have no cliff."""
-    sizes, qualities = [1000, 600, 500], [40.0, 38.0, 36.8]
-    saved = saved_shares(sizes)
-    assert saved == pytest.approx([0, 0.4, 0.5]) and saved_shares([0, 0]) == [0, 0] and saved_shares([5, 9]) == [0, 0]
-    levels = [Option(i, *row) for i, row in enumerate(zip(sizes, qualities, saved, strict=True))]
-    assert len(Ladder.build(levels).options) == 2
-    assert kept(*qualities) == [0, 1, 2]
-
-
-def test_the_mean_of_earlier_drops_is_over_all_they_save():
-    """4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff; of 1 dB it would be one."""
-    saved = [0.0, 0.4, 0.5, 0.6]
-    levels = [Option(i, 100 - i, q, s) for i, (q, s) in enumerate(zip([40.0, 36.0, 34.0, 31.7], saved, strict=True))]
-    assert len(Ladder.build(levels).options) == 4
-
-
-@pytest.mark.parametrize("beta", [1.0, 0.5, 0.0, math.nan])
-def test_beta_must_exceed_one_6(beta):
-    with pytest.raises(ConfigError, match="more than 1"):
-        Ladder.build(dense(40, 39), beta=beta)
-
-
-def test_no_levels_10_and_nan_11():
-    with pytest.raises(ConfigError, match="at least one level"):
-        Ladder.build([])
-    with pytest.raises(ConfigError, match="level 1"):
-        Ladder.build(dense(40, math.nan))
-
-
-def test_nothing_fits_7_8():
-    for qualities in ((40, 39, 38, 20), (40, 39, 38)):  # with a cliff, without one
-        decision = select(Ladder.build(dense(*qualities)), 10)
-        assert decision.index == 2 and not decision.fits and "nothing fits" in decision.reason
-
-
-@pytest.mark.parametrize("budget", [math.nan, -1.0, -math.inf, 0.0])
-def test_budgets_that_are_none_12(budget):
-    decision = select(Ladder.build(dense(40, 39)), budget)
-    assert (decision.index, decision.fits) == (1, False)
-    assert "0 B" in decision.reason
-
-
-def test_a_level_that_sends_nothing_always_fits_14():
-    points = dense(40, 39, sizes=[100, 0])
-    assert select(Ladder.build(points), -5) == Decision(1, True, "0 B fit 0 B", 0)
-
-
-def test_units_13():
+def test_units_13_and_bandwidths_that_are_none_12():
     """8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header."""
-    assert frame_budget(8e6, 25) == pytest.approx(40_000)
-    assert frame_budget(0.8, 0.1) == pytest.approx(1.0)
+    assert (frame_budget(8e6, 25), frame_budget(0.8, 0.1)) == pytest.approx((40_000, 1.0))
+    assert [frame_budget(bandwidth, 30) for bandwidth in (math.nan, -1.0, 0.0)] == [0.0] * 3
 
 
-@pytest.mark.parametrize("bandwidth", [math.nan, -1.0, 0.0])
-def test_bandwidths_and_frame_rates_that_are_none_12(bandwidth):
-    assert frame_budget(bandwidth, 30) == 0.0
-    with pytest.raises(ConfigError, match="frame rate"):
-        frame_budget(1e6, 0.0)
+@pytest.mark.parametrize(
+    ("function", "arguments", "words"),
+    [
+        *(
+            (partial(Ladder.build, beta=beta), [dense(40, 39)], "more than 1") for beta in (1.0, 0.5, 0.0, math.nan)
+        ),  # 6
+        (Ladder.build, [[]], "at least one level"),  # 10
+        (Ladder.build, [dense(40, math.nan)], "level 1"),  # 11
+        (frame_budget, [1e6, 0.0], "frame rate"),  # 12
+        (select_literal, [[], 10], "at least one level"),  # 10
+    ],
+)
+def test_what_is_refused(function, arguments, words):
+    with pytest.raises(ConfigError, match=words):
+        function(*arguments)
 
 
 @pytest.mark.parametrize("case", TABLE["printed"], ids=lambda case: case["name"])
@@ -110,11 +110,6 @@ def test_algorithm_1_as_printed(case):
     levels = dense(*map(float, case["qualities"]), sizes=case.get("sizes"))
     budget, beta = float(case.get("budget", "inf")), float(case.get("beta", 2.0))
     assert select_literal(levels, budget, beta) == case["answer"]
-
-
-def test_as_printed_without_levels_10():
-    with pytest.raises(ConfigError, match="at least one level"):
-        select_literal([], 10)
 
 
 def points_of(draw_sizes, draw_qualities):

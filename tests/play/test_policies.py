@@ -8,16 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.play.policies.mpc import LOW_BUFFER_DB, SWITCH_DB, choose_robust_mpc
-from airgs_codec.play.policies.simple import choose_oracle_frame, choose_oracle_lp, upcoming_horizon
-from airgs_codec.play.policies.state import RESERVE_S
-from tests.faces import NAMES, NONE, STALL_DB, ConfigError, Download, Offers, PlayerState, make_policy
-from tests.play.test_session import link
-from tests.support.manifests import keys, tiny_manifest
+from airgs_codec.play.policies.simple import upcoming_horizon
+from tests.faces import NAMES, NONE, ConfigError, Download, Offers, PlayerState, make_policy
+from tests.support.manifests import keys, link, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
 OFFER = OFFERS.offer(0)
 FLAT = Offers(tiny_manifest(psnr=((40.0, 39.9), (39.8, 39.7), (39.6, 39.5))), header_bytes=0)
+STALL_DB, SWITCH_DB, LOW_BUFFER_DB, RESERVE_S = 20.0, 0.25, 1.0, 3.0  # what the controller holds against a second
 
 
 def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NONE, shown=None, rtt=0.0, limit=10.0):
@@ -45,8 +43,12 @@ def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NON
     )
 
 
-def names(decision):
-    return OFFERS.names[decision.index]
+def choose(policy, some, over=None):
+    return make_policy(policy, OFFERS, over or link([1e6])).choose(some)
+
+
+def rung(policy, some, over=None):
+    return OFFERS.names[choose(policy, some, over).index]
 
 
 def best_total(s, rate, horizon, first=None):
@@ -56,10 +58,10 @@ def best_total(s, rate, horizon, first=None):
         if first is not None and sequence[0] != first:
             continue
         buffer, total, before = s.buffer_s, 0.0, s.shown_quality
-        for i, rung in enumerate(sequence):
+        for i, one in enumerate(sequence):
             offer = OFFERS.offer((s.position + i) % 2)
-            took = 8 * offer.sizes(NONE)[rung] / rate
-            quality = offer.psnr[rung]
+            took = 8 * offer.sizes(NONE)[one] / rate
+            quality = offer.psnr[one]
             total += quality - STALL_DB * max(0.0, took - buffer) - SWITCH_DB * abs(quality - before)
             buffer, before = min(max(0.0, buffer - took) + 1.0, s.buffer_limit_s), quality
             total -= LOW_BUFFER_DB * max(0.0, RESERVE_S - buffer)
@@ -72,7 +74,8 @@ def best_total(s, rate, horizon, first=None):
 def test_mpc_chooses_as_brute_force_does(buffer_s, rate):
     """Its grid rounds what a second of waiting costs between two of its points, 10 s / 79 apart, no more."""
     s = state(rate, buffer_s, end=4, shown=36.0)
-    assert best_total(s, rate, 4, choose_robust_mpc(s).index) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
+    chosen = choose("robust-mpc", s).index
+    assert best_total(s, rate, 4, chosen) >= best_total(s, rate, 4) - STALL_DB * 10 / 79 / 4
 
 
 @pytest.mark.parametrize("shown", [None, 40.0, 34.5])
@@ -89,24 +92,27 @@ def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
         - LOW_BUFFER_DB * max(RESERVE_S - after, 0)
         for quality, t, after in zip(offer.psnr, took, left, strict=True)
     ]  # fmt: skip
-    chosen = choose_robust_mpc(s)
+    chosen = choose("robust-mpc", s)
     assert totals[chosen.index] == pytest.approx(max(totals))
     assert chosen.fits is (took[chosen.index] <= buffer_s)
 
 
-def test_the_oracles_know_the_trace():
-    outage = link([8e5, 0.0], [0.0, 100.5], 1000)
-    assert names(choose_oracle_frame(state(1e3, 5.0), link([8e4]))) == "Q0+L0"
-    assert names(choose_oracle_frame(state(8e9, 5.0), link([2e4]))) == "Q1+L2"
-    assert names(choose_oracle_lp(state(8e9, 3.0, end=4), outage)) == "Q0+L0"  # 50 kB before the outage are enough
-    tight = link([1.3e5, 0.0], [0.0, 100.5], 1000)
-    assert names(choose_oracle_lp(state(8e9, 3.0, end=4), tight)) != "Q0+L0"  # 8 kB for four segments
-
-
-def test_an_oracle_of_one_frame_counts_from_the_first_byte():
-    """Of a second 0.4 are latency: the link must carry the rung in the other 0.6."""
-    for rate, wanted in ((8 * 3800 / 0.6 * 1.01, "Q1+L0"), (8 * 3800 / 0.6 * 0.99, "Q1+L1")):
-        assert names(choose_oracle_frame(state(1e3, 5.0, rtt=0.4), link([rate]))) == wanted
+@pytest.mark.parametrize(
+    ("policy", "some", "over", "expected"),
+    [
+        ("fixed:2", state(), None, "Q0+L2"),
+        ("fixed:Q1+L1", state(), None, "Q1+L1"),
+        ("oracle-frame", state(1e3, 5.0), link([8e4]), "Q0+L0"),
+        ("oracle-frame", state(8e9, 5.0), link([2e4]), "Q1+L2"),
+        # It counts from the first byte: of a second 0.4 are latency, and the link must carry the rung in the other 0.6.
+        ("oracle-frame", state(1e3, 5.0, rtt=0.4), link([8 * 3800 / 0.6 * 1.01]), "Q1+L0"),
+        ("oracle-frame", state(1e3, 5.0, rtt=0.4), link([8 * 3800 / 0.6 * 0.99]), "Q1+L1"),
+        # 50 kB before the outage are enough for four segments.
+        ("oracle-lp", state(8e9, 3.0, end=4), link([8e5, 0.0], [0.0, 100.5], 1000), "Q0+L0"),
+    ],
+)
+def test_what_is_chosen(policy, some, over, expected):
+    assert rung(policy, some, over) == expected
 
 
 @pytest.mark.parametrize("pipelined", [True, False])
@@ -120,14 +126,16 @@ def test_what_is_to_come_is_released_by_the_buffer_and_due_when_it_is_shown(pipe
 
 
 def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
-    s = state(1e3, 3.0, end=4)
-    planned = choose_oracle_lp(s, link([8e5]))
-    assert (names(planned), planned.size_bytes, planned.fits) == ("Q0+L0", 6300, True)
+    s, over = state(1e3, 3.0, end=4), link([8e5])
+    planned = choose("oracle-lp", s, over)
+    assert (OFFERS.names[planned.index], planned.size_bytes, planned.fits) == ("Q0+L0", 6300, True)
     assert planned.reason == "planned for 4 segments"
     left = replace(s, options=tuple(p for p in s.options if p.index != planned.index))
-    assert names(choose_oracle_lp(left, link([8e5]))) == "Q0+L1"  # the best that fits in as many bytes
-    nothing = choose_oracle_lp(state(1e3, 0.0, end=4), link([8.0]))
-    assert names(nothing) == "Q1+L2" and not nothing.fits and "0 B" in nothing.reason
+    assert rung("oracle-lp", left, over) == "Q0+L1"  # the best that fits in as many bytes
+    nothing = choose("oracle-lp", state(1e3, 0.0, end=4), link([8.0]))
+    assert OFFERS.names[nothing.index] == "Q1+L2" and not nothing.fits and "0 B" in nothing.reason
+    tight = link([1.3e5, 0.0], [0.0, 100.5], 1000)  # 8 kB before an outage, for four segments
+    assert rung("oracle-lp", state(8e9, 3.0, end=4), tight) != "Q0+L0"
 
 
 @settings(max_examples=150)
@@ -139,14 +147,12 @@ def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
     position=st.integers(0, 19),
 )
 def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position):
-    s = state(1.0, buffer_s, held=held, position=position)
     history = tuple(Download(max(1, round(r / 8)), 1.0) for r in rates)
-    s = PlayerState(**{f: getattr(s, f) for f in s.__dataclass_fields__} | {"history": history})
-    decision = make_policy(name, OFFERS, link([5e4])).choose(s)
+    s = replace(state(1.0, buffer_s, held=held, position=position), history=history)
+    decision = choose(name, s, link([5e4]))
     assert decision.index in [p.index for p in s.options]
     assert decision.size_bytes == s.options[decision.index].size_bytes and decision.reason
-    again = make_policy(name, OFFERS, link([5e4])).choose(s)
-    assert again == decision
+    assert choose(name, s, link([5e4])) == decision
 
 
 @pytest.mark.parametrize(
@@ -155,11 +161,6 @@ def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position
 def test_unknown_policies(text):
     with pytest.raises(ConfigError, match="expected paper"):
         make_policy(text, OFFERS, link([1e6]))
-
-
-@pytest.mark.parametrize(("text", "rung"), [("fixed:2", "Q0+L2"), ("fixed:Q1+L1", "Q1+L1")])
-def test_fixed_rungs(text, rung):
-    assert names(make_policy(text, OFFERS, link([1e6])).choose(state())) == rung
 
 
 def test_an_oracle_needs_a_trace_and_what_policies_may_do_is_theirs():
