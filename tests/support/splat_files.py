@@ -13,9 +13,9 @@ import pygltflib
 from gaussforge import GaussForge
 from PIL import Image
 
-from airgs_codec.scene.formats.gltf import EXTENSION
 from tests.faces import Gaussians, write_ply
 
+EXTENSION = "KHR_gaussian_splatting"
 KINDS = {  # suffix of a file: what the library calls its format, and its version of .spz
     ".compressed.ply": ("compressed.ply", 3),
     ".v2.spz": ("spz", 2),
