@@ -9,26 +9,18 @@ import pytest
 
 from tests.faces import ConfigError
 from tests.support.paths import REPOSITORY
+from tools.check_docs import command_error
 from tools.lab import published
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
 from tools.lab.page import Made, Page, Picture, Section, Table
+from tools.lab.rd.subject import RdPoint, bd_rate, kb_at
 
-MADE = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
 PAGES = sorted(published.RESULTS.glob("*.md"))
 ENTRY = {
     "command": "airgs-encode --levels 7", "answers": ["It takes 1.5 s, 4 of 9."], "seconds": 81.2,
     "tables": {"a": {"columns": ["kb", "share"], "rows": [[13.84, 0.2571], [1236.4, -0.000213]]}},
 }  # fmt: skip
-
-
-def page(failed=False):
-    rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
-    table = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
-    picture = Picture("line", "A line", lambda figure: figure.subplots().plot([1, 2]), (2, 1))
-    return Page(
-        [Section("It takes 1 ms.", "How long?", [picture], [table]), Section("No.", "More?")], "By hand.", failed
-    )
 
 
 def own(name):
@@ -95,12 +87,20 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     (folder / "thing.md").write_text("# A thing\n" + marks.format("thing") + marks.format("second"))
     (folder / "README.md").write_text(marks.format("answers"))
     (tmp_path / "README.md").write_text(marks.format("thing"))
-    monkeypatch.setattr(published, "RESULTS", folder)
-    monkeypatch.setattr(published, "README", tmp_path / "README.md")
-    monkeypatch.setattr(published, "FIGURES", folder / "figures.json")
+    for name, value in {
+        "RESULTS": folder,
+        "README": tmp_path / "README.md",
+        "FIGURES": folder / "figures.json",
+    }.items():
+        monkeypatch.setattr(published, name, value)
     monkeypatch.setattr(published, "MEASUREMENTS", (Measurement("thing", "thing", "thing"),))
-    shown = replace(page(), brief=[Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})])
-    published.publish(Measurement("thing", "thing", "thing"), shown, MADE, tmp_path)
+    rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
+    times = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
+    brief = Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})
+    section = Section("It takes 1 ms.", "How long?", [Picture("line", "A line", lambda figure: None)], [times])
+    page = Page([section, Section("No.", "More?")], "By hand.", brief=[brief])
+    made = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
+    published.publish(Measurement("thing", "thing", "thing"), page, made, tmp_path)
     assert "|time|\n|---:|\n|1.25|\n" in (tmp_path / "README.md").read_text()
     assert "|[A thing](thing.md)|It takes 1 ms.|" in (folder / "README.md").read_text()
     assert (folder / "line.png").read_bytes() == b"picture"
@@ -112,10 +112,10 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
         "rows": [["a|b", 1.25, True, 1], ["c", None, False, None]],
     }  # fmt: skip
     assert published.unsourced(text, {"thing": entry}) == []
-    published.publish(Measurement("second", "thing", "second"), shown, replace(MADE, name="second"), tmp_path)
+    published.publish(Measurement("second", "thing", "second"), page, replace(made, name="second"), tmp_path)
     assert (tmp_path / "README.md").read_text().count("|time|") == 1  # where README has no marks it shows nothing
     with pytest.raises(ConfigError, match="other: begin"):
-        published.publish(Measurement("other", "thing", "other"), page(), replace(MADE, name="other"), tmp_path)
+        published.publish(Measurement("other", "thing", "other"), page, replace(made, name="other"), tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -138,8 +138,36 @@ def test_every_picture_of_the_documents_is_of_a_measurement_or_of_the_table_of_f
 
 
 def test_commands_of_the_table_of_figures_are_commands():
-    from tools.check_docs import command_error
-
     for command in {one.command for one in FIGURES} | {f"{PROGRAM} {one.words}" for one in MEASUREMENTS}:
         if not command.startswith("("):
             assert command_error(shlex.split(command), whole=True) is None, command
+
+
+def curve(*pairs):
+    return [RdPoint("c", str(i), kb, psnr, None, 0.0, 0.0) for i, (kb, psnr) in enumerate(pairs)]
+
+
+WIDE = curve((10, 38), (14, 41), (20, 44), (28, 47), (40, 50))
+HALF = curve((5, 38), (7, 41), (10, 44), (14, 47), (20, 50))
+ABOVE = curve((10, 60), (20, 62), (30, 64), (40, 66))
+
+
+@pytest.mark.parametrize(
+    ("points", "against", "span", "rate"),
+    [
+        (WIDE, WIDE, (), 0.0),
+        (HALF, WIDE, (), -0.5),
+        (WIDE, HALF, (41, 46), 1.0),
+        (WIDE, [*WIDE, *curve((30, 40))], (), 0.0),  # what is beaten at fewer bytes does not count
+        (WIDE, ABOVE, (), None),  # it never extrapolates
+        (WIDE, WIDE, (60, 70), None),
+        (WIDE, WIDE[:3], (), None),  # four points are needed
+    ],
+)
+def test_bd_rate_of_known_curves(points, against, span, rate):
+    assert bd_rate(points, against, *span) == (rate if rate is None else pytest.approx(rate))
+
+
+def test_bytes_at_a_quality_are_between_points_and_never_beyond_them():
+    assert [kb_at(WIDE, 44), kb_at(WIDE, 42.5)] == pytest.approx([20, (14 * 20) ** 0.5])
+    assert kb_at(WIDE, 37) is None is kb_at(WIDE[:1], 38)
