@@ -6,31 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.trainer.fit import optimise, parameters
-from airgs_codec.trainer.fit import trainer as fits
-from airgs_codec.trainer.fit.grow import Densifier, growth_of_3dgs
-from airgs_codec.trainer.fit.losses import windowed_ssim
-from airgs_codec.trainer.fit.parameters import render
-from airgs_codec.trainer.fit.trainer import InMotion
-from tests.faces import (
-    FrameViews,
-    Points,
-    Temporal,
-    Trainer,
-    TrainSettings,
-    fit_first,
-    from_gaussians,
-    open_scene,
-    preset,
-    scene_extent,
-    train,
-)
+from airgs_codec.trainer.fit import losses, optimise, parameters
+from tests import faces
+from tests.faces import FrameViews, InMotion, Trainer, TrainSettings, fit_first, from_gaussians, preset, scene_extent
 from tests.support.scenes import random_gaussians
-from tests.support.training import SETTINGS
-from tests.support.views import moved, random_parameters, ring, views_of
+from tests.support.views import moved, ring, views_of
 
-ATTRIBUTES = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
+SIX = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
 LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 
 
@@ -79,20 +61,20 @@ def truth():
 def l_3dgs(p, views, name, sh_degree=1):
     """(1 - lambda) L1 + lambda (1 - SSIM) of the picture of one camera."""
     view = next(v for v in views if v.camera.name == name)
-    picture = render(p, view.camera, sh_degree)[0].double()
+    picture = parameters.render(p, view.camera, sh_degree)[0].double()
     target = torch.from_numpy(view.target.rgb).double()
-    return float((1 - LAMBDA) * (picture - target).abs().mean() + LAMBDA * (1 - windowed_ssim(picture, target)))
+    return float((1 - LAMBDA) * (picture - target).abs().mean() + LAMBDA * (1 - losses.windowed_ssim(picture, target)))
 
 
 def raw_sum(p, base, rows):
     """Sum over the six attributes of |difference|, of the first rows."""
-    return sum(float((p[name][:rows] - base[name][:rows]).double().abs().sum()) for name in ATTRIBUTES)
+    return sum(float((p[name][:rows] - base[name][:rows]).double().abs().sum()) for name in SIX)
 
 
 def test_a_first_frame_starts_from_the_given_points_and_has_the_loss_of_3dgs_alone(seen):
     g = truth()
     views = views_of(g, ring(4))
-    fit_first(trainer(), FrameViews(0, views), Points(g.means, None))
+    fit_first(trainer(), FrameViews(0, views), faces.Points(g.means, None))
     expected = [l_3dgs(p, views, n) for p, n in zip(seen.gaussians, seen.cameras, strict=True)]
     assert seen.losses == pytest.approx(expected, rel=1e-4, abs=2e-8)
     assert seen.shrinks == [None] * 4
@@ -110,7 +92,7 @@ def test_a_frame_in_a_group_moves_by_six_networks_with_a_raw_sum(seen, degree, c
     velocity = np.full_like(before.means, 0.1)
     t.fit_frame(FrameViews(1, views), InMotion(before, velocity), group)
     base = from_gaussians(before)
-    assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in ATTRIBUTES)  # GS_t, whatever its velocity
+    assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in SIX)  # GS_t, whatever its velocity
     expected = [
         l_3dgs(p, views, n, degree) + LAMBDA_T * raw_sum(p, base, len(before))
         for p, n in zip(seen.gaussians, seen.cameras, strict=True)
@@ -121,8 +103,8 @@ def test_a_frame_in_a_group_moves_by_six_networks_with_a_raw_sum(seen, degree, c
 
 def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
     """L_3DGS and the surrogate of L_inf are in the loss; L^k_temp is applied by its proximal map, to U rows."""
-    monkeypatch.setattr(fits, "residual_seeds", lambda *_: pytest.fail("seeds were looked for"))
-    monkeypatch.setattr(fits, "find_wrong", lambda *_: pytest.fail("seeds were looked for"))
+    for name in ("residual_seeds", "find_wrong"):
+        monkeypatch.setattr(f"airgs_codec.trainer.fit.trainer.{name}", lambda *_: pytest.fail("seeds were looked for"))
     before = truth()
     rows = len(before)
     views = views_of(moved(before, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))
@@ -130,7 +112,7 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
     velocity = np.full_like(before.means, 0.1)
     g = t.fit_keyframe(FrameViews(1, views), InMotion(before, velocity), t.steps(before, views)).gaussians
     base = from_gaussians(before)
-    assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in ATTRIBUTES)  # GS_{t-1}
+    assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in SIX)  # GS_{t-1}
     assert len(seen.gaussians[99]["means"]) == rows < len(seen.gaussians[100]["means"])
     for i in (0, 1, 60, 99, 100, 150, 209):
         p = seen.gaussians[i]
@@ -139,7 +121,7 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
             l_3dgs(p, views, seen.cameras[i]) + LAMBDA_INF * l_inf, rel=1e-4, abs=2e-8
         )
     for p, shrink in zip(seen.gaussians, seen.shrinks, strict=True):
-        for name in ATTRIBUTES:
+        for name in SIX:
             assert shrink[name].shape == p[name].shape
             assert bool((shrink[name][:rows] == np.float32(LAMBDA_T)).all()) and not shrink[name][rows:].any()
     assert len(g) >= rows
@@ -147,33 +129,9 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
     assert 0 < moves < 0.05 * raw_sum({n: v * 0 for n, v in base.items()}, base, rows)
 
 
-def test_every_keyframe_is_kept_and_only_tau_makes_one(blobs, tmp_path, monkeypatch):
-    same = lambda self, target, before, steps, progress: before  # noqa: E731
-    monkeypatch.setattr(Trainer, "fit_keyframe", same)
-    quick = replace(SETTINGS, first_iterations=40, frame_iterations=3)
-    below, above = (replace(preset("paper", quick), min_psnr_db=tau) for tau in (99.0, 0.0))
-    scene = open_scene(blobs, frames=(1, 4))
-    assert train(scene, tmp_path / "below", below).record.keyframes() == [0, 1, 2]
-    assert train(scene, tmp_path / "above", above).record.keyframes() == [0]  # though what appears costs decibels
-
-
-def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
-    growth = growth_of_3dgs(1000, pictures=1)
-    assert [i for i in range(1, 30001) if growth.due(i, 30000)] == list(range(500, 15001, 100))
-    assert growth.removes(29900, 30000) and not growth.removes(29950, 30000)  # faint rows go throughout
-    gradients = torch.tensor([3e-4, 1e-4, 1.9e-4, 2.1e-4, 0.0])
-    p = random_parameters(5)
-    p["log_scales"][:] = np.log(0.009)  # no larger than 0.01 of the extent: clones
-    for budget, parents in ((1000, [0, 3]), (6, [0])):
-        densifier = Densifier(growth_of_3dgs(budget, pictures=1), 5, np.random.default_rng(0))
-        densifier.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
-        keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.2)
-        assert keep.all() and all(torch.equal(added[name], value[parents]) for name, value in p.items())
-
-
 def test_what_the_preset_sets():
     s = preset("paper", TrainSettings(seed=4, max_size=96))
-    assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", Temporal(LAMBDA_T, "raw", 1.0), 30.0)
+    assert (s.deltas, s.temporal, s.min_psnr_db) == ("mlp", faces.Temporal(LAMBDA_T, "raw", 1.0), 30.0)
     assert (s.inflation, s.ssim_weight, s.max_drop_db) == (LAMBDA_INF, LAMBDA, float("inf"))
     assert not any((s.regularised, s.velocity, s.keep_better, s.seeds, s.looks_for_exposure, s.knows_rest, s.coarse))
     assert (s.densify, s.iteration_views, s.seed, s.max_size) == ("threshold", 1, 4, 96)
