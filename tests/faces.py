@@ -22,7 +22,9 @@ from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, sa
 from airgs_codec.scene.frames import Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.scene.formats.ply import read_ply, read_points, write_ply
-from airgs_codec.scene.formats.table import FRAMES, format_of, read_frame, read_frame_header
+from airgs_codec.scene.formats.table import (
+    COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame, read_frame_header,
+)  # fmt: skip
 from airgs_codec.media.image import read_picture, to_bytes, write_png
 from airgs_codec.media.movie import VideoReader, write_movie
 from airgs_codec.media.sound import decode_sound, encode_sound
@@ -119,7 +121,7 @@ from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 
 # Serving
 from airgs_codec.serve.app import Packages, media_type
-from airgs_codec.serve.pages import content_policy
+from airgs_codec.serve.pages import content_policy, is_built
 from airgs_codec.serve.server import Certificate, ServerSettings, listen
 from airgs_codec.serve.export import export_page
 
