@@ -1,14 +1,21 @@
-"""What a package decodes to, as digests: integer codes, rows and depths."""
+"""What a package decodes to, as digests: integer codes, rows and depths.
+
+A decoder needs no library but numpy and av, and so does this: the faces of all tests are not loaded.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from hashlib import sha256
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from airgs_codec.coding.atlas import read_codes
-from tests.faces import Manifest, Package, decode_key, decode_pictures
+from airgs_codec.decoder.decode import decode_key, decode_pictures
+
+if TYPE_CHECKING:
+    from tests.faces import Manifest, Package
 
 
 def decode_slopes(package: Package, index: int, level: int) -> np.ndarray | None:
@@ -49,10 +56,5 @@ def digests(package: Package) -> dict[str, str]:
 
 def lined_files(m: Manifest) -> list[str]:
     """Paths of the state files that begin with a picture of slopes, which is no frame."""
-    return [
-        path
-        for s, segment in enumerate(m.segments)
-        for j, level in enumerate(segment.levels)
-        if level.line
-        for path in m.state_files(s, j)
-    ]
+    levels = ((s, j, level) for s, segment in enumerate(m.segments) for j, level in enumerate(segment.levels))
+    return [path for s, j, level in levels if level.line for path in m.state_files(s, j)]
