@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from airgs_codec.media.image import contact_sheet, fit_lens, label, match_features, read_mask, sift, undistort
+from airgs_codec.media import image
 from tests.faces import SceneError, read_picture, to_bytes, write_png
 
 
@@ -17,30 +17,27 @@ def noise(height=48, width=64, seed=0):
 
 def test_a_contact_sheet_has_a_captioned_tile_for_each_picture():
     pictures = [np.full((60, 80, 3), value, np.uint8) for value in (50, 100, 150)]
-    sheet = contact_sheet(pictures, ["a", "b\nsecond line", "c"], columns=2)
+    sheet = image.contact_sheet(pictures, ["a", "b\nsecond line", "c"], columns=2)
     assert sheet.shape == (120, 160, 3)
     assert (sheet[50, [0, 80]] == [[50] * 3, [100] * 3]).all() and (sheet[110, [0, 159]] == [[150] * 3, [0] * 3]).all()
     assert sheet[30, 90].max() < 100, "the second line is darkened, too"
     with pytest.raises(ValueError):
-        contact_sheet(pictures, ["a"])
+        image.contact_sheet(pictures, ["a"])
 
 
-def test_pictures_come_back_as_they_were(tmp_path):
-    rgb = noise()
-    write_png(tmp_path / "a.png", rgb)
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
-
-
-def test_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
-    path, rgb = str(tmp_path / "a.png"), noise()
-    cv2.imwrite(path, rgb[..., 0])
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.repeat(rgb[..., :1], 3, axis=2))
-    cv2.imwrite(path, np.dstack([rgb[..., ::-1], rgb[..., 0]]))
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.dstack([rgb, rgb[..., 0]]))
-    cv2.imwrite(path, rgb[..., ::-1].astype(np.uint16) << 8 | 7)
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), rgb)
-    cv2.imwrite(path, rgb[..., 0].astype(np.uint16) << 8 | 7)
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), np.repeat(rgb[..., :1], 3, axis=2))
+def test_pictures_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
+    path, rgb = tmp_path / "a.png", noise()
+    grey, bgr = np.repeat(rgb[..., :1], 3, axis=2), rgb[..., ::-1]
+    write_png(path, rgb)
+    np.testing.assert_array_equal(read_picture(path), rgb)
+    for written, read in (
+        (rgb[..., 0], grey),
+        (np.dstack([bgr, rgb[..., 0]]), np.dstack([rgb, rgb[..., 0]])),
+        (bgr.astype(np.uint16) << 8 | 7, rgb),
+        (rgb[..., 0].astype(np.uint16) << 8 | 7, grey),
+    ):
+        cv2.imwrite(str(path), written)
+        np.testing.assert_array_equal(read_picture(path), read)
 
 
 def test_what_is_no_picture_is_refused(tmp_path):
@@ -52,7 +49,7 @@ def test_what_is_no_picture_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp"])
-@pytest.mark.parametrize("read", [read_picture, read_mask])
+@pytest.mark.parametrize("read", [read_picture, image.read_mask])
 def test_the_size_is_compared_before_pixels_are_decoded(tmp_path, suffix, read):
     """Of a file that ends in the middle of its pixels, only the header can tell."""
     path = tmp_path / f"a{suffix}"
@@ -84,9 +81,9 @@ def test_a_mask_is_1_where_it_is_not_black_and_has_the_size_asked_for(tmp_path):
     mask[1, 2] = 1
     mask[3, 5] = 255
     write_png(tmp_path / "m.png", mask)
-    assert np.argwhere(read_mask(tmp_path / "m.png", (6, 4))).tolist() == [[1, 2], [3, 5]]
+    assert np.argwhere(image.read_mask(tmp_path / "m.png", (6, 4))).tolist() == [[1, 2], [3, 5]]
     with pytest.raises(SceneError, match="expected a picture of 4x6, got 6x4"):
-        read_mask(tmp_path / "m.png", (4, 6))
+        image.read_mask(tmp_path / "m.png", (4, 6))
 
 
 def test_what_leaves_0_to_1_is_shown_at_the_bound():
@@ -95,50 +92,51 @@ def test_what_leaves_0_to_1_is_shown_at_the_bound():
 
 def test_a_label_darkens_its_line_alone_and_copies():
     rgb = np.full((60, 80, 3), 90, np.uint8)
-    out = label(rgb, "text", 1)
+    out = image.label(rgb, "text", 1)
     assert (rgb == 90).all() and (out[:18] == 90).all() and (out[36:] == 90).all() and (out[18:36] != 90).any()
 
 
 def test_features_of_a_shifted_picture_match_by_the_shift():
     smooth = cv2.GaussianBlur(noise(120, 160), (0, 0), 2).astype(np.float32) / 255
     smooth = (smooth - smooth.min()) / (smooth.max() - smooth.min())
-    (a, da), (b, db) = sift(smooth[:100, :140], 300), sift(smooth[10:110, 15:155], 300)
-    pairs = match_features(da, db, 0.8)
+    (a, da), (b, db) = image.sift(smooth[:100, :140], 300), image.sift(smooth[10:110, 15:155], 300)
+    pairs = image.match_features(da, db, 0.8)
     assert len(pairs) > 20
     np.testing.assert_allclose(np.median(a[pairs[:, 0]] - b[pairs[:, 1]], axis=0), [15, 10], atol=0.1)
-    assert match_features(da[:1], db, 0.8).shape == (0, 2)
-    assert sift(np.zeros((20, 20, 3), np.float32), 10)[1].shape == (0, 128)
+    assert image.match_features(da[:1], db, 0.8).shape == (0, 2)
+    assert image.sift(np.zeros((20, 20, 3), np.float32), 10)[1].shape == (0, 128)
 
 
 def test_a_lens_maps_straight_rays_to_where_opencv_bends_them():
     """A dot drawn where the distorting camera sees a point is found where the pinhole camera sees it."""
     matrix = np.array([[70.0, 0, 50.3], [0, 72.0, 40.1], [0, 0, 1]])
     coefficients = np.array([-0.2, 0.05, 0.002, -0.001])
-    lens = fit_lens((100, 80), matrix, coefficients)
+    lens = image.fit_lens((100, 80), matrix, coefficients)
     point = np.array([[0.25, -0.18, 1.0]])
-    shift = np.array([0.5, 0.5])
-    centred = matrix.copy()
-    centred[:2, 2] -= 0.5
-    bent = cv2.projectPoints(point, np.zeros(3), np.zeros(3), centred, coefficients)[0].reshape(2) + shift
+    centred = matrix - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]
+    bent = cv2.projectPoints(point, np.zeros(3), np.zeros(3), centred, coefficients)[0].reshape(2) + 0.5
     rows, columns = np.mgrid[:80, :100] + 0.5
     dot = np.exp(-((columns - bent[0]) ** 2 + (rows - bent[1]) ** 2) / 8).astype(np.float32)
-    seen = undistort(np.repeat(dot[..., None], 3, axis=2), lens)[..., 0]
+    seen = image.undistort(np.repeat(dot[..., None], 3, axis=2), lens)[..., 0]
     found = np.array([(seen * columns).sum(), (seen * rows).sum()]) / seen.sum()
-    straight = lens.pinhole @ point[0]
-    assert found == pytest.approx(straight[:2], abs=0.15)
+    assert found == pytest.approx((lens.pinhole @ point[0])[:2], abs=0.15)
+
+
+def lens_of(focal, cx, coefficients, fisheye):
+    matrix = np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]])
+    return image.fit_lens((160, 120), matrix, np.array(coefficients, float), fisheye)
 
 
 @pytest.mark.parametrize(
     ("focal", "bend", "fisheye", "degrees"),
-    [(f, [0] * 4, True, 120) for f in (54, 51, 46)]  # of 170 to 200 degrees
-    + [(100, [0.5, 0, 0, 0], False, 63), (100, [-0.5, 0, 0, 0], False, 66), (100, [-1, 0, 0, 0], False, 50)]
-    + [(51, [-0.5, 0, 0, 0], True, 81)],
+    [(f, 0, True, 120) for f in (54, 51, 46)]  # of 170 to 200 degrees
+    + [(100, 0.5, False, 63), (100, -0.5, False, 66), (100, -1, False, 50), (51, -0.5, True, 81)],
 )
 def test_no_pinhole_shows_more_than_its_lens_shows_once(focal, bend, fisheye, degrees):
-    lens = fit_lens((160, 120), np.array([[focal, 0, 80], [0, focal, 60], [0, 0, 1.0]]), np.array(bend, float), fisheye)
+    lens = lens_of(focal, 80, [bend, 0, 0, 0], fisheye)
     x, y = lens.maps(lens.size)
     assert np.degrees(2 * np.arctan(80 / lens.pinhole[0, 0])) == pytest.approx(degrees, abs=1)
-    assert (np.diff(x, axis=1) > 0).all() and (np.diff(y, axis=0) > 0).all() and lens.cut == (bend[0] != 0.5)
+    assert (np.diff(x, axis=1) > 0).all() and (np.diff(y, axis=0) > 0).all() and lens.cut == (bend != 0.5)
 
 
 @pytest.mark.parametrize(
@@ -147,6 +145,4 @@ def test_no_pinhole_shows_more_than_its_lens_shows_once(focal, bend, fisheye, de
 )
 def test_a_lens_that_shows_nothing_is_refused(focal, cx, bend, fisheye):
     with pytest.raises(ValueError, match="lens"):
-        fit_lens(
-            (160, 120), np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]]), np.array([bend, 0, 0, 0.0]), fisheye
-        )
+        lens_of(focal, cx, [bend, 0, 0, 0.0], fisheye)

@@ -1,13 +1,18 @@
-"""Ordinary films: what is written can be read again, frame by frame."""
+"""Films are read again frame by frame; sound of any file is packets of Opus, as long as the pictures, to a sample."""
 
+import io
+import struct
 from concurrent.futures import ThreadPoolExecutor
 from fractions import Fraction
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 
-from tests.faces import CodecError, SceneError, VideoReader, write_movie
+from airgs_codec.media.mp4 import read_samples, read_start, sound_segment
+from tests.faces import CodecError, SceneError, VideoReader, decode_sound, encode_sound, write_movie
+from tests.support.chirps import chirp, write_chirp
 from tests.support.multiview_files import plain, write_video
 
 
@@ -23,15 +28,14 @@ def test_a_film_of_odd_size_is_read_back_without_its_odd_row_and_column(tmp_path
     film.close()
 
 
-def test_a_film_without_frames_is_refused(tmp_path):
+def test_what_is_no_film_is_refused_and_a_name_is_never_taken_for_a_protocol(tmp_path, monkeypatch):
     with pytest.raises(CodecError, match="at least one frame"):
         write_movie(tmp_path / "a.mp4", [], Fraction(24))
-
-
-def test_what_is_no_video_is_refused(tmp_path):
-    (tmp_path / "a.mp4").write_bytes(b"not a film")
-    with pytest.raises(SceneError, match="expected a video"):
-        VideoReader(tmp_path / "a.mp4")
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "v.mp4", [plain(20)] * 2)
+    (tmp_path / "file:v.mp4").write_bytes(b"not a film")
+    with pytest.raises(SceneError, match=r"file:v\.mp4: expected a video"):
+        VideoReader(Path("file:v.mp4"))
 
 
 def test_a_film_whose_frames_change_their_size_is_refused_where_they_do(tmp_path):
@@ -45,14 +49,6 @@ def test_a_film_whose_frames_change_their_size_is_refused_where_they_do(tmp_path
         film.read(2)
 
 
-def test_a_name_is_never_taken_for_a_protocol(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_video(tmp_path / "v.mp4", [plain(20)] * 2)
-    (tmp_path / "file:v.mp4").write_bytes(b"not a film")
-    with pytest.raises(SceneError, match=r"file:v\.mp4: expected a video"):
-        VideoReader(Path("file:v.mp4"))
-
-
 def test_threads_read_one_video_together(tmp_path):
     write_video(tmp_path / "v.mp4", [plain(20 * t) for t in range(8)])
     reader, wanted = VideoReader(tmp_path / "v.mp4"), [0, 7, 3, 1, 6, 2, 5, 4] * 4
@@ -60,3 +56,87 @@ def test_threads_read_one_video_together(tmp_path):
         levels = list(pool.map(lambda t: reader.read(t).mean() / 20, wanted))
     assert np.rint(levels).tolist() == wanted
     reader.close()
+
+
+def rms(samples) -> float:
+    return float(np.sqrt((np.asarray(samples, float) ** 2).mean()))
+
+
+@pytest.mark.parametrize(("rate", "channels"), [(44_100, 2), (48_000, 1), (8_000, 1)])
+def test_what_is_decoded_is_what_was_given_at_the_same_sample(tmp_path, rate, channels):
+    track = encode_sound(write_chirp(tmp_path / "a.wav", 2.0, channels, rate), Fraction(2))
+    assert (track.channels, len(track.packets), track.note) == (channels, 100, "")
+    samples = decode_sound(track.packets, channels)[track.pre_skip :] / 32768
+    given = chirp(2.0)[: len(samples)]
+    assert rms(samples[2000:-2000] - given[2000:-2000, None]) < 0.02
+    assert rms(samples[2000:-2000] - given[2008:-1992, None]) > 0.05  # a sixth of a millisecond off
+
+
+def test_a_decoder_that_begins_later_is_right_after_four_packets_of_20_ms(tmp_path):
+    track = encode_sound(write_chirp(tmp_path / "a.wav", 2.0), Fraction(2))
+    whole, later = decode_sound(track.packets, 1), decode_sound(track.packets[40:], 1)
+    off = whole[40 * 960 :].astype(int) - later
+    assert rms(off[:240]) > 3000 and rms(off[4 * 960 :]) < 300
+
+
+def test_longer_sound_is_cut_and_shorter_sound_is_followed_by_silence(tmp_path):
+    path = write_chirp(tmp_path / "a.wav", 2.0)
+    cut, short = encode_sound(path, Fraction(3, 2)), encode_sound(path, Fraction(3))
+    assert cut.note == "cut after 1.50 s, where the pictures end" and len(cut.packets) == 75
+    assert short.note == "silent after 2.00 of 3.00 s" and len(short.packets) == 150
+    samples = decode_sound(short.packets, 1)
+    assert rms(samples[:90_000]) > 5000 and rms(samples[100_000:]) < 5
+
+
+def test_sound_that_begins_later_than_its_film_stays_there(tmp_path):
+    path = tmp_path / "a.mkv"
+    with av.open(str(path), "w") as film:
+        picture, sound = film.add_stream("mpeg4", rate=10), film.add_stream("pcm_s16le", rate=48_000, layout="mono")
+        picture.width = picture.height = 64
+        for _ in range(10):
+            film.mux(picture.encode(av.VideoFrame.from_ndarray(np.full((64, 64, 3), 9, np.uint8), "rgb24")))
+        film.mux(picture.encode(None))
+        frame = av.AudioFrame.from_ndarray(np.round(32767 * chirp(0.5)).astype(np.int16)[None], "s16", "mono")
+        frame.sample_rate, frame.pts, frame.time_base = 48_000, 19_200, Fraction(1, 48_000)
+        film.mux(sound.encode(frame))
+        film.mux(sound.encode(None))
+    track = encode_sound(path, Fraction(1))
+    samples = decode_sound(track.packets, 1)[track.pre_skip :, 0] / 32768
+    assert rms(samples[:19_000]) < 1e-3 and rms(samples[22_000:40_000] - chirp(0.5)[2800:20_800]) < 0.02
+
+
+def test_fragments_are_what_ffmpeg_plays(tmp_path):
+    track = encode_sound(write_chirp(tmp_path / "a.wav", 1.0), Fraction(1))
+    parts = [sound_segment(track.packets[:20], 0), sound_segment(track.packets[20:], 20)]
+    assert [read_start(part) for part in parts] == [0, 20 * 960]
+    assert read_samples(parts[1]) == track.packets[20:]
+    with av.open(io.BytesIO(b"".join([track.init, *parts]))) as film:
+        samples = np.concatenate([frame.to_ndarray()[0] for frame in film.decode(audio=0)])
+    assert len(samples) == 48_000 - track.pre_skip
+    assert rms(samples[2000:-2000] - chirp(1.0)[2000 : len(samples) - 2000]) < 0.02
+
+
+@pytest.mark.parametrize(
+    ("name", "seconds", "says"),
+    [
+        ("text", 1, "a file with sound"),
+        ("mute.mp4", 1, "without"),
+        ("gone", 1, "No such file"),
+        ("empty.wav", 1, "channels"),
+        ("short.wav", 10**6, "at most 21600 s"),
+    ],
+)
+def test_what_has_no_sound_is_refused_in_one_line(tmp_path, name, seconds, says):
+    (tmp_path / "text").write_text("no sound")
+    write_movie(tmp_path / "mute.mp4", [np.zeros((32, 32, 3), np.uint8)], Fraction(10))
+    empty = struct.pack("<4sI8sIHHIIHH4sI", b"RIFF", 136, b"WAVEfmt ", 16, 1, 0, 48_000, 0, 0, 16, b"data", 100)
+    (tmp_path / "empty.wav").write_bytes(empty + bytes(100))
+    write_chirp(tmp_path / "short.wav", 0.1)
+    with pytest.raises(SceneError, match=says) as refused:
+        encode_sound(tmp_path / name, Fraction(seconds))
+    assert "\n" not in str(refused.value) and name in str(refused.value)
+
+
+def test_packets_that_are_no_opus_are_refused():
+    with pytest.raises(CodecError, match="cannot be decoded"):
+        decode_sound([b"\xff\xff\xff\xff"], 1)
