@@ -1,43 +1,44 @@
-"""A player over a growing package: it joins late, goes on as groups appear, and ends with the package."""
+"""A player over a growing package: it joins late, goes on as groups appear, and ends with the package.
 
+Tables that come over a connection must be those of the same package with more groups, and however long a viewer stays,
+nothing grows but the package.
+"""
+
+import gzip
 import shutil
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import cache
 from itertools import pairwise
+from unittest.mock import patch
 
 import pytest
 
 from airgs_codec.play import player
-from tests.faces import (
-    JSON_NAME,
-    HttpDownloader,
-    HttpSettings,
-    SessionSettings,
-    Trace,
-    TransportError,
-    open_package,
-    play,
-    simulate,
-)
+from airgs_codec.play.downloader import answer
+from airgs_codec.play.fetcher import Fetcher
+from airgs_codec.play.playout import Playout
+from tests import faces
+from tests.faces import JSON_NAME, FormatError, HttpSettings, RemoteTables, SessionSettings, group_path, open_package
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
+from tests.support.long_index import long_index
 from tests.support.paths import VALID
+from tests.support.refusals import cases
+from tests.support.regions import region
 from tests.support.servers import serving
 
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0)
+FAST = HttpSettings(as_fast=True, backoff_s=0.001)
 
 
-@pytest.fixture(autouse=True)
-def no_waiting(monkeypatch):
-    monkeypatch.setattr(player, "POLL_S", 0.0)
-
-
-def play_growing(growing, weather=None, rules=RULES):
-    http = HttpSettings(as_fast=True, backoff_s=0.001)
+def play_growing(growing, weather=None, rules=RULES, http=FAST, server=None):
     with (
-        faultily_serving(growing.folder, weather or Weather(0.0)) as port,
-        HttpDownloader(f"http://127.0.0.1:{port}", http, growing.received) as downloader,
+        patch.object(player, "POLL_S", 0.0),
+        server or faultily_serving(growing.folder, weather or Weather(0.0)) as port,
+        faces.HttpDownloader(f"http://127.0.0.1:{port}/{'p' if server else ''}", http, growing.received) as downloader,
     ):
-        return play(downloader.open(), downloader, "fixed:0", rules)
+        return faces.play(downloader.open(), downloader, "fixed:0", rules)
 
 
 @pytest.mark.parametrize(
@@ -76,18 +77,9 @@ def test_groups_are_looked_for_a_groups_length_after_the_last_time(tmp_path):
 
 
 def test_an_airgs_json_that_has_not_changed_is_not_sent_again(tmp_path):
-    growing, steps = Growing(tmp_path / "p", 2), [2, 2, 3, 0]
-
-    def received(path, data):
-        if path == JSON_NAME and steps:
-            growing.waiting.append(steps.pop(0))
-            growing.publish()
-
-    with (
-        serving(growing.folder) as port,
-        HttpDownloader(f"http://127.0.0.1:{port}/p", HttpSettings(backoff_s=0.001), received) as downloader,
-    ):
-        log = play(downloader.open(), downloader, "fixed:0", RULES)
+    """A growing package says what has become of it when it was read, not when it is asked for again."""
+    growing = Growing(tmp_path / "p", 2, 2, 2, 3, 0)
+    log = play_growing(growing, http=HttpSettings(backoff_s=0.001), server=serving(growing.folder))
     sizes = [f.bytes for f in log.fetches if f.kind == "tables" and f.files == 1]
     whole = (growing.folder / JSON_NAME).stat().st_size
     assert [s.segment for s in log.shown] == [1, 2]
@@ -100,18 +92,15 @@ def test_what_waits_is_shown_when_nothing_follows(tmp_path):
     assert [s.segment for s in log.shown] == [1, 2] and log.shown[0].start_s >= log.fetches[-1].arrival_s
 
 
-def test_a_package_that_stops_growing_ends_the_session(tmp_path, monkeypatch):
-    monkeypatch.setattr(player, "SILENCE_S", 0.1)
-    log = play_growing(Growing(tmp_path / "p", 2, 3))
-    assert [s.segment for s in log.shown] == [1, 2] and "no group has followed" in log.lost[-1]
-
-
-def test_another_package_in_its_place_is_not_taken_for_more_of_it(tmp_path, monkeypatch):
+@pytest.mark.parametrize("another", [False, True])
+def test_a_package_that_stops_growing_or_gives_way_to_another_ends_the_session(tmp_path, monkeypatch, another):
     monkeypatch.setattr(player, "SILENCE_S", 0.1)
     growing = Growing(tmp_path / "p", 2)
-    growing.received = lambda path, data: shutil.copy(VALID / "live" / JSON_NAME, growing.folder / JSON_NAME)
+    if another:
+        growing.received = lambda path, data: shutil.copy(VALID / "live" / JSON_NAME, growing.folder / JSON_NAME)
     log = play_growing(growing)
-    assert [s.segment for s in log.shown] == [1] and any("another" in line for line in log.lost)
+    assert [s.segment for s in log.shown] == [1] and "no group has followed" in log.lost[-1]
+    assert any("another" in line for line in log.lost) is another
 
 
 def test_faults_are_survived_while_it_grows(tmp_path):
@@ -128,11 +117,205 @@ def test_without_its_pages_a_growing_package_cannot_go_on(tmp_path):
         (growing.folder / "index/1/1.json").unlink(missing_ok=True)
 
     growing.received = received
-    with pytest.raises(TransportError, match=r"index/1/1\.json"):
+    with pytest.raises(faces.TransportError, match=r"index/1/1\.json"):
         play_growing(growing)
 
 
 def test_a_simulated_session_plays_what_there_is(tmp_path):
     growing = Growing(tmp_path / "p", 3)
-    log = simulate(open_package(growing.folder), Trace.open("const:9"), "fixed:0", replace(RULES, loops=1))
+    rules = replace(RULES, loops=1)
+    log = faces.simulate(open_package(growing.folder), faces.Trace.open("const:9"), "fixed:0", rules)
     assert [s.segment for s in log.shown] == [0, 1, 2]
+
+
+@cache
+def root(count, spoilt=None, **fields):
+    """An airgs.json of so many groups of a frame each, while more are to come, with another first entry of a level."""
+    index = list(long_index(count)[0])
+    if spoilt is not None:
+        index[spoilt] = replace(index[spoilt], sha256="_" + index[spoilt].sha256[1:])
+    known = faces.root_of(open_package(VALID / "paged").manifest)
+    return faces.pack_json(replace(known, live=True, frames=count, index=index, **fields))
+
+
+def grown(*roots):
+    tables = RemoteTables()
+    for data in roots:
+        tables.accept(JSON_NAME, data)
+    return tables
+
+
+def test_pages_of_every_level_lead_to_groups_as_a_package_grows():
+    tables, (_, pages) = grown(root(4095)), long_index(4097)
+    places = tables.offers.manifest.groups.places
+    tables.accept("index/1/2.json", faces.pack_json(pages["index/1/2.json"]))
+    assert places.at_frame(64) == 64
+    tables.accept(JSON_NAME, root(4097))
+    places = tables.offers.manifest.groups.places
+    assert places.at_frame(4096) == 4096
+    with pytest.raises(FormatError, match="has not been fetched"):
+        places.at_frame(64)
+    with pytest.raises(FormatError, match="has not been fetched"):
+        tables.accept("index/1/64.json", faces.pack_json(pages["index/1/64.json"]))
+    for path in ("index/2/1.json", "index/1/64.json"):
+        tables.accept(path, faces.pack_json(pages[path]))
+    assert [places.at_frame(frame) for frame in (64, 4095)] == [64, 4095]  # the page of before is as good as ever
+
+
+@pytest.mark.parametrize("order", [(1, 2, 3), (3, 2, 1), (2, 1, 3)])
+def test_tables_that_keep_rows_of_another_may_come_before_it(order):
+    folder = VALID / "kept"
+    tables = grown((folder / JSON_NAME).read_bytes())
+    for number in order:
+        tables.accept(group_path(number), (folder / group_path(number)).read_bytes())
+    assert [group.keeps for group in tables.offers.manifest.groups] == [None, 1, 1]
+
+
+@pytest.mark.parametrize("order", [(2, 3), (3, 2)])
+def test_a_table_that_keeps_rows_of_one_that_keeps_some_is_refused_whichever_comes_first(order):
+    files = cases()["bad_value-keeps-chain"].package()
+    tables = grown(files[JSON_NAME])
+    first, second = (group_path(number) for number in order)
+    tables.accept(first, files[first])
+    for _ in range(2):
+        with pytest.raises(FormatError) as refused:
+            tables.accept(second, files[second])
+        assert refused.value.reason == "bad_value"
+
+
+def test_a_page_that_is_not_what_the_level_above_says_is_refused():
+    tables, (_, pages) = grown(root(4097)), long_index(4097)
+    page = pages["index/2/1.json"]
+    for data in (faces.pack_json(page)[:-1], faces.pack_json(replace(page, sha256="_" + page.sha256[1:]))):
+        with pytest.raises(FormatError) as refused:
+            tables.accept("index/2/1.json", data)
+        assert refused.value.reason in ("size_mismatch", "hash_mismatch")
+    with pytest.raises(FormatError, match="no table has such a file"):
+        tables.accept("index/2/2.json", faces.pack_json(page))
+
+
+OTHERS = {
+    "fewer": root(4161),
+    "far fewer": root(70),
+    "groups": root(4163, spoilt=0),
+    "pages of pages": root(4300, spoilt=2),
+    "pages": root(4227, spoilt=1),
+    "author": root(4163, attribution="other"),
+}
+
+
+@pytest.mark.parametrize("what", [*OTHERS, "closed"])
+def test_another_package_is_no_growth(what):
+    before = root(4162).replace(b'"live":true', b'"live":false') if what == "closed" else root(4162)
+    with pytest.raises(FormatError, match="expected the package of before with more groups"):
+        grown(before, OTHERS.get(what, root(4163)))
+
+
+@pytest.mark.parametrize("count", [4162, 4163, 4227, 9000])
+def test_growth_may_be_long_in_coming(count):
+    assert grown(root(4162), root(count)).offers.manifest.groups.places.groups == count
+
+
+NOW = datetime(2026, 1, 1, tzinfo=UTC)
+STAY_MINUTES = 400
+REMEMBERED_GROUPS = 100
+TOLD_BYTES = 10_000  # airgs.json and manifest.mpd each
+
+
+class Publisher:
+    """A package that gains one group again and again, as fast as it plays; its media are only told of."""
+
+    def __init__(self, m, seconds):
+        self.group, self.seconds, self.frames = m.groups[0], seconds, m.groups[0].stop
+        m = replace(m, live=True, frames=self.frames, groups=faces.Groups.of([self.group]))
+        self.files = faces.Memory("day")
+        faces.write_tables(self.files, m, faces.LiveClock(NOW, NOW))
+        self.package = faces.GrowingPackage(self.files, m, NOW)
+
+    def publish_until(self, at_s):
+        m = self.package.manifest
+        while (start := self.package.manifest.frames) + self.frames <= min(at_s, self.seconds) * m.fps:
+            segments = [replace(s, start=s.start + start, stop=s.stop + start) for s in self.group.segments]
+            self.package.add(replace(self.group, start=start, stop=start + self.frames, segments=segments))
+        if at_s >= self.seconds and m.live:
+            self.package.close()
+
+
+@dataclass
+class Link:
+    """Brings every batch in a tenth of a second."""
+
+    publisher: Publisher
+    tables: RemoteTables = field(default_factory=RemoteTables)
+    table_bytes: int = 0  # as an HTTP server sends them, headers and answers that nothing has changed included
+    root: bytes = b""
+    rtt_s: float = 0.1
+    pipelines: bool = False
+
+    def bring(self, path):
+        data = self.publisher.files.read(path)
+        unchanged, self.root = path == JSON_NAME and data == self.root, data if path == JSON_NAME else self.root
+        self.table_bytes += 350 + (0 if unchanged else len(gzip.compress(data)))
+        self.tables.accept(path, data)
+
+    def fetch(self, request, give_up=None):
+        self.publisher.publish_until(request.sent_s)
+        for path in request.batch.tables:
+            if path != faces.POSTER_NAME:
+                self.bring(path)
+        at_s = request.sent_s + self.rtt_s
+        return faces.Arrival(request, at_s, at_s, 1000, request.batch.files, {}, False)
+
+
+def stay(m, seconds):
+    """A publisher, a link to it, and a player of the best rung whose events are yet to be asked for."""
+    publisher = Publisher(m, seconds)
+    link = Link(publisher)
+    link.bring(JSON_NAME)
+    offers, rules = link.tables.offers, SessionSettings(decode_frame_s=0.0)
+    fetcher = Fetcher(offers, link, faces.make_policy("fixed:0", offers), rules)
+    return publisher, link, player.Player(fetcher, Playout(rules))
+
+
+def remembered(publisher, fetcher, playout):
+    """How many of each thing publisher, tables and player know."""
+    return {
+        "tables of the publisher": len(publisher.package.manifest.groups._kept),
+        "names": len(fetcher.tables._paths),
+        "segments": len(fetcher.tables._complete),
+        "keys": len(fetcher.keys.decoded(0)),
+        "options": len(fetcher.keys._options),
+        "downloads": len(fetcher.downloads),
+        "timeline": len(playout.timeline),
+    }
+
+
+def test_hours_of_live_publishing_and_a_viewer_who_stays_end_flat():
+    """A group every minute."""
+    minutes = replace(open_package(VALID / "paged").manifest, frame_rate=[1, 60], timescale=1, region=region())
+    publisher, link, viewer = stay(minutes, 60 * STAY_MINUTES)
+    shown, asked, seen = 0, 0, []
+    for event in answer(viewer.play(), link):
+        if isinstance(event, faces.Shown):
+            shown += 1
+            assert event.rung == 0
+        asked += isinstance(event, faces.Arrived) and event.arrival.request.kind is faces.BatchKind.TABLES
+        if shown and shown % 50 == 0:
+            seen.append(remembered(publisher, viewer.fetcher, viewer.playout))
+    assert shown == STAY_MINUTES and not publisher.package.manifest.live
+    assert asked <= 3 * shown  # airgs.json and what it leads to
+    for name in seen[0]:
+        assert max(s[name] for s in seen) <= 2 * REMEMBERED_GROUPS, name
+        assert max(s[name] for s in seen[-3:]) <= 1.2 * max(s[name] for s in seen[:3]) + 4, name
+    assert all(len(publisher.files.read(name)) <= TOLD_BYTES for name in (JSON_NAME, faces.MPD_NAME))
+
+
+def test_tables_of_a_growing_package_are_a_twentieth_of_its_media(demo_package):
+    """A third of a minute of the demo scene, whose groups have five frames."""
+    _, link, viewer = stay(open_package(demo_package).manifest, 20.0)
+    media = 0
+    for event in answer(viewer.play(), link):
+        if isinstance(event, faces.Arrived):
+            batch = event.arrival.request.batch
+            media += sum(link.tables.offers.file_bytes(path) for path in (*batch.keys, *batch.state))
+    assert media > 0 and link.table_bytes <= 0.05 * media
