@@ -1,16 +1,32 @@
-"""Which pictures decide and which measure: others, over all frames, from all of the region."""
+"""Which pictures decide and which measure: others, over all frames, from all of the region, before its background."""
 
+import json
 from dataclasses import replace
+from itertools import cycle, islice
 
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.survey import CHECKED, DECISION_PIXELS
-from tests.faces import ConfigError, EncodeSettings, ViewPlan, World, open_sequence, up_of, world_from
+from tests import faces
+from tests.faces import (
+    MEASURING,
+    EncodeSettings,
+    Picture,
+    ViewPlan,
+    draw_views,
+    open_package,
+    open_sequence,
+    world_from,
+)
+from tests.support.multiview_files import write_cameras
+from tests.support.packages import TWO_LEVELS
 from tests.support.paths import FOX
 from tests.support.regions import is_inside, place, region
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.splat_files import glb_bytes
+from tests.support.views import coloured_cloud, ring
+
+WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -29,27 +45,24 @@ def test_no_view_that_decides_measures(fox):
     assert not places(plan.deciding) & places(plan.measuring)
     for view in [*plan.deciding[:20], *plan.measuring[:20]]:
         assert is_inside(plan.region, view)
-    assert max(view.width * view.height for view in plan.deciding) <= 1.01 * DECISION_PIXELS
+    assert max(view.width * view.height for view in plan.deciding) <= 1.01 * 200_000
     assert {(v.width, v.height) for v in plan.measuring} == {(plan.region.width, plan.region.height)}
     for a, b in zip(plan.measuring, ViewPlan.of(sequence, 24).measuring, strict=True):
         assert np.array_equal(a.world_to_camera, b.world_to_camera)
 
 
-@pytest.mark.parametrize("frames", [1, 2, 5, 10, 23, 24])
-def test_all_frames_of_a_group_decide(fox, frames):
+@pytest.mark.parametrize("frames", [1, 2, 5, 10, 23, 24, 240])
+def test_all_frames_of_a_group_decide_or_evenly_many_from_end_to_end(fox, frames):
     pictures = fox[1].decide(frames)
-    assert len(pictures) == fox[1].decided and {frame for frame, _ in pictures} == set(range(frames))
+    numbers = {frame for frame, _ in pictures}
+    assert len(pictures) == fox[1].decided and len(numbers) == min(frames, fox[1].decided)
+    assert (min(numbers), max(numbers)) == (0, frames - 1)
     assert len(places(view for _, view in pictures)) == fox[1].decided
-
-
-def test_a_long_group_is_looked_at_from_end_to_end(fox):
-    frames = [frame for frame, _ in fox[1].decide(240)]
-    assert len(set(frames)) == fox[1].decided and (min(frames), max(frames)) == (0, 239)
 
 
 def test_leaving_out_is_checked_in_views_that_did_not_rank(fox):
     ranking, checking = fox[1].decide(24), fox[1].check(24)
-    assert len(checking) == CHECKED and len({frame for frame, _ in checking}) == CHECKED
+    assert len(checking) == 16 and len({frame for frame, _ in checking}) == 16
     assert not places(view for _, view in ranking) & places(view for _, view in checking)
 
 
@@ -88,9 +101,10 @@ def test_a_region_that_is_given_is_taken(fox):
     assert all(is_inside(given, view) for view in plan.measuring)
 
 
-def test_a_scene_without_cameras_is_not_trusted(tmp_path):
-    plan = ViewPlan.of(open_sequence(write_sequence(tmp_path, moving_frames(60, 3), cameras=False)), 24)
+def test_a_scene_without_cameras_is_not_trusted_and_its_up_is_guessed():
+    plan = ViewPlan.of(faces.GaussianSequence.from_arrays(moving_frames(60, 3)), 24)
     assert plan.region.source == "orbit" and not plan.trusted
+    assert plan.world is None and plan.notes[1].startswith("up is guessed to be (")
 
 
 def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
@@ -99,14 +113,9 @@ def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
     plan, told = ViewPlan.of(sequence, 8), ViewPlan.of(sequence, 8, world=world_from((0, 0, -1)))
     assert plan.world == world_from((0, 1, 0), 1.0)
     assert plan.notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
-    assert up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in told.notes)
+    assert faces.up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in told.notes)
     for at in told.region.places:
         assert at.up[2] <= 0, "the views that were found are upright"
-
-
-def test_where_nobody_tells_up_the_guess_is_said(tmp_path):
-    plan = ViewPlan.of(open_sequence(write_sequence(tmp_path, moving_frames(60, 1), cameras=False)), 8)
-    assert plan.world is None and plan.notes[1].startswith("up is guessed to be (")
 
 
 def test_cameras_keep_their_own_up(fox):
@@ -116,5 +125,72 @@ def test_cameras_keep_their_own_up(fox):
 
 
 def test_a_world_that_no_reader_takes_is_refused_before_the_work():
-    with pytest.raises(ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
-        EncodeSettings(world=World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
+    with pytest.raises(faces.ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
+        EncodeSettings(world=faces.World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
+
+
+def write_scene(folder, background=None):
+    write_sequence(folder, [coloured_cloud(60)], cameras=False)
+    write_cameras(folder / "transforms.json", ring(4, size=64, held_out=1))
+    if background is not None:
+        (folder / "sequence.json").write_text(json.dumps({"fps": 25, "background": background}))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def backgrounds(tmp_path_factory):
+    """The same scene before white and before nothing: (sequence, package) of each."""
+    root, found = tmp_path_factory.mktemp("backgrounds"), []
+    settings = EncodeSettings(calibrate="none", measure_pictures=12, levels=TWO_LEVELS)
+    for name, background in (("white", WHITE), ("plain", None)):
+        sequence = open_sequence(write_scene(root / name, background))
+        faces.encode(sequence, root / f"{name}.airgs", settings)
+        found.append((sequence, open_package(root / f"{name}.airgs")))
+    return found
+
+
+def test_a_background_is_in_the_region_and_only_where_there_is_one(backgrounds):
+    (_, white), (_, plain) = backgrounds
+    assert white.manifest.region.background == [1, 1, 1]
+    assert plain.manifest.region.background is None
+    assert "background" not in json.loads((plain.files.path / "airgs.json").read_text())["region"]
+
+
+def test_views_of_all_kinds_see_the_background(backgrounds):
+    (sequence, white), (_, plain) = backgrounds
+    views = [*draw_views(white.manifest.region, 2, MEASURING), *sequence.cameras]
+    views += faces.before_background(white.manifest.region, ring(2))
+    assert {view.background for view in views} == {WHITE}
+    assert {view.background for view in draw_views(plain.manifest.region, 2, MEASURING)} == {BLACK}
+    picture = faces.render(coloured_cloud(1), views[0])
+    np.testing.assert_allclose(picture.rgb[picture.transmittance == 1], 1)
+
+
+def test_a_background_is_behind_a_region_that_names_none_and_not_behind_one_that_does(backgrounds):
+    (sequence, white), (_, plain) = backgrounds
+    black = replace(white.manifest.region, background=list(BLACK))
+    assert ViewPlan.of(sequence, 8, region=plain.manifest.region).region.background == [1, 1, 1]
+    assert ViewPlan.of(sequence, 8, region=black).region.background == [0, 0, 0]
+
+
+def test_claimed_psnr_is_that_before_the_background(backgrounds):
+    """From the very views that were measured with: the claim is what they show before its own background alone."""
+    for (sequence, package), other in zip(backgrounds, (BLACK, WHITE), strict=True):
+        m, found = package.manifest, []
+        views = list(islice(cycle(draw_views(m.region, 240, MEASURING)), m.views.measured))
+        for some in (views, [replace(view, background=other) for view in views]):
+            streams, looked_at = faces.rung_streams(package, range(1)), [(0, view) for view in some]
+            errors = faces.compare_streams(streams, sequence, looked_at, Picture.mse)
+            found.append(faces.psnr(np.mean(errors["Q0+L0"])))
+        claim = faces.pooled_quality(m, 0, 0).psnr
+        assert claim == pytest.approx(found[0], abs=0.006) and abs(claim - found[1]) > 0.05
+
+
+@pytest.mark.parametrize(
+    "background", [[1, 1], [1, 1, 2], "white", "111", [0, None, 0], [True, False, True], ["1", 0, 0], 1]
+)
+def test_what_is_no_background_is_refused_in_one_line(tmp_path, background):
+    scene = write_scene(tmp_path / "scene", background)
+    with pytest.raises(faces.SceneError, match="expected a background of r, g, b from 0 to 1") as caught:
+        open_sequence(scene)
+    assert "\n" not in str(caught.value)
