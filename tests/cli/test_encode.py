@@ -12,22 +12,7 @@ from numba.core.sigutils import normalize_signature
 
 from airgs_codec.cli.kernels import BACKWARD, FORWARD
 from airgs_codec.render import cpu
-from tests.faces import (
-    DELTA_E,
-    PSNR,
-    EncodeReport,
-    EncodeSettings,
-    Goal,
-    LevelSettings,
-    Restored,
-    airgs_decode,
-    airgs_encode,
-    airgs_manifest,
-    decode_frames,
-    open_package,
-    orbit_views,
-    read_ply,
-)  # fmt: skip
+from tests import faces
 from tests.support.camera_files import write_colmap_binary, write_inria
 from tests.support.manifests import in_groups, tiny_manifest
 from tests.support.paths import FOX, GOLDEN
@@ -43,12 +28,12 @@ def encode_sog(folder):
     scene = folder / "scene"
     scene.mkdir(parents=True)
     for number, path in enumerate(sorted(FOX.glob("*.ply"))[:3]):
-        (scene / f"{number}.sog").write_bytes(splat_bytes(read_ply(path).take(slice(0, 900)), ".sog"))
+        (scene / f"{number}.sog").write_bytes(splat_bytes(faces.read_ply(path).take(slice(0, 900)), ".sog"))
     (folder / "region.json").write_text(json.dumps(REGION))
     words = [scene, "-o", folder / "out", "--preset", "quick", "--keep-all", "--measure-pictures", 1]
     words += ["--region", folder / "region.json", "--up", "0,3,4", "--unit", 0.01]
     with redirect_stdout(StringIO()) as said:
-        assert airgs_encode([*map(str, words)]) == 0
+        assert faces.airgs_encode([*map(str, words)]) == 0
     (folder / "said").write_text(said.getvalue())
 
 
@@ -68,25 +53,25 @@ def test_encode_reports_what_it_did(encoded):
 
 
 def test_frames_of_sog_come_out_tracked_and_as_they_were_promised(encoded, tmp_path):
-    assert airgs_decode([str(encoded / "out"), "-o", str(tmp_path / "frames")]) == 0
-    a, b = (read_ply(tmp_path / "frames" / f"{n:06d}.ply") for n in (0, 2))
+    assert faces.airgs_decode([str(encoded / "out"), "-o", str(tmp_path / "frames")]) == 0
+    a, b = (faces.read_ply(tmp_path / "frames" / f"{n:06d}.ply") for n in (0, 2))
     assert len(a) == len(b) == 900 and np.abs(a.sh_dc - b.sh_dc).max() < 0.2  # rows at random differ by 2
-    assert airgs_manifest(["validate", str(encoded / "out"), "--against", str(encoded / "scene")]) == 0
+    assert faces.airgs_manifest(["validate", str(encoded / "out"), "--against", str(encoded / "scene")]) == 0
 
 
 def test_inspect_and_validate(encoded, tmp_path, capsys):
     package = str(encoded / "out")
-    assert airgs_manifest(["inspect", package, "--plot", str(tmp_path / "p.png")]) == 0
+    assert faces.airgs_manifest(["inspect", package, "--plot", str(tmp_path / "p.png")]) == 0
     out = capsys.readouterr().out
     for word in ("key tier", "pruned", "PSNR", "left out", "up: (0, 0.6, 0.8); units: one is 0.01 m"):
         assert word in out
     assert (tmp_path / "p.png").stat().st_size > 10_000
-    assert airgs_manifest(["inspect", package, "--json"]) == 0
+    assert faces.airgs_manifest(["inspect", package, "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data["frames"] == 3 and len(data["rungs"]) == 4 and data["rungs"][0]["psnr"] > 30
     total = sum(data["top_rung_bytes"].values())
     assert total == pytest.approx(3 * data["rungs"][0]["bytes_per_frame"])
-    assert airgs_manifest(["validate", package]) == 0
+    assert faces.airgs_manifest(["validate", package]) == 0
     assert capsys.readouterr().out.startswith("valid: 3 frames")
 
 
@@ -95,12 +80,12 @@ def asked(tmp_path, monkeypatch):
     """What airgs-encode asks of the library, which encodes nothing here; the working folder has a scene."""
     calls, m = [], tiny_manifest()
     groups = in_groups([replace(group, repairs=["mended"]) for group in m.groups])
-    rows = Restored(None, matched=(1, 2), sure=0.75, unmatched=(3, 4), alone=(4,))
+    rows = faces.Restored(None, matched=(1, 2), sure=0.75, unmatched=(3, 4), alone=(4,))
 
     def publish(sequence, target, settings, *, goal, work):
         calls.append(SimpleNamespace(sequence=sequence, target=target, settings=settings, goal=goal))
         done = replace(m, groups=groups, world=settings.world)
-        return EncodeReport(done, 700, rows, 0.1, 2.0, 3.0, 0.0, 6.0, 0.04, cached=True)
+        return faces.EncodeReport(done, 700, rows, 0.1, 2.0, 3.0, 0.0, 6.0, 0.04, cached=True)
 
     monkeypatch.setattr("airgs_codec.cli.encode.publish", publish)
     monkeypatch.chdir(tmp_path)
@@ -110,10 +95,10 @@ def asked(tmp_path, monkeypatch):
 
 
 def levels(*words):
-    return tuple(LevelSettings(pruned, factor, quality=quality) for pruned, factor, quality in words)
+    return tuple(faces.LevelSettings(pruned, factor, quality=quality) for pruned, factor, quality in words)
 
 
-PAPER = {"levels": tuple(LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "key_factors": (1.0,)}
+PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers": (1.0,), "key_factors": (1.0,)}
 PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keys": "apart"}
 QUICK = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
 QUICK |= {"decide_pictures": 8, "measure_pictures": 8}
@@ -138,37 +123,37 @@ QUICK |= {"decide_pictures": 8, "measure_pictures": 8}
     ],
 )
 def test_options_are_settings_before_the_defaults(asked, words, expected):
-    assert airgs_encode(["scene", *words.split()]) == 0
-    assert asked[0].settings == replace(EncodeSettings(track=False), **expected) and asked[0].goal is None
+    assert faces.airgs_encode(["scene", *words.split()]) == 0
+    assert asked[0].settings == replace(faces.EncodeSettings(track=False), **expected) and asked[0].goal is None
 
 
 @pytest.mark.parametrize(
     ("words", "goal"),
     [
-        ("--target-psnr 41", Goal(PSNR, 41.0)),
-        ("--target-de 0.6", Goal(DELTA_E, 0.6)),
-        ("--target-kb 12", Goal.size(12)),
-        ("--target-mbps 3", Goal.size(37.5)),  # at 10 frames a second
+        ("--target-psnr 41", faces.Goal(faces.PSNR, 41.0)),
+        ("--target-de 0.6", faces.Goal(faces.DELTA_E, 0.6)),
+        ("--target-kb 12", faces.Goal.size(12)),
+        ("--target-mbps 3", faces.Goal.size(37.5)),  # at 10 frames a second
     ],
 )
 def test_targets_are_goals(asked, words, goal):
-    assert airgs_encode(["scene", *words.split()]) == 0
+    assert faces.airgs_encode(["scene", *words.split()]) == 0
     assert asked[0].goal == goal
 
 
 @pytest.mark.parametrize("place", ["scene", "scene/", "scene/."])
 def test_the_package_is_beside_the_scene_unless_it_is_told_where(asked, tmp_path, monkeypatch, place):
     (tmp_path / "scene" / "ATTRIBUTION.txt").write_text("points by nobody\n")
-    assert airgs_encode([place]) == airgs_encode([place, "-o", "out", "--attribution", "me"]) == 0
+    assert faces.airgs_encode([place]) == faces.airgs_encode([place, "-o", "out", "--attribution", "me"]) == 0
     monkeypatch.chdir(place)
-    assert airgs_encode(["."]) == 0
+    assert faces.airgs_encode(["."]) == 0
     assert [call.target for call in asked] == [f"{tmp_path}/scene.airgs", "out", f"{tmp_path}/scene.airgs"]
     assert [call.sequence.attribution for call in asked] == ["points by nobody", "me", "points by nobody"]
 
 
 def test_figures_are_said_in_words_in_all_tables_or_as_json(asked, capsys):
     for words in ([], ["--verbose"]):
-        assert airgs_encode(["scene", "-o", "out", *words]) == 0
+        assert faces.airgs_encode(["scene", "-o", "out", *words]) == 0
         said = capsys.readouterr().out
         assert ("quality against the original" in said) == bool(words)
         assert "repaired: mended" in said and "Q0 + L0" in said
@@ -177,7 +162,7 @@ def test_figures_are_said_in_words_in_all_tables_or_as_json(asked, capsys):
             "views and lengths of groups 2.0, calibration 3.0, encoding 6.0; calibration stored before)\n"
             "play it: airgs-serve out; all tables: airgs-manifest inspect out\n"
         )
-    assert airgs_encode(["scene", "-o", "out", "--json"]) == 0
+    assert faces.airgs_encode(["scene", "-o", "out", "--json"]) == 0
     seconds = {"order of rows": 0.1, "views and lengths of groups": 2.0, "calibration": 3.0, "search": 0.0}
     assert json.loads(capsys.readouterr().out) == {
         "package": "out",
@@ -201,7 +186,7 @@ def test_figures_are_said_in_words_in_all_tables_or_as_json(asked, capsys):
     ],
 )
 def test_what_is_told_of_up_and_units_goes_with_the_scene(asked, words, line, capsys):
-    assert airgs_encode(["scene", *words.split(), "--verbose"]) == 0
+    assert faces.airgs_encode(["scene", *words.split(), "--verbose"]) == 0
     assert line in capsys.readouterr().out
 
 
@@ -209,14 +194,14 @@ def test_the_cameras_that_are_taken_are_named(asked, tmp_path, capsys):
     scene = write_sequence(tmp_path / "model" / "point_cloud" / "iteration_7", moving_frames(60, 1), cameras=False)
     found = write_inria(tmp_path / "model", ring(3, held_out=1))
     given = write_colmap_binary(tmp_path / "rec", ring(5, held_out=1))
-    assert airgs_encode([str(scene)]) == 0
+    assert faces.airgs_encode([str(scene)]) == 0
     assert capsys.readouterr().out.startswith(f"cameras: {found}, 3 of them, 0 held out\n")
-    assert airgs_encode([str(scene), "--views", str(given)]) == 0
+    assert faces.airgs_encode([str(scene), "--views", str(given)]) == 0
     assert capsys.readouterr().out.startswith(f"cameras: {given}, 5 of them, 1 held out\n")
-    assert airgs_encode([str(scene), "--views", str(given.parent.parent), "--json"]) == 0
+    assert faces.airgs_encode([str(scene), "--views", str(given.parent.parent), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["cameras"] == str(given)  # where it was
     found.unlink()
-    assert airgs_encode([str(scene), "--json"]) == 0
+    assert faces.airgs_encode([str(scene), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["cameras"] is None
     assert [len(call.sequence.cameras) for call in asked] == [3, 5, 5, 0]
 
@@ -231,7 +216,7 @@ def test_bad_scenes_are_refused_in_one_line_and_leave_nothing(tmp_path, what, ca
         second.write_bytes(changed.get(what, second.read_bytes()))
         if what == "bad cameras":
             (scene / "transforms.json").write_text("{}")
-    assert airgs_encode([str(scene), "-o", str(tmp_path / "out")]) == 2
+    assert faces.airgs_encode([str(scene), "-o", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert "expected" in error and error.count("\n") == 1
     assert sorted(p.name for p in tmp_path.iterdir()) in (["scene"], [])
@@ -240,10 +225,10 @@ def test_bad_scenes_are_refused_in_one_line_and_leave_nothing(tmp_path, what, ca
 def test_encoding_and_decoding_call_kernels_with_the_types_they_are_compiled_for():
     """Or compiling them ahead would be work for nothing."""
     g = coloured_cloud(40)
-    (camera,) = orbit_views(g, count=1, size=32)
+    (camera,) = faces.orbit_views(g, count=1, size=32)
     cpu.measure_contribution(g, camera)
     cpu.contribution_and_gradients(cpu.activate(g), camera, np.ones((32, 32, 3), np.float32))
-    assert len(list(decode_frames(open_package(GOLDEN / "fox"), 0, 2))) == 2
+    assert len(list(faces.decode_frames(faces.open_package(GOLDEN / "fox"), 0, 2))) == 2
     unused = [(k.py_func.__name__, t) for k, t in FORWARD + BACKWARD if normalize_signature(t)[0] not in k.signatures]
     assert [name for name, _ in unused if name != "read_planes"] == []
     assert len(unused) <= 2  # of read_planes, whose types depend on the pages of a picture

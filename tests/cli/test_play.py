@@ -1,62 +1,38 @@
-"""airgs-play on a real, tiny package."""
+"""airgs-play and airgs-serve on a real, tiny package; airgs-serve says where, and stops when it is told to."""
 
 import json
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
 
 import pytest
 
-from airgs_codec.cli import play as play_command
-from airgs_codec.cli.options import run_program, takes
-from tests.faces import HttpSettings, SessionSettings, airgs_play
+from tests.faces import ConfigError, HttpSettings, SessionSettings, airgs_play, airgs_serve, is_built
 from tests.support.paths import FOX, VALID
 from tests.support.servers import plainly_serving
 
 PACKAGE = VALID / "two-groups-sh1"
-TRACE = FOX / "trace.csv"
+SERVE = [sys.executable, "-c", "import sys; from airgs_codec.cli.serve import main; sys.exit(main())"]
 
 
-def play(capsys, *options, package=PACKAGE, trace=TRACE):
-    status = airgs_play([str(package), "--trace", str(trace), *map(str, options)])
+def play(capsys, *options, package=PACKAGE):
+    status = airgs_play([str(package), "--trace", str(FOX / "trace.csv"), *map(str, options)])
     captured = capsys.readouterr()
     return status, captured.out, captured.err
 
 
 def test_a_url_is_played_over_http(capsys, tmp_path):
     film, report = tmp_path / "seen.mp4", tmp_path / "report"
+    options = ["--policy", "fixed:Q1+L0", "--player.loops", "1", "--video", str(film), "--report", str(report)]
     with plainly_serving(PACKAGE) as port:
-        url = f"http://127.0.0.1:{port}/"
-        options = [
-            "--http.as-fast",
-            "--policy",
-            "fixed:Q1+L0",
-            "--player.loops",
-            "1",
-            "--video",
-            str(film),
-            "--report",
-            str(report),
-        ]
-        status = airgs_play([url, *options, "--json"])
+        status = airgs_play([f"http://127.0.0.1:{port}/", "--http.as-fast", *options, "--json"])
     result = json.loads(capsys.readouterr().out)
     assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "index.html").exists()
     assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
     assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["http://127.0.0.1:1/x"], "cannot be reached"),
-        (["http://127.0.0.1:1/x", "--trace", "const:1"], "no --trace"),
-        (["http://127.0.0.1:1/x", "--compare"], "--compare"),
-        (["http://127.0.0.1:1/x", "--http.timeout", "0"], "time-out"),
-        (["http://127.0.0.1:1/x", "--measure-decoding"], "got a URL"),
-        ([str(PACKAGE), "--trace", "const:1", "--http.as-fast"], "--http.as-fast"),
-    ],
-)
-def test_what_a_url_cannot_be_played_with_is_one_line_and_2(capsys, options, words):
-    assert airgs_play(options) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("airgs-play: ") and words in err and err.count("\n") == 1
 
 
 def test_json_repeats_exactly(capsys):
@@ -76,45 +52,60 @@ def test_report_and_film(capsys, tmp_path):
     assert (report / "index.html").exists() and film.read_bytes()[4:8] == b"ftyp"
 
 
-def test_defaults_are_those_of_the_settings():
+def test_defaults_are_those_of_the_settings(monkeypatch, capsys):
     taken = []
-    keep = takes(play_command.Play)(lambda options: taken.append(options) or 0)
-    assert run_program("airgs-play", keep, ["scene.airgs"]) == 0
-    (options,) = taken
-    assert options.player == SessionSettings() and options.http == HttpSettings()
-    changed = {"buffer": "3", "startup": "2", "resume": "1", "decode-frame": "0.005", "loops": "4", "budget": "9"}
+
+    def opened(url, http, *_):
+        taken.append(http)
+        raise ConfigError("not over HTTP here")
+
+    def simulated(package, link, policy, settings, faults):
+        taken.append(settings)
+        raise ConfigError("not played here")
+
+    monkeypatch.setattr("airgs_codec.cli.play.HttpDownloader", opened)
+    monkeypatch.setattr("airgs_codec.cli.play.simulate", simulated)
+    assert airgs_play(["http://nowhere"]) == 2
+    assert play(capsys)[0] == 2
+    changed = {"buffer": 3, "startup": 2, "resume": 1, "decode-frame": 0.005, "loops": 4, "budget": 9}
     words = [word for name, value in changed.items() for word in (f"--player.{name}", value)]
-    flags = ["--player.no-replace", "--player.no-abandon", "--player.no-pipelined"]
-    assert run_program("airgs-play", keep, ["scene.airgs", *words, *flags]) == 0
-    assert taken[1].player == SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
+    assert play(capsys, *words, "--player.no-replace", "--player.no-abandon", "--player.no-pipelined")[0] == 2
+    changed = SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
+    assert taken == [HttpSettings(), SessionSettings(), changed]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--policy", "fixed:99"], "--policy: expected"),
-        (["--rtt", "-1"], "round trip"),
-        (["--rtt", "nan"], "round trip"),
-        (["--player.loops", "0"], "loops"),
-        (["--player.budget", "0"], "budget: expected at least 1 Gaussian"),
-        (["--player.budget", "1"], "Gaussians or more, got 1"),
-        (["--player.budget", "9", "--compare"], "--player.budget: expected a single session"),
-        (["--report", "never", "--compare"], "--report: expected a single session"),
-        (["--player.buffer", "nan"], "buffer"),
-        (["--offset", "1e9"], "offset"),
-        (["--scale", "0"], "scale"),
-    ],
-)
-def test_bad_options_are_one_line_and_2(capsys, options, words):
-    status, out, err = play(capsys, *(["--policy", "fixed:0"] if "--policy" not in options else []), *options)
-    assert (status, out) == (2, "")
-    assert err.startswith("airgs-play: ") and words in err and err.count("\n") == 1
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_serves_until_it_is_told_to_stop(number):
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*SERVE, str(PACKAGE), "--port", "0"], **pipes) as process:
+        address = process.stdout.readline().split()[-1]
+        folder = process.stdout.readline().strip()
+        assert folder == f"{address}{PACKAGE.name}/"
+        with urllib.request.urlopen(f"{folder}airgs.json", timeout=10) as answer:
+            assert answer.read() == (PACKAGE / "airgs.json").read_bytes()
+        opened = process.stdout.readline().split()[-1]
+        assert not is_built() or opened == f"{address}player.html?src={PACKAGE.name}/"
+        process.send_signal(number)
+        out, errors = process.communicate(timeout=20)
+    assert process.returncode == 0 and out == "stopped\n"
+    assert not errors
 
 
-def test_bad_files_are_one_line_and_2(capsys, tmp_path):
-    zero = tmp_path / "zero.csv"
-    zero.write_text("0,0\n1,0\n")
-    for options in ({"trace": zero}, {"trace": tmp_path / "none"}, {"package": tmp_path}):
-        status, out, err = play(capsys, "--policy", "fixed:0", **options)
-        assert (status, out) == (2, "")
-        assert err.startswith("airgs-play: ") and err.count("\n") == 1
+def test_a_server_may_be_there_before_its_first_package(tmp_path):
+    pipes = {"stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([*SERVE, str(tmp_path), "--port", "0"], **pipes) as process:
+        address = process.stdout.readline().split()[-1]
+        assert "no package yet" in process.stdout.readline()
+        shutil.copytree(PACKAGE, tmp_path / "later")
+        with urllib.request.urlopen(f"{address}later/airgs.json", timeout=10) as answer:
+            assert answer.read() == (PACKAGE / "airgs.json").read_bytes()
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=20)
+    assert process.returncode == 0
+
+
+def test_a_port_that_is_taken_is_one_line_and_2(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        assert airgs_serve([str(PACKAGE), "--port", str(taken.getsockname()[1])]) == 2
+    line = capsys.readouterr().err
+    assert "expected an address to listen at" in line and line.count("\n") == 1

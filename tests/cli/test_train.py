@@ -7,19 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.faces import (
-    ConfigError,
-    Pictures,
-    airgs_encode,
-    airgs_train,
-    open_package,
-    open_scene,
-    read_model,
-    read_picture,
-    to_bytes,
-    with_held_out,
-    write_png,
-)  # fmt: skip
+from tests import faces
 from tests.support.training import SETTINGS
 
 QUICK = ["--iterations", "30,20,8", "--budget", "150", "--sh-degree", "0", "--device", "cpu"]
@@ -31,7 +19,7 @@ def test_airgs_train_says_what_it_did_reports_and_goes_on_as_it_began(blobs, tmp
     late.write_text('{"cam01": 1, "cam02": -0.5}')
     other.write_text('{"cam01": 1, "cam02": -1}')
     words = [str(blobs), "-o", str(tmp_path / "m"), "--report", str(pages), "--min-psnr", "99", *QUICK]
-    assert airgs_train([*words, "--sync", str(late)]) == 0
+    assert faces.airgs_train([*words, "--sync", str(late)]) == 0
     out, err = capsys.readouterr()
     assert f"{blobs}: 3 frames of 40x40, 6 training cameras and 1 held out\n" in out
     assert "first frame" in out and "held-out" in out and "dB (mean over views and frames)" in out
@@ -42,11 +30,11 @@ def test_airgs_train_says_what_it_did_reports_and_goes_on_as_it_began(blobs, tmp
     page = (pages / "index.html").read_text()
     for words_of_page in ("frame-000002.png", "Cameras that were held out see", MEAN, "no fit reaches the 99 dB"):
         assert words_of_page in page
-    assert read_model(tmp_path / "m").record.scene["offsets"] == {"cam01": 1.0, "cam02": -0.5}
+    assert faces.read_model(tmp_path / "m").record.scene["offsets"] == {"cam01": 1.0, "cam02": -0.5}
     for wrong, says in (([], "--resume"), (["--sync", str(other), "--resume"], "the run there has offsets")):
-        assert airgs_train([*words, *wrong]) == 2
+        assert faces.airgs_train([*words, *wrong]) == 2
         assert says in capsys.readouterr().err
-    assert airgs_train([*words, "--resume", "--json"]) == 0  # what was found is not looked for again
+    assert faces.airgs_train([*words, "--resume", "--json"]) == 0  # what was found is not looked for again
     summary = json.loads(capsys.readouterr().out)
     assert summary["keyframes"] == [0, 1, 2] and summary["psnr_definition"] == MEAN
     assert "no fit reaches the 99 dB" in summary["warnings"][0]
@@ -58,22 +46,22 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     shutil.copytree(blobs, tmp_path / "blobs")
     quickly = ["--x264-preset", "ultrafast", "--measure-pictures", "2", "--calibrate", "none"]
     words = [str(tmp_path / "blobs"), *quickly]
-    assert airgs_encode(words) == 0
+    assert faces.airgs_encode(words) == 0
     assert "first frame" in capsys.readouterr().out
-    package = open_package(tmp_path / "blobs.airgs")
+    package = faces.open_package(tmp_path / "blobs.airgs")
     assert package.manifest.frames == 5 and package.manifest.region.source == "cameras"
     assert package.manifest.attribution == "blobs by nobody"
-    record = read_model(tmp_path / "blobs.gaussians").record
+    record = faces.read_model(tmp_path / "blobs.gaussians").record
     assert record.quality() in package.manifest.decisions
     assert (tmp_path / "blobs.gaussians" / "usage.npz").is_file()
     monkeypatch.setattr("airgs_codec.cli.encode.publish", stopped)
-    assert airgs_encode([*words, "--json"]) == 2  # the model is there: only encoded
+    assert faces.airgs_encode([*words, "--json"]) == 2  # the model is there: only encoded
     out, err = capsys.readouterr()
     assert out == "" and "first frame" not in err and err.endswith("\nairgs-encode: stopped here\n")
 
 
 def stopped(*_, **__):
-    raise ConfigError("stopped here")
+    raise faces.ConfigError("stopped here")
 
 
 @pytest.fixture
@@ -86,7 +74,7 @@ def asked(blobs, tmp_path, monkeypatch):
         stopped()
 
     def ask(*words):
-        assert airgs_train([str(blobs), "-o", str(tmp_path / "m"), *words]) == 2
+        assert faces.airgs_train([str(blobs), "-o", str(tmp_path / "m"), *words]) == 2
         return runs.pop()
 
     monkeypatch.setattr("airgs_codec.trainer.pipeline.open_run", begin)
@@ -115,16 +103,16 @@ def test_cameras_out_of_step_are_said(asked, blobs, capsys, monkeypatch):
     assert capsys.readouterr().out == (
         "cam02 is 2 frames early, cam01 is 1.25 frames late: matched, all have 1 of 5 frames; --sync off leaves it\n"
     )
-    taken, given = ([[s.source for s in shots] for shots in scene.frames] for scene in (off, open_scene(blobs)))
+    taken, given = ([[s.source for s in shots] for shots in scene.frames] for scene in (off, faces.open_scene(blobs)))
     assert taken == given and not off.offsets
 
 
 def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, capsys):
     shutil.copytree(blobs, tmp_path / "scene")
     for path in (tmp_path / "scene" / "images").rglob("*.png"):
-        write_png(path, np.zeros_like(read_picture(path)))
+        faces.write_png(path, np.zeros_like(faces.read_picture(path)))
     words = [str(tmp_path / "scene"), "-o", str(tmp_path / "m"), "--iterations", "90,20,8", *QUICK[2:]]
-    assert airgs_train(words) == 2
+    assert faces.airgs_train(words) == 2
     err = capsys.readouterr().err
     assert "expected pictures that show something" in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*.ply"))
@@ -133,9 +121,9 @@ def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, caps
 def test_a_report_shows_pictures_as_they_were_trained_on(blobs, tmp_path):
     """Without held-out cameras it shows a training picture, and that was exposed as the average camera would have."""
     folder, words = tmp_path / "m", ["--frames", "0:1", "--hold-out", "none", "--match-exposure", "on", *QUICK]
-    assert airgs_train([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
-    pictures = Pictures(with_held_out(open_scene(blobs, frames=(0, 1)), []))
-    alike = pictures.with_exposure(read_model(folder).record.exposure)
-    plain, exposed = (to_bytes(p.train(0)[0].target.rgb)[20:] for p in (pictures, alike))  # under the label
-    shown = read_picture(tmp_path / "r" / "frame-000000.png")[20:, : plain.shape[1]]
+    assert faces.airgs_train([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
+    pictures = faces.Pictures(faces.with_held_out(faces.open_scene(blobs, frames=(0, 1)), []))
+    alike = pictures.with_exposure(faces.read_model(folder).record.exposure)
+    plain, exposed = (faces.to_bytes(p.train(0)[0].target.rgb)[20:] for p in (pictures, alike))  # under the label
+    shown = faces.read_picture(tmp_path / "r" / "frame-000000.png")[20:, : plain.shape[1]]
     assert (shown == exposed).all() and (shown != plain).any()
