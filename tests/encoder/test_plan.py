@@ -1,4 +1,6 @@
-"""Tiers and levels are nested, and hold what is used most."""
+"""Tiers and levels are nested, and hold what is used most; the ladder of the paper; settings for a first look."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,22 +10,13 @@ from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import motion_classes, motion_units, share_class
-from airgs_codec.encoder.plan import assign_depths, assign_tiers
+from airgs_codec.encoder.plan import RowUsage, assign_depths, assign_tiers, rank_updates
 from airgs_codec.encoder.sample import at_equal_error, encode_and_decode
 from airgs_codec.media.h264 import state_codec
-from tests.faces import (
-    STATIC,
-    EncodeSettings,
-    LevelSettings,
-    decode_canonical,
-    decode_frames,
-    decode_segment,
-    encode,
-    open_package,
-    open_sequence,
-    validate,
-)
-from tests.support.scenes import moving_frames, write_sequence
+from tests import faces
+from tests.faces import STATIC, EncodeSettings, LevelSettings, as_preview, decode_canonical, decode_frames, open_package
+from tests.support.packages import PACKAGES, PAPER, SEEN
+from tests.support.scenes import write_sequence
 
 
 def test_tiers_hold_the_most_used_first():
@@ -54,10 +47,8 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     rng = np.random.default_rng(3)
     sensitivity = 4.0 ** rng.integers(-4, 5, 4096)
     classes = motion_classes(sensitivity, 1e-9)
-    means = rng.normal(size=(4096, 3)).astype(np.float32)
-    means = means[
-        np.argsort(grid_codes(means, np.zeros_like(classes), fit_grid(means, np.zeros_like(classes), 1e-3))[0])
-    ]
+    means, still = rng.normal(size=(4096, 3)).astype(np.float32), np.zeros_like(classes)
+    means = means[np.argsort(grid_codes(means, still, fit_grid(means, still, 1e-3))[0])]
     turn = np.cross([0.1, 0.2, 1.0], means + np.array([3, 0, 0])) if together else rng.normal(size=means.shape)
     moved = np.array([3 * np.sin(0.2 + 0.3 * t) * turn.T for t in range(8)])
     chosen = share_class(classes, sensitivity, moved, 1.0)
@@ -66,8 +57,7 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     units = motion_units(classes).astype(np.float64)
     shared = np.sqrt(np.mean(sensitivity * units**2) / np.mean(sensitivity))
     assert not together or abs(chosen[0] - np.log2(shared)) <= 0.5
-    codec = state_codec("veryfast")
-    scores = []
+    codec, scores = state_codec("veryfast"), []
     for unit in (units, shared):
         coded, decoded = encode_and_decode(moved / unit, np.ones(3), codec)
         error = float(np.mean(sensitivity * np.square((decoded - moved / unit) * unit)))
@@ -82,15 +72,12 @@ def test_depths_keep_to_tiers():
     assert assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
 
 
-def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
-    frames = moving_frames(600, 4)
-    sequence = open_sequence(write_sequence(tmp_path / "scene", frames))
-    levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
-    settings = EncodeSettings(calibrate="none", levels=levels, tiers=(0.6, 0.4), preset="veryfast", threads=2)
-    encode(sequence, tmp_path / "out", settings)
-    package = open_package(tmp_path / "out")
+def test_levels_of_one_tier_do_with_the_first_tier(package_of):
+    package = open_package(package_of("drift"))
     m = package.manifest
-    assert validate(tmp_path / "out") == []
+    assert faces.validate(package.files.path) == []
+    assert {group.keeps for group in m.groups} == {None}  # each is coded by itself, as was asked for
+    assert not any("differs" in line for line in m.decisions)
     assert [level.tiers for level in m.levels] == [2, 2, 1, 1]
     assert not any(path.startswith("key/T1") for path in m.rung_files(0, 3))
     assert any(path.startswith("key/T1") for path in m.rung_files(0, 1))
@@ -98,8 +85,8 @@ def test_levels_of_one_tier_do_with_the_first_tier(tmp_path):
     assert len(next(decode_frames(package, 0, 1, level=3)).gaussians) == core
     both = decode_canonical(package, 0, 0)
     assert (both.depths[core:][both.depths[core:] != STATIC] < 2).all()
-    alone = list(decode_segment(package, 0, decode_canonical(package, 0, 0, 1), 3, range(4)))
-    beside = list(decode_segment(package, 0, both, 3, range(4)))  # a viewer that has the second tier as well
+    alone = list(faces.decode_segment(package, 0, decode_canonical(package, 0, 0, 1), 3, range(4)))
+    beside = list(faces.decode_segment(package, 0, both, 3, range(4)))  # of a viewer that has the second tier as well
     for a, b in zip(alone, beside, strict=True):
         np.testing.assert_array_equal(a.means, b.means[:core])
         np.testing.assert_array_equal(a.opacity_logits, b.opacity_logits[:core])
@@ -112,3 +99,74 @@ def test_the_share_withheld_follows_the_steps_without_a_jump():
     assert [level.pruned for level in settings.at(1.0).levels] == pytest.approx([0.4, 0.6])
     assert [level.pruned for level in settings.at(0.25).levels] == pytest.approx([0.2, 0.2])
     assert settings.at(1.001).levels[0].pruned == pytest.approx(0.4, abs=0.001)
+
+
+def test_bands_that_do_not_show_are_left_out(package_of):
+    package = open_package(package_of("calibrated"))
+    assert faces.validate(package.files.path) == []
+    assert package.manifest.sh_degree == 1
+    assert any(line.startswith("2 SH bands left out: ") for line in package.manifest.decisions)
+    assert next(decode_frames(package, 0, 1)).gaussians.sh_rest.shape[1] == 3
+
+
+def laid_out(sequence, settings):
+    """How the only group of a scene is laid out that is seen from SEEN."""
+    views = faces.ViewPlan.of(sequence, settings.decide_pictures, region=SEEN)
+    survey, loaded = faces.survey_group(sequence, faces.GroupSpan(0, 0, 4), views), sequence.load(range(4))
+    settings = replace(settings, steps=settings.steps.at_scale(views.scale))
+    rows = faces.keep_rows(loaded.frames, survey, settings.row_error)
+    return faces.lay_out(loaded, survey, rows, settings, sequence.fps)
+
+
+def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(package_of):
+    package = open_package(package_of("paper"))
+    m = package.manifest
+    assert [v.pruned for v in m.levels] == [i / 10 for i in range(11)]  # none is dropped, whatever was measured
+    assert {v.factor for v in m.levels} == {1.0} and len(m.qualities) == 1 == len(m.groups[0].tiers)
+    rows = [atlas.rows for atlas in m.groups[0].levels]
+    assert rows[0] == 100 and rows == sorted(rows, reverse=True) and rows[-1] == 0
+    base = decode_canonical(package, 0, 0)
+    canonical = base.to_gaussians()
+    assert not m.state_files(0, 10)
+    for frame in decode_frames(package, 0, 4, level=10):
+        np.testing.assert_array_equal(frame.gaussians.means, canonical.means)
+    moved = next(decode_frames(package, 3, 4, level=0)).gaussians
+    assert np.abs(moved.means - canonical.means).max() > 0.05
+
+    hits, moving = laid_out(PACKAGES["paper"].scene(), PAPER).usage.hits, base.depths != STATIC
+    for low, high in zip(range(9), range(1, 10), strict=True):
+        first, second = hits[moving & (base.depths == low)], hits[moving & (base.depths == high)]
+        assert first.max() <= second.min()
+    assert moving.sum() == 100 and len(set(hits[moving].tolist())) > 20
+
+
+@pytest.mark.parametrize("measure", faces.MEASURES)
+def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(tmp_path, measure):
+    """Its hits rise with the row, every other measure falls: they rank updates, whatever ranks the key tiers."""
+    rise = np.arange(1, 201)
+    fall = rise[::-1].astype(float)
+    scene = write_sequence(tmp_path / "scene", PACKAGES["paper"].groups()[0])
+    faces.save_usage(scene / faces.USAGE_NAME, {(0, 4): faces.Usage(fall, fall / 200, rise)})
+    layout = laid_out(faces.open_sequence(scene), replace(PAPER, usage=measure))
+    np.testing.assert_array_equal(layout.usage.hits, layout.rows + 1)
+    falls = np.diff(layout.usage.score[np.argsort(layout.rows)])
+    assert (falls > 0).all() if measure == "hits" else measure == "importance" or (falls < 0).all()
+
+
+def test_hits_rank_alone_whatever_changes():
+    rng = np.random.default_rng(0)
+    changes, hits = rng.normal(size=(3, 13, 20)) * 9, rng.permutation(20).astype(float)
+    usage = RowUsage(rng.random(20), hits)
+    score, moving = rank_updates(changes, np.ones((13, 20)), usage, "hits")
+    assert score.tolist() == hits.tolist() and moving.all()
+    by_usage, _ = rank_updates(changes, np.ones((13, 20)), usage, "usage")
+    np.testing.assert_allclose(by_usage, usage.score * np.sqrt(np.square(changes).sum(axis=(0, 1)) / 3))
+
+
+def test_a_first_look_calibrates_nothing_and_measures_little():
+    quick = as_preview(EncodeSettings(quality=1.6))
+    assert (quick.calibrate, quick.group_frames, quick.measure_pictures, quick.quality) == ("none", 30, 8, 1.6)
+    assert quick.decide_pictures < EncodeSettings().decide_pictures
+    asked = as_preview(EncodeSettings(group_frames=12, measure_pictures=0))
+    assert (asked.group_frames, asked.measure_pictures) == (12, 0)
+    assert as_preview(PAPER).levels == PAPER.levels

@@ -17,6 +17,7 @@ from tests.faces import (
     Gaussians,
     GaussianSequence,
     LevelSettings,
+    as_in_paper,
     encode,
     open_sequence,
     orbit_views,
@@ -171,6 +172,9 @@ def swaying() -> list[list[Gaussians]]:
 
 
 KEPT_KEYS = replace(QUICK, decide_pictures=4, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1)))
+PAPER = as_in_paper(
+    EncodeSettings(preset="ultrafast", threads=1, measure_pictures=1, decide_pictures=4, region=SEEN, quality=2.0)
+)
 PACKAGES: dict[str, Callable[[Path], object]] = {
     "fox": fox,
     "sound": sound,
@@ -184,6 +188,7 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     ),
     "few": Encoded(few_groups, replace(PLAIN, segment_s=1 / 30), cameras=True),
     "wide": Encoded(wide_groups, replace(PLAIN, levels=TWO_LEVELS), cameras=True),
+    "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
     "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=APART, levels=TIERED_LEVELS)),
 }
