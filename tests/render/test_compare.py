@@ -1,20 +1,46 @@
-"""Two sources of pictures compared view by view, beside definitions that go sample by sample."""
+"""Quality of pictures beside definitions that go sample by sample, and two sources compared view by view."""
 
 import gc
+import subprocess
+import sys
 import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airgs_codec.render.compare import AHEAD, compare, draw_frames, draw_once, draw_still, in_order
-from tests.faces import PSNR_CAP, ConfigError, Difference, Picture, Quality, pool, psnr, render
-from tests.support.plain_metrics import plain_mse, plain_ssim
+from airgs_codec.render.compare import compare, draw_frames, draw_once, draw_still, in_order
+from tests.faces import PSNR_CAP, ConfigError, Difference, Picture, Quality, delta_e_metric, mse, pool, psnr, render
 from tests.support.scenes import moving_frames
 from tests.support.views import coloured_cloud, ring
 
-SIDE, *OTHERS = ring(3, size=24)
-WIDE = replace(SIDE, width=31, cx=15.5)
+SIDE, *OTHERS = ring(3, size=16)
+WIDE = replace(SIDE, width=21, cx=10.5)
+AHEAD = 4  # views that are measured while the next one is drawn
+
+
+def plain_mse(a, b):
+    """Mean squared error of (H, W, 3) pictures, sample by sample."""
+    total = 0.0
+    for first, second in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
+        total += (min(max(first, 0.0), 1.0) - min(max(second, 0.0), 1.0)) ** 2
+    return total / a.size
+
+
+def plain_ssim(a, b):
+    x = np.arange(-5, 6)
+    weights = np.exp(-(x[:, None] ** 2 + x**2) / (2 * 1.5**2))
+    weights /= weights.sum()
+
+    def local_mean(p):
+        padded = np.pad(p, ((5, 5), (5, 5), (0, 0)), mode="reflect")
+        return np.einsum("hwcij,ij->hwc", np.lib.stride_tricks.sliding_window_view(padded, (11, 11), (0, 1)), weights)
+
+    a, b = np.clip(a, 0, 1).astype(np.float64), np.clip(b, 0, 1).astype(np.float64)
+    ma, mb = local_mean(a), local_mean(b)
+    va, vb, covariance = local_mean(a * a) - ma**2, local_mean(b * b) - mb**2, local_mean(a * b) - ma * mb
+    top = (2 * ma * mb + 0.01**2) * (2 * covariance + 0.03**2)
+    return float((top / ((ma**2 + mb**2 + 0.01**2) * (va + vb + 0.03**2))).mean())
 
 
 def plain_delta_e(a, b):
@@ -35,6 +61,35 @@ def constant(value, height=12, width=16):
     return np.full((height, width, 3), value, np.float32)
 
 
+@pytest.fixture(params=[0.002, 0.05, 0.5])
+def pictures(request):
+    """A picture and a noisy one; both leave [0, 1], and the first is black in one corner."""
+    rng = np.random.default_rng(0)
+    ramp = np.linspace(-0.1, 1.1, 24 * 31 * 3).reshape(24, 31, 3)
+    ramp[:12, :12] = 0
+    return ramp.astype(np.float32), (ramp + rng.normal(0, request.param, ramp.shape)).astype(np.float32)
+
+
+def test_errors_and_similarity_are_those_of_what_a_screen_shows(pictures):
+    a, b = map(Picture.of, pictures)
+    assert a.ssim(b) == pytest.approx(plain_ssim(*pictures), abs=1e-5)
+    assert b.ssim(a) == pytest.approx(a.ssim(b), abs=1e-6)
+    assert mse(*pictures) == pytest.approx(plain_mse(*pictures), rel=1e-6)
+    assert mse(np.full_like(pictures[0], 7), np.full_like(pictures[0], 1)) == 0
+    assert psnr(mse(pictures[0], pictures[0])) == PSNR_CAP == psnr(1e-30) and psnr(1e-4) == pytest.approx(40)
+
+
+def test_nothing_of_one_comparison_is_left_for_the_next(pictures):
+    before = [picture.copy() for picture in pictures]
+    a, b = map(Picture.of, pictures)
+    for _ in range(2):
+        for first, second in ((a, b), (b, a), (a, a)):
+            alone = Difference.of(Picture.of(first.rgb), Picture.of(second.rgb))
+            assert Difference.of(first, second) == alone
+    for picture, same in zip(pictures, before, strict=True):
+        np.testing.assert_array_equal(picture, same)
+
+
 def test_every_figure_of_every_view_is_that_of_its_definition():
     frames, others = moving_frames(60, 3), moving_frames(60, 3, seed=1)
     views = [(2, WIDE), (0, SIDE), (0, OTHERS[0]), (2, SIDE), (1, WIDE)]
@@ -51,17 +106,25 @@ def test_every_figure_of_every_view_is_that_of_its_definition():
     assert whole.delta_e == pytest.approx(np.mean([d.delta_e for d in found]))
 
 
+def test_many_pictures_have_the_mean_error_and_the_worst_one():
+    differences = [Difference(*row) for row in ((1e-4, 0.9, 1), (1e-2, 0.5, 4), (4e-4, 1, 1))]
+    assert pool(differences) == Quality(psnr(0.0105 / 3), pytest.approx(20), pytest.approx(0.8), pytest.approx(2))
+    assert pool([Difference(0.0, 1.0, 0.0)]) == Quality(PSNR_CAP, PSNR_CAP, 1, 0)
+
+
 @pytest.mark.parametrize(
     ("wanted", "shown", "mse", "colour"),
     [
         (constant(0.3), constant(0.3), 0.0, 0.0),
+        (constant((0.2, 0.4, 0.6)), constant((0.2, 0.4, 0.6)), 0.0, 0.0),
         (constant(0.0), constant(0.0), 0.0, 0.0),
         (constant(0.0), constant(1.0), 1.0, 100.0),  # black and white: L* of 0 and 100
         (constant(-3.0), constant(9.0), 1.0, 100.0),  # no screen shows less than black or more than white
+        (constant((1.0, 0, 0)), constant((0, 1.0, 0)), 2 / 3, 86.615),  # sRGB's red and green, by Sharma's formula
+        (constant((0, 0, 1.0)), constant((1.0, 0, 0)), 2 / 3, 52.881),
         (constant(0.0, 1, 1), constant(0.0, 1, 1), 0.0, 0.0),
         (constant(0.25, 1, 1), constant(0.75, 1, 1), 0.25, None),
     ],
-    ids=["equal", "all black", "black and white", "out of range", "one black pixel", "one pixel"],
 )
 def test_extreme_pictures(wanted, shown, mse, colour):
     (found,) = compare(files([wanted]), files([shown]), [(0, SIDE)], Difference.of)
@@ -72,6 +135,43 @@ def test_extreme_pictures(wanted, shown, mse, colour):
         assert found.ssim == pytest.approx(plain_ssim(wanted, shown), abs=1e-5)
     decibels = PSNR_CAP if same else pytest.approx(-10 * np.log10(mse))
     assert pool([found]) == Quality(decibels, decibels, found.ssim, found.delta_e)
+
+
+def test_a_part_of_the_pixels_stands_for_large_pictures():
+    rng = np.random.default_rng(1)
+    parts = [slice(i, i + 10) for i in range(0, 300, 10)]  # small enough: all their pixels
+    assert 200 * 10 < 2048 < 200 * 300  # pixels whose colours are compared
+    wholes, strips = [], []
+    for _ in range(4):
+        a = rng.random((200, 300, 3)).astype(np.float32)
+        b = (a + rng.normal(size=a.shape) * 0.05).astype(np.float32)
+        wholes.append(Picture.of(a).delta_e(Picture.of(b)))
+        assert wholes[-1] == Picture.of(a[::6, ::6]).delta_e(Picture.of(b[::6, ::6]))
+        strips += [Picture.of(a[:, part]).delta_e(Picture.of(b[:, part])) for part in parts]
+    assert np.mean(wholes) == pytest.approx(np.mean(strips), rel=0.02)
+
+
+def test_numbers_print_as_before():
+    """Importing colour-science sets numpy's print options for the whole process."""
+    code = (
+        "import numpy as np; from airgs_codec.media.metrics import Picture;"
+        "before = np.get_printoptions(), str(np.float32(1000001));"
+        "Picture.of(np.zeros((8, 8, 3), 'f4')).delta_e(Picture.of(np.ones((8, 8, 3), 'f4')));"
+        "assert (np.get_printoptions(), str(np.float32(1000001))) == before"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_metric_of_colours_says_how_delta_e_grows():
+    """A small change of all samples makes about the CIEDE2000 that the metric says, along any direction."""
+    rng = np.random.default_rng(3)
+    picture = Picture.of(rng.uniform(0.2, 0.8, (40, 40, 3)).astype(np.float32))
+    rgb = picture.sampled.reshape(-1, 3)
+    metric = delta_e_metric(np.concatenate([rgb, np.zeros((99, 3))]))  # black counts for nothing
+    for change in ((0.01, 0, 0), (0, 0.01, 0), (0.004, -0.004, 0.002), (0.003, 0.003, 0.003)):
+        other = Picture.of(picture.rgb + np.float32(change))
+        assert picture.delta_e(other) == pytest.approx(np.sqrt(change @ metric @ change), rel=0.2)
+    np.testing.assert_array_equal(delta_e_metric(np.zeros((8, 3))), np.eye(3))
 
 
 def test_no_views_are_refused_before_anything_is_drawn():
