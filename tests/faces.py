@@ -53,7 +53,7 @@ from airgs_codec.package.tables import (
     Atlas, FileEntry, Grid, KeySteps, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound, StateSteps,
     World, digest, file_entry, pack_matrix, unpack_matrix,
 )  # fmt: skip
-from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
+from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
 from airgs_codec.package.package import (
     Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest, root_of,
@@ -111,10 +111,10 @@ from airgs_codec.play.downloader import (
 )  # fmt: skip
 from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
-from airgs_codec.play.report import answer, format_metrics, write_report
+from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
-from airgs_codec.play.study import Study, StudySettings, run_study, study_answer
-from airgs_codec.play.session import SessionLog, play, session_bound, simulate
+from airgs_codec.play.study import Study, StudySettings, format_study, run_study, study_answer
+from airgs_codec.play.session import SessionLog, measure_decoding, play, session_bound, simulate
 from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
 from airgs_codec.play.policies.state import Download, PlayerState, Policy, STALL_DB
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
