@@ -10,38 +10,15 @@ import numpy as np
 import pytest
 
 from airgs_codec.play.film import screen_frames
-from tests.faces import (
-    FormatError,
-    Gaussians,
-    LevelSettings,
-    Link,
-    Offers,
-    SessionSettings,
-    Trace,
-    decode_canonical,
-    decode_key,
-    decode_segment,
-    encode,
-    measure_errors,
-    open_package,
-    open_sequence,
-    simulate,
-)
+from tests import faces
+from tests.faces import FormatError, decode_canonical, decode_key, decode_segment, measure_errors, open_package
 from tests.support.manifests import missing, with_segments
-from tests.support.regions import QUICK
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.packages import PACKAGES
 
 
 @pytest.fixture(scope="module")
-def package(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drift")
-    there = moving_frames(60, 40)
-    turn = [*range(40), *range(38, 0, -1)]
-    scene = write_sequence(folder / "scene", [there[turn[i % len(turn)]] for i in range(600)])
-    levels = (LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1))
-    settings = replace(QUICK, preset="ultrafast", group_frames=30, keys="apart", levels=levels, threads=2)
-    encode(open_sequence(scene), folder / "out", settings)
-    return open_package(folder / "out"), open_sequence(scene)
+def package(package_of):
+    return open_package(package_of("drift"))
 
 
 def fresh(package, segment, quality, level):
@@ -57,10 +34,10 @@ def same(a, b):
 
 
 def test_errors_of_the_last_groups_are_those_of_the_first(package):
-    measured = list(measure_errors(*package))
+    measured = list(measure_errors(package, PACKAGES["drift"].scene()))
     assert all(e.error <= e.bound for e in measured)
-    of = [np.array([e.error for e in measured if e.where == f"group {g} state L0"]) for g in range(20)]
-    assert len(package[0].manifest.groups) == 20
+    of = [np.array([e.error for e in measured if e.where == f"group {g} state L0"]) for g in range(10)]
+    assert len(package.manifest.groups) == 10
     assert (np.mean(of[-4:], axis=0) < 1.5 * np.mean(of[:4], axis=0)).all()
 
 
@@ -102,16 +79,15 @@ def expected(package, index, quality, level, have):
     still = decode_canonical(package, m.group_of(index), quality, have).to_gaussians()
     for frame in fresh(package, index, quality, level):
         rows = [np.concatenate([getattr(frame, n)[:moving], getattr(still, n)[moving:]]) for n in frame.__slots__]
-        yield Gaussians(*rows)
+        yield faces.Gaussians(*rows)
 
 
 @pytest.fixture
 def damaged(package, tmp_path):
     """The same package without some of its files: states of every level, second tiers, and one first tier."""
-    whole, _ = package
-    shutil.copytree(whole.files.path, tmp_path / "damaged")
+    shutil.copytree(package.files.path, tmp_path / "damaged")
     chance = random.Random(3)
-    m = whole.manifest
+    m = package.manifest
     states = [m.state_files(i, j)[0] for i in range(len(m.segments)) for j in range(len(m.levels))]
     lost = [path for path in states if chance.random() < 0.1]
     lost += [m.key_files(g, 1, q)[0] for g in range(0, len(m.groups), 4) for q in range(len(m.qualities))]
@@ -123,8 +99,7 @@ def damaged(package, tmp_path):
 
 def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(package, damaged):
     """Levels that need one tier and two over keys of one tier and two, and segments after files that never came."""
-    whole, _ = package
-    m, chance = whole.manifest, random.Random(1)
+    m, chance = package.manifest, random.Random(1)
     assert {level.tiers for level in m.levels} == {1, 2}
     viewer, at, met = Viewer(damaged), 0, Counter()
     for _ in range(80):
@@ -136,12 +111,11 @@ def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(pac
             continue
         have, needed = viewer.tiers[m.group_of(at), quality], m.levels[level].tiers
         met["fewer tiers" if have < needed else "more tiers" if have > needed else "its tiers"] += 1
-        assert all(same(a, b) for a, b in zip(shown, expected(whole, at, quality, level, have), strict=True))
+        assert all(same(a, b) for a, b in zip(shown, expected(package, at, quality, level, have), strict=True))
     assert min(met[name] for name in ("lost", "fewer tiers", "more tiers", "its tiers")) >= 3
 
 
 def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
-    package, _ = package
     m = package.manifest
     levels = [
         [replace(v, psnr=[45.0 - 2 * j, 38.0 - j], delta_e=[0.5, 0.5]) for j, v in enumerate(s.levels)]
@@ -149,10 +123,10 @@ def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
     ]
     segments = [replace(s, levels=row) for s, row in zip(m.segments, levels, strict=True)]  # something to weigh
     views = replace(m.views, reference="original")
-    c = Offers(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
+    c = faces.Offers(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
     lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
-    link = Link(Trace.open("markov:1:0.02"))
-    log = simulate(c, link, "paper", SessionSettings(loops=1), lost)
+    link = faces.Link(faces.Trace.open("markov:1:0.02"))
+    log = faces.simulate(c, link, "paper", faces.SessionSettings(loops=1), lost)
     assert len({s.rung for s in log.shown}) > 4 and any(s.rung is None for s in log.shown)
     chance = random.Random(2)
     ticks = log.screen_ticks
