@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec.places.results import seal, unpack, unseal
-from tests.faces import ConfigError, EncodeSettings, Usage, open_store, pack
+from tests.faces import ConfigError, EncodeSettings, Usage, open_store, pack, seal, unpack, unseal
 
 OURS = ("airgs_codec", "tests")
 

@@ -1,31 +1,45 @@
-"""Files are whole or not there, whatever goes wrong while they are written."""
+"""Files and folders are whole or not there, whatever goes wrong, whenever a run is killed; two runs share."""
 
 import json
+import os
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
 from airgs_codec.places import whole
-from tests.faces import ConfigError
+from tests import faces
+from tests.support.paths import VALID
+
+MOVING = str(VALID / "moving")
+STEPS = ("open", "write", "fsync", "mkdir", "rename", "replace", "unlink", "rmdir")
 
 
-def test_a_file_takes_its_place_only_when_it_is_whole(tmp_path):
-    path = tmp_path / "a.bin"
+def names_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def staged(folder, is_ours=Path.is_dir):
+    return whole.staged_folder(folder, is_ours, "package")
+
+
+def test_a_file_takes_its_place_only_when_it_is_whole(tmp_path, monkeypatch):
+    path, seen = tmp_path / "a.bin", []
     whole.write_bytes(path, b"old")
     with pytest.raises(RuntimeError), whole.atomic_path(path) as temporary:
         temporary.write_bytes(b"half")
         assert path.read_bytes() == b"old"
         raise RuntimeError
-    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"] and path.read_bytes() == b"old"
+    assert names_in(tmp_path) == ["a.bin"] and path.read_bytes() == b"old"
     whole.write_bytes(path, b"new")
-    assert [p.name for p in tmp_path.iterdir()] == ["a.bin"] and path.read_bytes() == b"new"
-
-
-def test_the_bytes_are_synchronised_before_the_file_has_its_name(tmp_path, monkeypatch):
-    seen = []
-    monkeypatch.setattr(whole.os, "fsync", lambda _: seen.append((tmp_path / "a.bin").exists()))
-    whole.write_bytes(tmp_path / "a.bin", b"new")
-    assert seen == [False]
+    assert names_in(tmp_path) == ["a.bin"] and path.read_bytes() == b"new"
+    (tmp_path / "b.bin").write_bytes(b"plain")
+    assert path.stat().st_mode == (tmp_path / "b.bin").stat().st_mode, "read by whom the umask lets"
+    monkeypatch.setattr(whole.os, "fsync", lambda _: seen.append((tmp_path / "c.bin").exists()))
+    whole.write_bytes(tmp_path / "c.bin", b"new")
+    assert seen == [False], "bytes are synchronised before the file has its name"
 
 
 def test_json_has_null_for_what_is_no_number(tmp_path):
@@ -56,22 +70,16 @@ def test_links_are_replaced_and_never_written_through(tmp_path, monkeypatch):
     assert [p.name for p in path.parent.iterdir()] == ["a.bin"]
 
 
-def test_files_may_be_read_by_whom_the_umask_lets(tmp_path):
-    whole.write_bytes(tmp_path / "a.bin", b"new")
-    (tmp_path / "b.bin").write_bytes(b"plain")
-    assert (tmp_path / "a.bin").stat().st_mode == (tmp_path / "b.bin").stat().st_mode
-
-
 @pytest.mark.parametrize("there", [True, False], ids=["folder", "dangling"])
 def test_a_staged_folder_takes_no_links_place(tmp_path, there):
     if there:
         (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(ConfigError, match="got a link"), whole.staged_folder(tmp_path / "out", Path.is_dir, "package"):
+    with pytest.raises(faces.ConfigError, match="got a link"), staged(tmp_path / "out"):
         raise AssertionError("unreachable")
     work = tmp_path / f".new.airgs-{'0' * 16}"
     work.symlink_to(tmp_path)
-    with whole.staged_folder(tmp_path / "new", Path.is_dir, "package") as stage:
+    with staged(tmp_path / "new") as stage:
         (stage / "a").touch()
     assert (tmp_path / "new" / "a").is_file() and work.is_symlink()
 
@@ -84,19 +92,126 @@ def test_what_others_put_beside_a_staged_folder_stays(tmp_path):
         (tmp_path / name / "notes.txt").write_text("of somebody")
     (tmp_path / others[2] / "airgs-unfinished").write_text("not the mark")
     for _ in range(2):
-        with whole.staged_folder(tmp_path / "new", Path.is_dir, "package") as stage:
+        with staged(tmp_path / "new") as stage:
             (stage / "a").touch()
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*others, "new"])
+    assert names_in(tmp_path) == sorted([*others, "new"])
     assert all((tmp_path / name / "notes.txt").read_text() == "of somebody" for name in others)
 
 
 def test_what_others_write_meanwhile_is_not_replaced(tmp_path):
-    with pytest.raises(ConfigError, match="other files"), whole.staged_folder(tmp_path / "new", is_ours, "package"):
+    with pytest.raises(faces.ConfigError, match="other files"), staged(tmp_path / "new", lambda folder: False):
         (tmp_path / "new").mkdir()
         (tmp_path / "new" / "notes.txt").write_text("of somebody")
-    assert [path.name for path in tmp_path.iterdir()] == ["new"]
-    assert (tmp_path / "new" / "notes.txt").read_text() == "of somebody"
+    assert names_in(tmp_path) == ["new"] and (tmp_path / "new" / "notes.txt").read_text() == "of somebody"
 
 
-def is_ours(folder):
+class Killed(BaseException):
+    pass
+
+
+def dies(monkeypatch, work, steps):
+    """Whether a run is killed before it ends: it does so many steps in files, and then none, not even to clean up."""
+
+    def step(call):
+        def counted(*args, **kwargs):
+            nonlocal steps
+            steps -= 1
+            if steps < 0:
+                raise Killed
+            return call(*args, **kwargs)
+
+        return counted
+
+    with monkeypatch.context() as patched:
+        for name in STEPS:
+            patched.setattr(os, name, step(getattr(os, name)))
+        try:
+            work()
+        except Killed:
+            return True
     return False
+
+
+def replace_package(place):
+    with faces.staged_package(faces.Folder(place)) as stage:
+        shutil.copytree(VALID / "one-gaussian", stage, dirs_exist_ok=True)
+
+
+def give_up(place):
+    """A run that cleans up and then fails."""
+    with suppress(RuntimeError), faces.staged_package(faces.Folder(place)):
+        raise RuntimeError
+
+
+RUNS = {
+    "set-view": lambda place: faces.set_view(place, up=(0, -1, 0)),
+    "replace": replace_package,
+    "frames": lambda place: faces.airgs_decode([MOVING, "-o", f"{place.parent}/frames/", "--frames", "0:2"]),
+    "a file": lambda place: faces.airgs_decode([MOVING, "-o", f"{place.parent}/a.splat", "--frames", "1"]),
+}
+
+
+def files_of(folder):
+    return {path.relative_to(folder): path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_whatever_the_moment_of_a_kill(tmp_path, monkeypatch, name):
+    def prepared(folder):
+        return shutil.copytree(VALID / "placed", tmp_path / folder / "placed.airgs")
+
+    RUNS[name](prepared("unbroken"))
+    expected, before = files_of(tmp_path / "unbroken"), files_of(prepared("before").parent)
+    for steps in range(1000):
+        place = prepared(f"{steps}")
+        if not dies(monkeypatch, lambda place=place: RUNS[name](place), steps):
+            break
+        assert not place.exists() or faces.validate(place) == []
+        other = shutil.copytree(place.parent, tmp_path / f"{steps}-gone") / place.name
+        shutil.rmtree(other, ignore_errors=True)
+        give_up(other)
+        assert not other.exists() or files_of(other.parent) == before  # what came back is whole
+        if name == "replace":
+            give_up(place)
+            assert files_of(place.parent) in (before, expected)
+        RUNS[name](place)
+        assert files_of(place.parent) == expected
+    assert 4 < steps < 999
+
+
+@pytest.mark.parametrize("inside", [False, True], ids=["a file", "frames"])
+def test_what_a_living_run_writes_is_left_alone(tmp_path, inside):
+    """Another run writes to the same place meanwhile and ends: then the first, all of it."""
+    write = whole.staged_files if inside else whole.atomic_path
+    with write(tmp_path / "out") as first:
+        with write(tmp_path / "out") as second:
+            (second / "a" if inside else second).write_bytes(b"second")
+        (first / "a" if inside else first).write_bytes(b"first")
+    out = tmp_path / "out"
+    assert ((out / "a") if inside else out).read_bytes() == b"first"
+    assert len(files_of(tmp_path)) == 1 + inside
+
+
+def test_no_view_is_lost_where_many_are_set_at_once(tmp_path):
+    place = shutil.copytree(VALID / "placed", tmp_path / "placed.airgs")
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda n: faces.set_view(place, view=((1, 1, n), (0, 0, -1)), name=str(n)), range(24)))
+    assert {str(n) for n in range(24)} <= {one.name for one in faces.open_package(place).manifest.region.places}
+
+
+def test_a_second_writer_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
+    """While a package is made it may be changed, but not made twice; while one grows, neither."""
+    place = shutil.copytree(VALID / "placed", tmp_path / "placed.airgs")
+    monkeypatch.setattr(whole, "WAIT_S", 0.0)
+    change = ["set-view", str(place), "--up", "-y"]
+    with faces.staged_package(faces.Folder(place)) as stage:
+        shutil.copytree(VALID / "moving", stage, dirs_exist_ok=True)
+        with pytest.raises(faces.ConfigError, match="another run that is making this package"):
+            give_up(place)
+        assert faces.airgs_manifest(change) == 0
+    assert faces.open_package(place).manifest.region == faces.open_package(VALID / "moving").manifest.region
+    with whole.written_alone(place):
+        with pytest.raises(faces.ConfigError, match="another run that is writing there"):
+            give_up(place)
+        assert faces.airgs_manifest(change) == 2 and "another run that is writing there" in capsys.readouterr().err
+    assert names_in(tmp_path) == [place.name] and faces.validate(place) == []
