@@ -1,4 +1,4 @@
-"""Pictures at training size: rays, memory, exposure."""
+"""Pictures at training size: rays, memory, exposure; and plates: what rests, and what is never flattened."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -7,11 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from airgs_codec.media.image import resize
+from airgs_codec.media.image import box_mean, resize
 from airgs_codec.trainer.data.pictures import PICTURE_BYTES, TARGET_BYTES
+from airgs_codec.trainer.data.plates import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
-from tests.faces import MultiviewScene, Pictures, SceneError, Shot, open_scene
+from tests import faces
+from tests.faces import Capture, Pictures, SceneError, Target, TrainSettings, View, open_scene, rested
 from tests.support.multiview_files import write_panoptic, write_rgba, write_views
+from tests.support.paths import FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
 
 
@@ -45,8 +48,8 @@ def noise(cameras, size):
     reads: list[int] = []
     shots = []
     for i, camera in enumerate(ring(cameras, size=16)):
-        shots.append(Shot(replace(camera, width=size[0], height=size[1]), Counted(i, size, reads)))
-    return MultiviewScene(Path("noise"), Fraction(30), (tuple(shots),)), reads
+        shots.append(faces.Shot(replace(camera, width=size[0], height=size[1]), Counted(i, size, reads)))
+    return faces.MultiviewScene(Path("noise"), Fraction(30), (tuple(shots),)), reads
 
 
 def test_eighty_cameras_are_never_all_in_memory():
@@ -54,24 +57,24 @@ def test_eighty_cameras_are_never_all_in_memory():
     whole = 80 * 3840 * 2160 * 3
     assert whole > 1.8 * PICTURE_BYTES and 12 * whole > 11 * TARGET_BYTES
     scene, reads = noise(80, (384, 216))
-    pictures = Pictures(scene, picture_bytes=PICTURE_BYTES // 100, target_bytes=TARGET_BYTES // 100)
+    taken = Pictures(scene, picture_bytes=PICTURE_BYTES // 100, target_bytes=TARGET_BYTES // 100)
     most = 0
-    for view in pictures.train(0) + pictures.train(0)[::-1]:
+    for view in taken.train(0) + taken.train(0)[::-1]:
         assert moments(view.target)[0].shape == (216, 3 * 384)
-        most = max(most, pictures.nbytes)
+        most = max(most, taken.nbytes)
     assert 0.9 * (PICTURE_BYTES + TARGET_BYTES) < 100 * most <= PICTURE_BYTES + TARGET_BYTES
     assert 80 < len(reads) < 160  # those that were seen last were at hand on the way back
 
 
 def test_pictures_that_fit_are_read_once():
     scene, reads = noise(5, (30, 20))
-    pictures = Pictures(scene)
-    pictures.check()
+    taken = Pictures(scene)
+    taken.check()
     assert reads == [0, 1, 2, 3, 4]
-    for view in pictures.train(0) + pictures.with_exposure({"cam00": [2.0] * 3 + [0.1] * 3}).train(0):
+    for view in taken.train(0) + taken.with_exposure({"cam00": [2.0] * 3 + [0.1] * 3}).train(0):
         assert view.target.rgb.shape == (20, 30, 3)
     assert reads == [0, 1, 2, 3, 4]
-    assert pictures.nbytes == 5 * 20 * 30 * (3 + 36)
+    assert taken.nbytes == 5 * 20 * 30 * (3 + 36)
 
 
 def test_opaque_pictures_at_full_size_are_exact_and_others_within_half_a_level(moving):
@@ -84,11 +87,11 @@ def test_opaque_pictures_at_full_size_are_exact_and_others_within_half_a_level(m
 
 
 def test_pictures_are_exposed_alike(moving):
-    pictures = Pictures(open_scene(moving))
-    before = pictures.train(0)[0].target.rgb
-    pictures = pictures.with_exposure({"cam00": [2.0, 2.0, 2.0, 0.1, 0.1, 0.1]})
-    np.testing.assert_allclose(pictures.train(0)[0].target.rgb, (before - 0.1) / 2, atol=1e-6)
-    assert (pictures.train(0)[1].target.rgb == Pictures(open_scene(moving)).train(0)[1].target.rgb).all()
+    taken = Pictures(open_scene(moving))
+    before = taken.train(0)[0].target.rgb
+    alike = taken.with_exposure({"cam00": [2.0, 2.0, 2.0, 0.1, 0.1, 0.1]})
+    np.testing.assert_allclose(alike.train(0)[0].target.rgb, (before - 0.1) / 2, atol=1e-6)
+    assert (alike.train(0)[1].target.rgb == Pictures(open_scene(moving)).train(0)[1].target.rgb).all()
 
 
 def write_cut_out(folder):
@@ -124,3 +127,144 @@ def test_masks_leave_the_background_and_opaque_pictures_have_no_random_one(tmp_p
     Pictures(scene, foreground=True, background="random").train(0)[0].before((0, 1, 0))
     with pytest.raises(SceneError, match="expected alpha for random backgrounds, got an opaque picture"):
         Pictures(scene, background="random").check()
+
+
+SIZE = 48
+NOISE = 1.5  # of 255
+
+
+def background() -> np.ndarray:
+    y, x = np.mgrid[:SIZE, :SIZE]
+    wall = 120 + 40 * np.sin(x / 3) + 30 * np.cos(y / 5)
+    return np.repeat(wall[..., None], 3, axis=2)
+
+
+def filmed(frames: int, add=lambda t, picture: None) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Pictures without noise, and as a camera takes them, after `add` has drawn into frame t."""
+    rng = np.random.default_rng(0)
+    clean, noisy = [], []
+    for t in range(frames):
+        picture = background()
+        add(t, picture)
+        clean.append(picture)
+        noisy.append(np.clip(np.rint(picture + rng.normal(0, NOISE, picture.shape)), 0, 255).astype(np.uint8))
+    return np.stack(clean), noisy
+
+
+def ball(t, picture):
+    picture[20:28, 3 * t : 3 * t + 8] = 240
+
+
+def seen(picture: np.ndarray, name="cam00") -> View:
+    return View(replace(ring(1, SIZE)[0], name=name), Target(picture.astype(np.float32) / 255))
+
+
+def settled_one(view, plate):
+    """The picture (H, W, 3) of a view as it is fitted, and where it moves (H, W)."""
+    [settled], [moving] = settle([view], {view.camera.name: plate}, {})
+    return settled.target.rgb, moving
+
+
+def test_a_plate_shows_the_wall_behind_what_moves_with_less_noise_than_a_picture():
+    _, noisy = filmed(12, ball)
+    plate = plate_of(noisy)
+    assert np.abs(plate.rgb - background()).mean() < 0.6 * np.abs(noisy[0] - background())[:16].mean()
+    assert plate.tolerance < 4.5 / 255
+
+
+def test_what_moves_is_kept_and_what_rests_is_the_plate():
+    clean, noisy = filmed(12, ball)
+    shown, moving = settled_one(seen(noisy[5]), plate_of(noisy))
+    there = np.abs(clean[5] - background()).max(axis=2) > 0
+    assert moving[there].all() and moving.mean() < 0.3
+    assert (shown[there] == noisy[5][there].astype(np.float32) / 255).all()
+    assert np.abs(shown * 255 - clean[5])[~moving].mean() < 0.7 * NOISE
+
+
+def shadow(t, picture):
+    """A soft shadow of 8 / 255 at its darkest."""
+    x = np.arange(SIZE)
+    picture -= 8 * np.exp(-(((x - 4 * t) / 6) ** 2))[None, :, None]
+
+
+def checks(t, picture):
+    """A pattern whose mean is that of the wall, in the last frame alone."""
+    if t == 11:
+        y, x = np.mgrid[:16, :16]
+        picture[16:32, 16:32] += np.where((x + y) % 2, 25.0, -25.0)[..., None]
+
+
+def test_texture_that_moves_is_not_taken_for_noise():
+    _, noisy = filmed(12, checks)
+    _, moving = settled_one(seen(noisy[11]), plate_of(noisy))
+    assert moving[16:32, 16:32].all() and moving.mean() < 0.4
+
+
+def test_a_soft_shadow_is_not_flattened():
+    clean, noisy = filmed(12, shadow)
+    plate = plate_of(noisy)
+    for t in (3, 6, 9):
+        shown, moving = settled_one(seen(noisy[t]), plate)
+        lost = (shown * 255 - clean[t]).mean(axis=(0, 2))  # down the columns: the shadow's profile
+        assert np.abs(lost).max() < 4.0  # of 8
+        assert moving[:, 4 * t].all()
+
+
+def test_what_drifts_slowly_does_not_rest_for_ever():
+    """One level a frame is under the tolerance, twenty-three are not."""
+
+    def brighter(t, picture):
+        picture += t
+
+    _, noisy = filmed(24, brighter)
+    plate = plate_of(noisy)
+    moving = [settled_one(seen(p), plate)[1].mean() for p in noisy]
+    assert moving[0] > 0.9 and moving[-1] > 0.9 and min(moving) < 0.1
+
+
+def test_plates_are_seen_through_the_exposure_of_their_camera():
+    _, noisy = filmed(12, ball)
+    exposure = {"cam00": [1.2, 1.2, 1.2, 0.02, 0.02, 0.02]}
+    alike = View(seen(noisy[5]).camera, Target((noisy[5].astype(np.float32) / 255 - 0.02) / 1.2))
+    assert settle([alike], {"cam00": plate_of(noisy)}, exposure)[1][0].mean() < 0.3
+
+
+def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance():
+    scene = faces.with_held_out(open_scene(FOX_VIEWS), None)
+    capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
+    assert set(capture.plates) == {camera.name for camera in scene.cameras if not camera.held_out}
+    for view in capture.pictures.train(3):
+        plate = capture.plates[view.camera.name]
+        shown, moving = settled_one(view, plate)
+        assert np.abs(box_mean(shown - view.target.rgb, 5)).max() <= plate.tolerance + 1e-6
+        assert np.abs(shown - view.target.rgb).max() < 40 / 255
+        assert 0.02 < moving.mean() < 0.7
+
+
+CHANGES = {
+    "turned": lambda camera, other: {"world_to_camera": np.roll(np.eye(4), 1, axis=0)},
+    "zoomed": lambda camera, other: {"fx": camera.fx * 1.01},
+    "cropped": lambda camera, other: {"height": 100},
+    "renamed": lambda camera, other: {"name": other.name},  # one camera would be compared with what the other sees
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_cameras_that_move_have_no_plates(change):
+    scene = open_scene(FOX_VIEWS)
+    assert stands_still(scene)
+    shots = list(scene.frames[2])
+    other, camera = (shot.camera for shot in shots[:2])
+    shots[1] = replace(shots[1], camera=replace(camera, **CHANGES[change](camera, other)))
+    scene = replace(scene, frames=(*scene.frames[:2], tuple(shots), *scene.frames[3:]))
+    assert not stands_still(scene)
+    assert rested(Capture.of(scene, TrainSettings(), "cpu")).plates == {}
+
+
+def test_settled_targets_are_kept_within_their_bytes(monkeypatch):
+    capture = rested(Capture.of(faces.with_held_out(open_scene(FOX_VIEWS), None), TrainSettings(), "cpu"))
+    wanted = [view.target.rgb for view in settle(capture.pictures.train(3), capture.plates, {})[0]]
+    monkeypatch.setattr("airgs_codec.trainer.data.plates.TARGET_BYTES", 3 * 128 * 128 * 36)
+    for view, rgb in zip(settle(capture.pictures.train(3), capture.plates, {})[0], wanted, strict=True):
+        np.testing.assert_array_equal(view.target.rgb, rgb)
+        assert view.picture.buffer.nbytes <= 3 * 128 * 128 * 36
