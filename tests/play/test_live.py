@@ -77,7 +77,6 @@ def test_groups_are_looked_for_a_groups_length_after_the_last_time(tmp_path):
 
 
 def test_an_airgs_json_that_has_not_changed_is_not_sent_again(tmp_path):
-    """A growing package says what has become of it when it was read, not when it is asked for again."""
     growing = Growing(tmp_path / "p", 2, 2, 2, 3, 0)
     log = play_growing(growing, http=HttpSettings(backoff_s=0.001), server=serving(growing.folder))
     sizes = [f.bytes for f in log.fetches if f.kind == "tables" and f.files == 1]

@@ -1,85 +1,193 @@
-"""Studies and their reports and damaged packages on the command line, each on a small package."""
+"""Studies and reports of sessions: every sentence they conclude has data that say the opposite, and then it does."""
 
+import html
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airgs_codec.play.metrics import FIGURES
-from airgs_codec.play.session import measure_decoding
-from airgs_codec.play.study import StudySettings, interval, is_feasible, offsets_of, run_study, summarise
-from tests.faces import Offers, SessionSettings, Trace, airgs_play, draw_views, find_faults, open_package
-from tests.play.test_session import link
-from tests.support.manifests import tiny_manifest
+from airgs_codec.play.study import interval, is_feasible, offsets_of
+from tests import faces
+from tests.faces import Offers, SessionSettings, Study, StudySettings, airgs_play, answer, simulate, study_answer
+from tests.support.manifests import link, missing, play, rules, tiny_manifest
 from tests.support.paths import VALID
 
-MOVING = VALID / "moving"
+TINY = tiny_manifest()  # its rungs take 50.4 to 18.4 kbit/s
+UNMEASURED = tiny_manifest(psnr=None)
+LOST = missing(*(TINY.state_files(1, level)[0] for level in range(3)))
+FAULTS, BELOW, OVER, ASKED, SHORT = (
+    "files had to be asked for again",
+    "the link gave less than the lowest rung needs",
+    "less came than was expected",
+    "the policy asked for more than the link gave",
+    "too little was buffered for what came next",
+)
 
 
-@pytest.fixture(scope="module")
-def moving():
-    return open_package(MOVING)
+@pytest.mark.parametrize(
+    ("log", "why", "change"),
+    [
+        (play(TINY, link([1.5e4]), "fixed:Q1+L2", loops=3), BELOW, "--levels"),
+        (play(TINY, link([4e4]), loops=3), ASKED, "--policy robust-mpc"),
+        (play(TINY, link([8e4, 8e4, *[3e4] * 30]), "throughput", loops=4), OVER, "--policy robust-mpc"),
+        (play(TINY, link([5.1e4]), loops=8), SHORT, "--player.startup"),
+        (play(TINY, link([4e4]), "robust-mpc", faults=LOST, loops=2), FAULTS, "validate"),
+    ],
+)
+def test_every_wait_has_its_reason_and_its_advice(log, why, change):
+    stalls = faces.find_stalls(log)
+    assert stalls and sum(stall.seconds for stall in stalls) == pytest.approx(log.metrics.stall_s)
+    assert why in {stall.why for stall in stalls}
+    told = answer(log)
+    assert f"waited for {log.metrics.stall_s:.1f} s" in told["wrong"] and why in told["wrong"]
+    assert change in told["change"]
 
 
-@pytest.fixture(scope="module")
-def cameras(moving):
-    return draw_views(moving.manifest.region, 3, 5)
+OUTAGE, THIN = (
+    play(TINY, link(rates), "fixed:Q1+L2", loops=8, buffer_s=2.0) for rates in ([8e4, 8e4, 0, 0, 0, 0], [1.5e4])
+)
+SMOOTH, LOSSES = (play(TINY, link([rate]), faults=faults) for rate, faults in ((8e6, None), (8e4, LOST)))
+DARK = play(tiny_manifest(psnr=[[40.0, 36.0], [38.0, 35.0], [20.0, 18.0]]), link([8e6]), "fixed:2")
+DEFAULT = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), settings=SessionSettings(startup_s=0.0, loops=30))
+
+
+@pytest.mark.parametrize(
+    ("log", "part", "words", "absent"),
+    [
+        (OUTAGE, "wrong", BELOW, OVER),
+        (OUTAGE, "change", "--player.buffer", "validate"),  # where the link carries enough at times
+        (THIN, "wrong", BELOW, OVER),
+        (THIN, "change", "--levels", "--player.buffer"),
+        (SMOOTH, "wrong", "Nothing: the viewer never waited", "lost"),
+        (SMOOTH, "good", "40.0 dB on average, 40.0 in its worst tenth", "not measured"),
+        (SMOOTH, "change", "", "validate"),
+        (LOSSES, "wrong", "10 frames were lost", "waited"),
+        (LOSSES, "change", "airgs-manifest validate", "--levels"),
+        (play(TINY, link([8e4]), faults=LOST, loops=2), "wrong", "lost", "waited"),
+        (DARK, "good", "20.0 dB on average, 20.0 in its worst tenth", "40.0"),  # of the screen
+        (play(UNMEASURED, link([8e6])), "good", "not measured", "dB"),
+        (DEFAULT, "change", "--player.buffer 20", "--policy"),  # it is not recommended to itself
+        (play(TINY, link([8e5]), loops=8), "change", "finer ones", "--compare"),  # the link carries more
+        (play(TINY, link([5.2e4]), loops=8), "change", "", "finer ones"),
+        (play(TINY, link([8e5]), "fixed:2"), "change", "--compare", "finer ones"),  # a policy that shows less
+        (play(TINY, link([8e6]), "fixed:Q1+L2"), "useless", "Not shown on this link: Q0+L0", "Q1+L2"),
+    ],
+)
+def test_what_a_session_comes_to(log, part, words, absent):
+    told = answer(log)[part]
+    assert words in told and absent not in told
+
+
+def test_rungs_that_others_beat_are_named_and_what_only_takes_room():
+    assert faces.on_ladder([(100, 40.0), (90, 30.0), (50, 35.0), (60, None)]) == [True, False, True, False]
+    words = faces.beaten_words({"Q0+L0": True, "Q0+L1": False, "Q1+L0": True, "Q1+L1": False})
+    assert words.startswith("No player should fetch Q0+L1 and Q1+L1") and "L1 could be left out" in words
+    assert "parts of others" in faces.beaten_words({"Q0+L0": True, "Q0+L1": False, "Q1+L1": True})
+    assert faces.beaten_words({"Q0+L0": True, "Q1+L1": True}) == ""
+
+
+def test_a_report_is_written_where_it_can_be(tmp_path):
+    log = simulate(Offers(TINY, 0, 1000), link([4e4, 0, 2e5], rtt=0.08), settings=SessionSettings(loops=5))
+    page = faces.write_report(log, tmp_path / "report")
+    assert {p.name for p in page.parent.iterdir()} == {"index.html", "session.json"}
+    text = page.read_text()
+    assert text.count("<svg") == text.count("<figure") == 2
+    assert json.loads((page.parent / "session.json").read_text())["answer"] == answer(log)
+    assert all(words in html.unescape(text) for words in answer(log).values())
+    unmeasured = play(UNMEASURED, link([8e6]))
+    assert "not measured" in faces.write_report(unmeasured, tmp_path / "bare").read_text()
+    assert "not measured" in faces.format_metrics(unmeasured)
+    (tmp_path / "file").write_text("")
+    with pytest.raises(faces.ConfigError, match="cannot write"):
+        faces.write_report(log, tmp_path / "file")
+
+
+def study(qoe, traces=8, feasible=True, rungs=("Q0+L0",), waits=None):
+    """A study in which every policy has a QoE that is a little better on later traces; the default is one of them.
+
+    With `waits`, quality was not measured, and policies wait for these shares of the time.
+    """
+    rows = [
+        {"trace": f"t{t}", "policy": policy, "feasible": feasible or t > 0, "qoe": value + 0.1 * t, "psnr_mean": 40.0}
+        | {"stall_ratio": 0.0 if feasible or t else 0.5, "regret": 1.0, "rungs": {"Q0+L0": 3}}
+        | ({} if waits is None else {"stall_ratio": waits[policy], "qoe": None, "psnr_mean": None, "regret": None})
+        for t in range(traces)
+        for policy, value in qoe.items()
+    ]
+    return Study(StudySettings(tuple(qoe), ("t",)), "p", tuple(rows), rungs)
+
+
+def unmeasured(waits, traces=8):
+    return study(dict.fromkeys(waits, 0.0), traces, waits=waits)
+
+
+BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1": 0.1}
+
+
+@pytest.mark.parametrize(
+    ("some", "expected", "absent"),
+    [
+        (study(BOLA | {"paper": 39.0}), ["bola does best on 8 links", "1.00 dB above that of paper, the next",
+                                         "Play with --policy bola."], ["chance"]),
+        (study({"robust-mpc": 40.0, "bola": 38.0}),
+         ["robust-mpc does best", "Stay with robust-mpc, the default."], ["Play with", "--levels"]),
+        (study(BOLA, traces=2), ["may be chance", "Give more --traces"], ["Play with"]),
+        # Of a package that was not measured waiting alone is told.
+        (unmeasured(WAITING),
+         ["fixed:1 does best on 8 links: what it shows was not measured, and it waits 10.0 %",
+          "robust-mpc, the next, waits 10.0 % more", "Play with --policy fixed:1."], ["nan", "dB", "chance"]),
+        (unmeasured(WAITING, traces=2), ["may be chance", "10.0 % less waiting than robust-mpc"], ["nan", "dB"]),
+        (unmeasured({"fixed:1": 0.0}), ["Nothing: nobody waits."], ["nan"]),
+        (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
+        (study({"robust-mpc": 38.0}, feasible=False),
+         ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
+        (study({"robust-mpc": 38.0}), [], ["--levels", "no policy helps", "No policy showed"]),
+        (study({"robust-mpc": 38.0}, rungs=("Q0+L0", "Q1+L1")), ["No policy showed Q1+L1"], []),
+    ],
+)  # fmt: skip
+def test_what_a_study_recommends(some, expected, absent):
+    told = " ".join(study_answer(some).values())
+    assert [words for words in expected if words not in told] == [words for words in absent if words in told] == []
 
 
 def test_offsets_are_seeded_and_a_traces_own():
-    trace = Trace.open("markov:1")
+    trace = faces.Trace.open("markov:1")
     assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2)
-    assert offsets_of(trace, 4, 1) != offsets_of(Trace.open("markov:2"), 4, 1)
+    assert offsets_of(trace, 4, 1) != offsets_of(faces.Trace.open("markov:2"), 4, 1)
     assert all(0 <= o < trace.duration_s for o in offsets_of(trace, 100, 3))
 
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
-    c = Offers(tiny_manifest(), 0, root_bytes=1000)
-    rules = SessionSettings(decode_frame_s=0.0, pipelined=False)
-    assert is_feasible(c, link([8 * 2300]), rules, 10)  # exactly what a second of Q1+L2 takes
-    assert not is_feasible(c, link([8 * 2000]), rules, 30)
+    c = Offers(TINY, 0, root_bytes=1000)
+    assert is_feasible(c, link([8 * 2300]), rules(buffer_s=10.0), 10)  # exactly what a second of Q1+L2 takes
+    assert not is_feasible(c, link([8 * 2000]), rules(buffer_s=10.0), 30)
 
 
 def test_intervals_are_over_traces():
     values = np.array([1.0, 1.0, 3.0, 3.0, np.nan])
-    mean, low, high = interval(values, ["a", "a", "b", "b", "b"])
-    assert mean == 2.0 and low == 1.0 and high == 3.0  # two traces, whatever the number of offsets
+    assert interval(values, ["a", "a", "b", "b", "b"]) == (2.0, 1.0, 3.0)  # two traces, however many offsets
     assert np.isnan(interval(np.array([np.nan]), ["a"])).all()
 
 
-def test_a_study_compares_on_the_same_links(demo_package, capsys):
-    options = [
-        "--compare",
-        "--traces",
-        "markov:1:6",
-        "const:9",
-        "--offsets",
-        "2",
-        "--player.loops",
-        "20",
-        "--jobs",
-        "1",
-    ]
-    policies = "robust-mpc,paper,paper-literal,throughput,bola,oracle-frame,oracle-lp,fixed:0"
-    assert airgs_play([str(demo_package), *options, "--policies", policies]) == 0
-    text = capsys.readouterr().out
+def test_a_study_compares_on_the_same_links_and_repeats_exactly(demo_package, capsys):
+    """By the command with a trace at a time, and with two at once."""
+    policies = "robust-mpc", *(name for name in faces.NAMES if name != "robust-mpc"), "fixed:0"
+    traces = "markov:1:6", "const:9"
+    settings = StudySettings(policies, traces, 2, session=replace(SessionSettings(), loops=10), jobs=2)
+    found = faces.run_study(demo_package, settings)
+    options = ["--traces", *traces, "--offsets", "2", "--player.loops", "10", "--jobs", "1", "--json"]
+    assert airgs_play([str(demo_package), "--compare", *options, "--policies", ",".join(policies)]) == 0
+    printed = capsys.readouterr().out
+    assert printed.strip() == faces.format_study(found, True).strip()
+    text, record = faces.format_study(found), json.loads(printed)
     assert "2 traces, 2 offsets each (seed 1), unscaled" in text and "mean over display ticks" in text
     assert "links whose smallest rungs" in text and "oracle-lp" in text and " does best on 4 links" in text
-    assert airgs_play([str(demo_package), *options, "--policies", policies, "--json"]) == 0
-    record = json.loads(capsys.readouterr().out)
-    assert [r["sessions"] for r in record["all"]] == [4] * 8
+    assert [r["sessions"] for r in record["all"]] == [4] * len(policies)
     assert all(r["figures"]["regret"][0] >= -1e-6 for r in record["all"])
     assert record["all"][0]["differences"]["psnr_mean"] == [0, 0, 0]
-    assert "mean over display ticks" in record["figures"]["psnr_mean"] and set(record["figures"]) == {
-        figure.name for figure in FIGURES
-    }
-
-
-def test_a_study_repeats_exactly(demo_package):
-    settings = StudySettings(("paper", "bola"), ("markov:3:1",), 2, session=replace(SessionSettings(), loops=10))
-    a, b = (run_study(demo_package, replace(settings, jobs=jobs)) for jobs in (1, 2))
-    assert a.rows == b.rows and summarise(a) == summarise(b)
+    assert "mean over display ticks" in record["figures"]["psnr_mean"]
+    assert record["figures"].keys() == record["all"][0]["figures"].keys()
 
 
 @pytest.mark.parametrize(
@@ -87,32 +195,31 @@ def test_a_study_repeats_exactly(demo_package):
     [
         (["--compare"], "--traces"),
         (["--compare", "--traces", "none.csv"], "none.csv"),
+        (["--compare", "--traces", "."], "empty"),
         (["--compare", "--traces", "const:1", "--policies", "best"], "policy: expected"),
         (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
         (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
         ([], "--trace"),
         (["--trace", "const:1", "--player.decode-frame", "fast"], "--player.decode-frame"),
-        (["--trace", "markov:1:1", "--end", "error", "--player.loops", "3000"], "ends after"),
+        (["--trace", "../second.csv", "--end", "error", "--player.loops", "30"], "ends after"),
     ],
 )
-def test_studies_that_cannot_be(demo_package, options, words, capsys):
+def test_studies_that_cannot_be(demo_package, options, words, capsys, tmp_path, monkeypatch):
+    (tmp_path / "second.csv").write_text("0,1")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     assert airgs_play([str(demo_package), *options]) == 2
     error = capsys.readouterr().err
     assert words in error and error.count("\n") == 1
 
 
-def test_an_empty_folder_of_traces(demo_package, tmp_path, capsys):
-    assert airgs_play([str(demo_package), "--compare", "--traces", str(tmp_path)]) == 2
-    assert "empty" in capsys.readouterr().err
-
-
 def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
-    package = open_package(demo_copy)
-    assert find_faults(package) == {}
+    package = faces.open_package(demo_copy)
+    assert faces.find_faults(package) == {}
     first, second = (package.manifest.state_files(0, j)[0] for j in (0, 1))
     (demo_copy / first).unlink()
     (demo_copy / second).write_bytes(b"x" * package.manifest.entry(second).bytes)
-    faults = find_faults(package)
+    faults = faces.find_faults(package)
     assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
     film = tmp_path / "film.mp4"
     play = [str(demo_copy), "--trace", "const:50", "--player.loops", "1", "--video", str(film)]
@@ -126,5 +233,5 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     assert "no rung can be had" in capsys.readouterr().out
 
 
-def test_decoding_is_timed(moving):
-    assert 0 < measure_decoding(moving) < 10
+def test_decoding_is_timed():
+    assert 0 < faces.measure_decoding(faces.open_package(VALID / "moving")) < 10
