@@ -1,13 +1,16 @@
 """Whole packages of the repository: which files hold what, what is in them, and the frames that they show.
 
-Codes are those of the decoder, which tests/golden pins; what they mean is computed by the formulas.
+Codes are those of the decoder, which tests/golden pins; what they mean is computed by the formulas. Tables are read as
+FORMAT.md, section 2, says and without the package's own reader.
 """
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Sequence
+import gzip
+import json
+from dataclasses import dataclass
 from hashlib import sha256
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +20,11 @@ from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.media.h264 import open_segment
 from tests.faces import Package, decode_key, decode_pictures, open_package
-from tests.makers.vectors.formulas import Coding, Row, key_row, listed, state_row, unpack_transform
-from tests.makers.vectors.tables import PAGE, Tables, pages_to
 from tests.makers.vectors.text import Table, binary
+from tests.makers.vectors.values import ATTRIBUTES, STATIC, Coding, Rows, key_rows, listed, state_rows, unpack_transform
 from tests.support.digests import decode_slopes
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
 
-ATTRIBUTES = ("means", "quaternions", "log_scales", "alpha", "colours")
 FOX, FINE, ROOM, LINED = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room", VALID / "lined"
 INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "kept", ROOM)
 SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, level, key tiers
@@ -34,10 +35,78 @@ SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, le
 }
 INDEX = (65, 4095, 4096, 4097, 86_400)  # groups of packages that are no more than their index
 EVERY = 16  # rows of which one is in the vectors
-STATIC = 255
+PAGE = 64  # groups, or pages of the level below, on a page of the index
+
+
+def pages_to(group: int, count: int) -> list[str]:
+    """The pages that lead to a group, counted from 0, of so many: those of its place that are full."""
+    numbers = [(level, group // PAGE**level) for level in range(9, 0, -1)]
+    return [f"index/{level}/{number + 1}.json" for level, number in numbers if number < count // PAGE**level]
+
+
+@dataclass(frozen=True)
+class Tables:
+    """airgs.json and the tables of groups, which count from 0 here."""
+
+    name: str
+    root: dict[str, Any]
+    groups: list[dict[str, Any]]
+
+    @staticmethod
+    def of(folder: Path) -> Tables:
+        root = json.loads((folder / "airgs.json").read_text())
+        count = sum(len(columns["bytes"]) * PAGE**level for level, columns in enumerate(root["index"]))
+        paths = (folder / f"group/{number}.json.gz" for number in range(1, count + 1))
+        groups = [json.loads(gzip.decompress(path.read_bytes())) for path in paths]
+        return Tables(folder.relative_to(REPOSITORY).as_posix(), root, groups)
+
+    def place(self, frame: int) -> tuple[int, int, int]:
+        """The group that shows a frame, the segment of its group, and that of the package."""
+        group = next(g for g, table in enumerate(self.groups) if frame < table["stop"])
+        segment = next(s for s, segment in enumerate(self.groups[group]["segments"]) if frame < segment["stop"])
+        return group, segment, self.firsts[group] + segment
+
+    @property
+    def firsts(self) -> list[int]:
+        """The first segment of each group."""
+        return list(accumulate((len(table["segments"]) for table in self.groups), initial=0))
+
+    def sidecar(self, group: int, tier: int) -> str | None:
+        """The sidecar of a key tier; None where it has no rows."""
+        return f"key/T{tier}/{group + 1}.bin" if self.groups[group]["tiers"][tier]["count"] else None
+
+    def picture(self, group: int, tier: int, quality: int) -> str | None:
+        """The picture of a key tier; None where it has none."""
+        entry = self.groups[group]["tiers"][tier]
+        return f"key/T{tier}/Q{quality}/{group + 1}.m4s" if entry["qualities"][quality]["rows"] else None
+
+    def base_of(self, group: int) -> int | None:
+        """The group that its keys are differences to; None where they are none."""
+        keeps: int | None = self.groups[group].get("keeps")
+        return None if keeps is None else keeps - 1
+
+    def state(self, group: int, segment: int, level: int) -> str | None:
+        """The pictures of a segment of the group; None where there is nothing to fetch."""
+        found = self.groups[group]["segments"][segment]["levels"][level]["file"]["bytes"]
+        return f"state/L{level}/{self.firsts[group] + segment + 1}.m4s" if found else None
+
+    def first_files(self, frame: int, quality: int, level: int, tiers: int) -> list[str]:
+        """What a viewer fetches, in order, until it shows its first frame with so many key tiers."""
+        group, segment, _ = self.place(frame)
+        base, count = self.base_of(group), len(self.groups)
+        found: list[str | None] = ["airgs.json", *pages_to(group, count), f"group/{group + 1}.json.gz"]
+        if base is not None:
+            found += [page for page in pages_to(base, count) if page not in found]
+            found.append(f"group/{base + 1}.json.gz")
+        for tier in range(tiers):
+            for one in (group,) if base is None else (group, base):
+                found += [self.sidecar(one, tier), self.picture(one, tier, quality)]
+        found.append(self.state(group, segment, level))
+        return [path for path in found if path]
 
 
 def tables() -> tuple[Table, bytes]:
+    """The table of cases, and the float32 values of frames."""
     frames: list[dict[str, Any]] = []
     data = b""
     for folder, views in SHOWN.items():
@@ -45,22 +114,14 @@ def tables() -> tuple[Table, bytes]:
             case, numbers = _frame(folder, *view)
             frames.append({**case, "offset": len(data)})
             data += numbers
-    named = [(_name(folder), Tables(folder)) for folder in INDEXED]
+    indexed = [Tables.of(folder) for folder in INDEXED]
     return {
-        "groups": [{"package": name, **_group(t, g)} for name, t in named for g in _some(len(t.groups))],
+        "groups": [{"package": t.name, **_group(t, g)} for t in indexed for g in _some(len(t.groups))],
         "index": [_place(count, group) for count in INDEX for group in sorted({0, count // 2, count - 65, count - 1})],
-        "startup": [{"package": name, **start} for name, t in named for start in _startups(t)],
-        "units": [_unit(of, p.relative_to(of).as_posix()) for of in (FOX, VALID / "kept") for p in _media(of)],
+        "startup": [{"package": t.name, **start} for t in indexed for start in _startups(t)],
+        "units": [_unit(of, path) for of in (FOX, VALID / "kept") for path in sorted(of.rglob("*.m4s"))],
         "frames": frames,
     }, data
-
-
-def _media(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.m4s"))
-
-
-def _name(folder: Path) -> str:
-    return folder.relative_to(REPOSITORY).as_posix()
 
 
 def _some(count: int) -> list[int]:
@@ -79,8 +140,8 @@ def _group(t: Tables, group: int) -> dict[str, Any]:
         "number": group + 1,
         "start": table["start"],
         "stop": table["stop"],
-        "pages": t.pages_to(group),
-        "table": list(t.group_paths())[group],
+        "pages": pages_to(group, len(t.groups)),
+        "table": f"group/{group + 1}.json.gz",
         "sidecars": [t.sidecar(group, k) for k in tiers],
         "pictures": [[t.picture(group, k, q) for q in qualities] for k in tiers],
         "segments": segments,
@@ -89,9 +150,7 @@ def _group(t: Tables, group: int) -> dict[str, Any]:
 
 def _place(count: int, group: int) -> dict[str, Any]:
     """Where a group is, counted from 0, in an index of so many, of which each has one frame."""
-    entries = [count // PAGE**level % PAGE for level in range(9)]
-    while not entries[-1]:
-        entries.pop()
+    entries = [count // PAGE**level % PAGE for level in range(9) if count >= PAGE**level]
     return {"count": count, "entries": entries, "frame": group, "number": group + 1, "pages": pages_to(group, count)}
 
 
@@ -107,12 +166,12 @@ def _startups(t: Tables) -> list[dict[str, Any]]:
     return out
 
 
-def _unit(folder: Path, path: str) -> dict[str, Any]:
-    columns, shown = open_segment((folder / path).read_bytes(), path)
+def _unit(folder: Path, file: Path) -> dict[str, Any]:
+    columns, shown = open_segment(file.read_bytes(), file.name)
     pictures = list(shown)
     return {
-        "package": _name(folder),
-        "path": path,
+        "package": folder.relative_to(REPOSITORY).as_posix(),
+        "path": file.relative_to(folder).as_posix(),
         "columns": None if columns is None else binary(columns),
         "width": pictures[0].shape[1],
         "height": pictures[0].shape[0],
@@ -121,64 +180,57 @@ def _unit(folder: Path, path: str) -> dict[str, Any]:
 
 
 def _frame(folder: Path, frame: int, quality: int, level: int, tiers: int) -> tuple[dict[str, Any], bytes]:
-    rows = _rows(folder, frame, quality, level, tiers)
-    expected: dict[str, Any] = listed(list(rows.values()), limit=True)
-    data = b"".join(_float32(expected["values"][name]) for name in ATTRIBUTES)
-    tolerance = {name: max(expected["tolerance"][name]) for name in ATTRIBUTES}
+    """A frame of a package, and the values of every 16th row of it."""
+    t = Tables.of(folder)
+    rows = _rows(t, open_package(folder), frame, quality, level, tiers)
+    found = listed(rows.take(slice(None, None, EVERY)), limit=True)
+    data = b"".join(np.array(found["values"][name], "<f4").tobytes() for name in ATTRIBUTES)
+    tolerance = {name: max(found["tolerance"][name]) for name in ATTRIBUTES}
     view = {"frame": frame, "quality": quality, "level": level, "tiers": tiers}
-    return {"package": _name(folder), **view, "rows": list(rows), "tolerance": tolerance}, data
+    numbers = list(range(0, len(rows.angles), EVERY))
+    return {"package": t.name, **view, "rows": numbers, "tolerance": tolerance}, data
 
 
-def _rows(folder: Path, frame: int, quality: int, level: int, tiers: int) -> dict[int, Row]:
-    """The rows that the vectors have, by number, as they are shown."""
-    t, package = Tables(folder), open_package(folder)
-    group, root = t.group_at(frame), t.root
+def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tiers: int) -> Rows:
+    """The rows of a frame, as they are shown."""
+    group, segment, number = t.place(frame)
     table = t.groups[group]
-    transform = unpack_transform(table["colour_transform"])
-    keys = [row for k in range(tiers) if t.sidecar(group, k) for row in _key_rows(t, package, (group, k, quality))]
-    shown = {number: row for number, (row, _, _) in enumerate(keys) if number % EVERY == 0}
-    segment = t.segment_at(frame)
+    rows, classes, depths = _key(t, package, group, [k for k in range(tiers) if t.sidecar(group, k)], quality)
     if not t.state(group, segment, level):
-        return shown
-    place = frame - table["segments"][segment]["start"]
-    number = t.segments_before(group) + segment
+        return rows
+    start, stop = (table["segments"][segment][name] for name in ("start", "stop"))
+    place = frame - start
     codes = next(decode_pictures(package, number, level, range(place, place + 1))).codes().astype(np.float64)
     slopes = decode_slopes(package, number, level)
     if slopes is not None:
-        length = table["segments"][segment]["stop"] - table["segments"][segment]["start"]
-        codes += line_times(length)[place] * slopes
-    changes = codes.T.tolist()
-    state = Coding(table["state_steps"], root["levels"][level]["factor"], root["state_gain"], transform)
-    carried = [row for row, (_, _, depth) in enumerate(keys) if level <= depth < STATIC]
-    for row, numbers in zip(carried, changes, strict=False):  # of fewer tiers, the first rows
-        if row in shown:
-            shown[row] = state_row(shown[row], numbers, state, keys[row][1])
-    return shown
-
-
-def _key_rows(t: Tables, package: Package, of: tuple[int, int, int]) -> list[tuple[Row, int, int]]:
-    """The canonical value, the motion class and the depth of every row of a (group, tier, quality)."""
-    group, tier, quality = of
-    codes, sidecar = decode_key(package, group, tier, quality)
-    named, depths, base = t.root["qualities"][quality], sidecar.depths.tolist(), t.base_of(group)
-    grid = package.manifest.groups[group].grid
-    table = t.groups[group]
+        codes += line_times(stop - start)[place] * slopes
+    carried = np.flatnonzero((depths >= level) & (depths < STATIC))
+    changes = np.zeros((len(codes), len(depths)))
+    changes[:, carried] = codes[:, : len(carried)]  # of fewer tiers, the first rows
     transform = unpack_transform(table["colour_transform"])
+    coding = Coding(table["state_steps"], t.root["levels"][level]["factor"], t.root["state_gain"], transform)
+    return state_rows(rows, changes, coding, classes)
+
+
+def _key(t: Tables, package: Package, group: int, tiers: list[int], quality: int) -> tuple[Rows, Any, Any]:
+    """The canonical values, the motion classes and the depths of the rows of key tiers."""
+    parts = [_tier(t, package, group, tier, quality) for tier in tiers]
+    rows, classes, depths = zip(*parts, strict=True)
+    return Rows.join(rows), np.concatenate(classes), np.concatenate(depths)
+
+
+def _tier(t: Tables, package: Package, group: int, tier: int, quality: int) -> tuple[Rows, Any, Any]:
+    codes, sidecar = decode_key(package, group, tier, quality)
+    table, named, base = t.groups[group], t.root["qualities"][quality], t.base_of(group)
+    grid, transform = package.manifest.groups[group].grid, unpack_transform(table["colour_transform"])
     factor = named["factor"] * table["tiers"][tier]["factor"]
-    if base is not None:
+    if base is None:
+        means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, named["coarser"])
+        key = Coding(table["key_steps"], factor, t.root["key_gain"], transform, grid.unit)
+        return key_rows(codes.astype(np.float64), key, means), sidecar.classes, sidecar.depths
+    rows, classes, _ = _tier(t, package, base, tier, quality)
+    if codes.size:
         steps = table["key_steps"] | {"means": table["grid"]["step"] * 2.0 ** -table["grid"]["finest"]}
         change = Coding(steps, factor, t.root["key_gain"], transform)
-        there = [(row, motion) for row, motion, _ in _key_rows(t, package, (base, tier, quality))]
-        if codes.size:
-            pairs = zip(there, codes.T.tolist(), strict=True)
-            there = [(state_row(row, line, change, motion), motion) for (row, motion), line in pairs]
-        return [(*one, depth) for one, depth in zip(there, depths, strict=True)]
-    means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, named["coarser"]).tolist()
-    key = Coding(table["key_steps"], factor, t.root["key_gain"], transform, grid.unit)
-    rows = [key_row(line, key, mean) for line, mean in zip(codes.T.tolist(), means, strict=True)]
-    return list(zip(rows, sidecar.classes.tolist(), depths, strict=True))
-
-
-def _float32(values: Sequence[Any]) -> bytes:
-    flat = [number for row in values for number in (row if isinstance(row, list) else [row])]
-    return struct.pack(f"<{len(flat)}f", *flat)
+        rows = state_rows(rows, codes.astype(np.float64), change, classes)
+    return rows, classes, sidecar.depths
