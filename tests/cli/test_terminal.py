@@ -17,7 +17,7 @@ EVERYDAY = 18  # options of a command, on one screen
 NAMES = ("decode", "encode", "manifest", "play", "serve", "train")
 COMMANDS = {name: getattr(faces, f"airgs_{name}") for name in NAMES}
 PLACES = {"FOX": GOLDEN / "fox", "TWO": VALID / "two-groups-sh1", "FRAMES": FRAMES, "VIEWS": FOX_VIEWS}
-PLACES["TRACE"] = FRAMES / "trace.csv"
+PLACES |= {"ONE": VALID / "one-gaussian", "TRACE": FRAMES / "trace.csv"}
 PLAY = "play TWO --trace TRACE --policy fixed:0"
 MISTAKES = [
     ("encode", "expected SCENE, got none"),
@@ -84,6 +84,25 @@ MISTAKES = [
     ("manifest inspect FOX --plot missing/a.png", "missing/a.png: cannot write the picture"),
     ("manifest compare FOX none", "none"),
     ("manifest compare FOX FOX -o worst.png", "worst.png: expected a folder"),
+    ("manifest compare FOX FOX -o file", "expected a folder"),
+    ("manifest compare FOX FOX -o file/below", "expected a folder"),
+    ("manifest compare FRAMES FOX -o out --frames 9", "--frames"),
+    ("manifest compare FRAMES FOX -o out --frames x", "--frames"),
+    ("manifest compare FRAMES FOX -o out --every 0", "--every"),
+    ("manifest compare FRAMES FOX -o out --rung Q9+L0", "key_quality"),
+    ("manifest compare FRAMES FOX -o out --rung Q0", "level"),
+    ("manifest compare FRAMES FOX -o out --views nowhere.json", "nowhere.json"),
+    ("manifest compare FRAMES TWO -o out", "expected 24 frames a second"),
+    ("manifest compare FRAMES ftp://somewhere/else -o out", "ftp"),
+    ("manifest compare scene scene -o out --rung Q0+L0", "--rung: expected a package"),
+    ("manifest rungs ONE scene --level L9", "level"),
+    ("manifest rungs ONE scene --key-quality Q9", "--key-quality: expected one of Q0, got 'Q9'"),
+    ("manifest rungs ONE scene --frames 9", "--frames"),
+    ("manifest rungs ONE scene --every 0", "--every"),
+    ("manifest rungs ONE scene --draws -1", "--draws"),
+    ("manifest rungs ONE scene --split none", "split"),
+    ("manifest rungs TWO scene", "scene: expected 5 frames, got 1"),
+    ("manifest rungs scene scene", "scene"),
     ("play none.airgs --trace const:5", "none.airgs"),
     ("play folder.spz --trace TRACE", "folder.spz"),
     ("play FOX --trace none.csv", "none.csv"),
