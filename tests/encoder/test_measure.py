@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder.measure import (
-    LOWER,
-    OFF_LADDER,
     measure_group,
     pictures_a_segment,
     pictures_of,
@@ -15,28 +13,31 @@ from airgs_codec.encoder.measure import (
     uncertainty_db,
     with_quality,
 )
-from tests.faces import Difference, EncodeSettings, LevelSettings, ViewPlan, encode, open_package, open_sequence, psnr
-from tests.support.scenes import moving_frames, write_sequence
+from tests.faces import Difference, EncodeSettings, GaussianSequence, ViewPlan, encode, open_package, orbit_views, psnr
+from tests.support.packages import TWO_LEVELS
+from tests.support.scenes import moving_frames
 
-LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
 COUNT = 12  # pictures of a segment
 
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
     """A package of two segments of three frames, L0 with Q0 and L1 with Q1, not measured, and its sequence."""
-    folder = tmp_path_factory.mktemp("quality")
-    sequence = open_sequence(write_sequence(folder / "scene", moving_frames(80, 6)))
-    settings = EncodeSettings(calibrate="none", levels=LEVELS, measure_pictures=0, preset="ultrafast", segment_s=0.1)
-    encode(sequence, folder / "out", settings)
-    return open_package(folder / "out"), sequence
+    folder = tmp_path_factory.mktemp("quality") / "out"
+    frames = moving_frames(80, 6)
+    sequence = GaussianSequence.from_arrays(frames, cameras=orbit_views(frames[0], count=4, size=64))
+    settings = EncodeSettings(
+        calibrate="none", levels=TWO_LEVELS, measure_pictures=0, preset="ultrafast", segment_s=0.1
+    )
+    encode(sequence, folder, settings)
+    return open_package(folder), sequence
 
 
 def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(package):
     """What is measured in few pictures is scaled by what the top rung shows in others."""
     opened, sequence = package
     m, views = opened.manifest, ViewPlan.of(sequence, 24)
-    assert strides_of(m) == {(0, 0): 1, (0, 1): OFF_LADDER, (1, 0): OFF_LADDER, (1, 1): LOWER}
+    assert strides_of(m) == {(0, 0): 1, (0, 1): 6, (1, 0): 6, (1, 1): 2}
     errors = measure_group(opened, sequence, views.renderer, 0, pictures_of(views, m, 0, COUNT))
     measured = with_quality(m, [errors], COUNT).manifest
     assert measured.views.measured == COUNT and len(errors) == len(m.segments) == 2
@@ -52,15 +53,11 @@ def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(packag
             assert table.delta_e[key] == round(np.mean([one.delta_e for one in found]), 2)
 
 
-def test_an_encode_has_as_many_pictures_as_were_asked_for_and_each_segment_one(package, tmp_path):
-    _, sequence = package
-    for asked, of_segment in ((5, 3), (1, 1)):
-        settings = EncodeSettings(
-            calibrate="none", levels=LEVELS[:1], measure_pictures=asked, preset="ultrafast", segment_s=0.1
-        )
-        encode(sequence, tmp_path / "out", settings)
-        assert open_package(tmp_path / "out").manifest.views.measured == of_segment
-    assert [pictures_a_segment(64, segments) for segments in (1, 3, 64, 1000)] == [64, 22, 1, 1]
+@pytest.mark.parametrize(("name", "segments", "of_segment"), [("fox", 2, 4), ("paper", 1, 1)])
+def test_an_encode_has_as_many_pictures_as_were_asked_for_and_each_segment_one(package_of, name, segments, of_segment):
+    m = open_package(package_of(name)).manifest
+    assert (len(m.segments), m.views.measured) == (segments, of_segment)
+    assert [pictures_a_segment(64, number) for number in (1, 3, 64, 1000)] == [64, 22, 1, 1]
 
 
 def uncertainty(m, *of_segments):

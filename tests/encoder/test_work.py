@@ -1,28 +1,40 @@
-"""A package is the same to the byte, whoever has done its jobs, in whatever order, and however often it was cut off."""
+"""A package is the same to the byte, whoever has done its jobs, in whatever order, and however often it was cut off.
 
+The steps of which jobs are made are declared once, and frames are read once where memory holds them.
+"""
+
+import inspect
+import itertools
 import pickle
+from collections import Counter
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
+from airgs_codec.encoder.pipeline import KEY, STEPS, SURVEY, Step, with_rows_of_others
 from airgs_codec.jobs import work as work_module
-from tests.faces import (
-    EncodeSettings,
-    Processes,
-    Work,
-    airgs_encode,
-    encode,
-    open_sequence,
-    open_store,
-    validate,
-    write_ply,
-)
+from airgs_codec.jobs.job import Stored
+from airgs_codec.scene import sequence as sequence_module
+from airgs_codec.scene.frames import HeldFrames
+from tests import faces
+from tests.faces import EncodeSettings, ViewPlan, Work, airgs_encode, encode, open_sequence, open_store, validate
+from tests.support.jobs import prepared_as_one_group
 from tests.support.mutations import read_files
+from tests.support.packages import SEEN
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 SETTINGS = EncodeSettings(
     calibrate="steps", measure_pictures=1, decide_pictures=4, preset="ultrafast", group_frames=4, threads=1
 )
+WORDS = [
+    "--calibrate", "steps", "--measure-pictures", "1", "--decide-pictures", "4", "--x264-preset", "ultrafast",
+    "--group-frames", "4",
+]  # fmt: skip
+GIVEN = {
+    "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "pictures",
+    "base_files", "frame", "camera", "row_error",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -35,30 +47,31 @@ def scene(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def expected(scene, tmp_path_factory):
+def expected(scene, made_once):
     """The files of the package as one process makes it."""
-    folder = tmp_path_factory.mktemp("whole") / "scene.airgs"
-    m = encode(open_sequence(scene), folder, SETTINGS).manifest
-    assert [group.keeps for group in m.groups] == [None, None, 2]
-    assert not validate(folder)
-    return read_files(folder)
+
+    def make(folder):
+        report = encode(open_sequence(scene), folder, SETTINGS)
+        assert [group.keeps for group in report.manifest.groups] == [None, None, 2]
+        assert not validate(folder)
+        kinds = Counter(record.kind for record in report.records)
+        assert {kind: kinds[kind] for kind in ("survey", "keys", "states")} == {"survey": 3, "keys": 2, "states": 3}
+
+    return read_files(made_once("parts.airgs", make))
 
 
 def test_processes_write_the_same_bytes(scene, expected, tmp_path):
-    engine = Processes(2)
-    try:
-        work = Work(open_store(tmp_path / "work"), engine)
-        report = encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=work)
-    finally:
-        engine.close()
+    """The command shares the work among them and reports it."""
+    shared = ["--jobs", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "report")]
+    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *WORDS, *shared]) == 0
     assert read_files(tmp_path / "out") == expected
-    kinds = [record.kind for record in report.records]
-    assert {kind: kinds.count(kind) for kind in ("survey", "keys", "states")} == {"survey": 3, "keys": 2, "states": 3}
+    assert "<svg" in (tmp_path / "report" / "index.html").read_text()
 
 
-def test_an_object_store_holds_the_work(scene, expected, bucket, tmp_path):
+def test_an_object_store_holds_the_work_and_threads_change_nothing(scene, expected, bucket, tmp_path):
     store = open_store(f"{bucket}/work")
-    encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(pickle.loads(pickle.dumps(store))))
+    work = Work(pickle.loads(pickle.dumps(store)))
+    encode(open_sequence(scene), tmp_path / "out", replace(SETTINGS, threads=4), work=work)
     assert read_files(tmp_path / "out") == expected
     store.write("ab", b"1")
     store.place.write("ab/ab", b"damaged")
@@ -89,30 +102,16 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
     assert again == []
 
 
-def test_one_frame_that_changes_is_the_only_group_that_is_made_again(scene, tmp_path, monkeypatch):
+def test_one_frame_that_changes_is_the_only_group_that_is_made_again(tmp_path, monkeypatch):
     frames = moving_frames(120, 8)
     folder = write_sequence(tmp_path / "scene", frames)
-    settings, store, done = EncodeSettings(**PLAIN, keys="apart"), open_store(tmp_path / "work"), []
+    settings, store, done = replace(SETTINGS, calibrate="none", keys="apart"), open_store(tmp_path / "work"), []
     encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
-    write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
+    faces.write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
     perform = work_module.perform
     monkeypatch.setattr(work_module, "perform", lambda where, job: done.append(job.label) or perform(where, job))
     encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
     assert set(done) == {"frames 4-7"}
-
-
-PLAIN = {
-    "calibrate": "none", "measure_pictures": 1, "decide_pictures": 4, "preset": "ultrafast", "group_frames": 4,
-}  # fmt: skip
-
-
-def test_the_command_shares_the_work_and_reports_it(scene, tmp_path):
-    words = [str(scene), "--preset", "quick", "--group-frames", "4", "--x264-preset", "ultrafast"]
-    shared = ["--jobs", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "report")]
-    assert airgs_encode([*words, "-o", str(tmp_path / "shared"), *shared]) == 0
-    assert "<svg" in (tmp_path / "report" / "index.html").read_text()
-    assert airgs_encode([*words, "-o", str(tmp_path / "out")]) == 0
-    assert read_files(tmp_path / "shared") == read_files(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
@@ -126,3 +125,85 @@ def test_the_command_shares_the_work_and_reports_it(scene, tmp_path):
 def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, expected):
     assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *words]) == 2
     assert expected in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """How often the file of each frame is read."""
+    counts, read = Counter(), sequence_module.read_frame
+
+    def counted(path):
+        counts[path.name] += 1
+        return read(path)
+
+    monkeypatch.setattr(sequence_module, "read_frame", counted)
+    return counts
+
+
+def test_frames_are_read_once_where_memory_holds_all_and_else_three_times(tmp_path, reads, monkeypatch):
+    """To be named, surveyed, and encoded and measured; the first ones and the middle one are looked at before.
+
+    The first one is that as well when the sequence is opened. There are no cameras, so that views are looked for.
+    """
+    scene = write_sequence(tmp_path / "scene", moving_frames(150, 6), cameras=False)
+    settings = replace(SETTINGS, group_frames=2)
+    encode(open_sequence(scene), tmp_path / "out", settings)
+    assert reads == {f"{number:06d}.ply": 1 + (number == 0) for number in range(6)}  # the first for the origin as well
+    settings = replace(settings, calibrate="none", region=SEEN)
+    encode(open_sequence(scene), tmp_path / "held", settings)
+    reads.clear()
+    monkeypatch.setattr("airgs_codec.encoder.prepare.held_bytes", lambda: 2 * 150 * 4 * 14)  # one group of two frames
+    encode(open_sequence(scene), tmp_path / "out", settings)
+    looked = {f"{number:06d}.ply": 1 for number in (0, 1, 2, 3)} | {"000000.ply": 2}
+    assert len(reads) == 6 and all(count <= 3 + looked.get(name, 0) for name, count in reads.items())
+    assert read_files(tmp_path / "out") == read_files(tmp_path / "held")
+
+
+def test_frames_are_held_up_to_so_many_bytes_and_by_one_process():
+    frames = [random_gaussians(10, seed=seed) for seed in range(3)]
+    asked = []
+
+    def read(number):
+        asked.append(number)
+        return frames[number]
+
+    held = HeldFrames(2 * 10 * 4 * 14)  # two of them
+    for number in (0, 1, 0, 2, 0, 1):
+        assert held.get(number, read) is frames[number]
+    assert asked == [0, 1, 2, 1]
+    assert 0 in held and 1 in held and 2 not in held
+    copy = pickle.loads(pickle.dumps(held))
+    copy.get(0, read)
+    assert 0 not in copy
+    held.clear()
+    assert 0 not in held
+
+
+@pytest.mark.parametrize("step", STEPS.values(), ids=lambda step: step.name)
+def test_a_step_reads_what_is_given_or_made_by_another(step):
+    assert set(step.reads) <= GIVEN | set(STEPS)
+    assert len(inspect.signature(step.function).parameters) == len(step.reads)
+
+
+def test_a_job_reads_the_results_of_the_steps_before_it(scene, tmp_path):
+    sequence = open_sequence(scene)
+    prepared = prepared_as_one_group(sequence, ViewPlan.of(sequence, 4), Work(open_store(tmp_path)))
+    survey, key = prepared.job(SURVEY, 0), prepared.job(KEY, 0, SETTINGS)
+    assert Stored(survey.entry) in key.arguments
+    assert prepared.job(KEY, 0, EncodeSettings(threads=7)).entry == prepared.job(KEY, 0, EncodeSettings()).entry
+    assert key.entry != prepared.job(KEY, 0, EncodeSettings()).entry
+
+
+def test_a_step_that_is_taken_at_once_makes_its_value_known():
+    known = {"a": 2, "b": 5}
+    step = Step("sum", lambda a, b: a + b, ("a", "b"), "c")
+    assert step.do(known) == 7 and known["c"] == 7
+
+
+def test_a_key_has_rows_of_other_groups_up_to_a_quarter_more_and_of_so_many_groups():
+    own, few, many = np.arange(8), np.array([7, 8]), np.array([8, 9, 10])
+    rows, groups = with_rows_of_others([own, few, own, np.array([9]), many, few])
+    assert rows.tolist() == [*range(10)] and groups == 4
+    rows, groups = with_rows_of_others([own, many, few])
+    assert rows.tolist() == own.tolist() and groups == 1
+    assert with_rows_of_others(itertools.repeat(own))[1] == 16
