@@ -1,4 +1,4 @@
-"""Decoded against original pictures: every rung of a package, and any two scenes or packages."""
+"""Decoded against original pictures: every rung of a package, and any two scenes or packages as two sides."""
 
 import json
 from dataclasses import replace
@@ -8,27 +8,18 @@ import pytest
 
 from airgs_codec.inspect.compare import (
     LABEL,
-    MOST_GAIN,
     compare_two,
     comparison_json,
     difference_gain,
     format_two,
     side_by_side,
 )
-from tests.faces import (
-    PSNR_CAP,
-    airgs_manifest,
-    decode_frames,
-    left_out,
-    mse,
-    open_package,
-    open_side,
-    psnr,
-    render,
-    to_bytes,
-)
+from airgs_codec.inspect.sides import comparable, compared_views, region_views, shared_views
+from tests import faces
+from tests.faces import ConfigError, airgs_manifest, decode_frames, left_out, open_package, open_side
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import VALID
+from tests.support.regions import arc
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.views import moved, ring
 
@@ -42,9 +33,13 @@ def top(tmp_path_factory):
     return write_sequence(tmp_path_factory.mktemp("compare") / "top", frames, cameras=False)
 
 
+def scene(folder, frames, **settings):
+    return open_side(str(write_sequence(folder, frames, cameras=False, **settings)))
+
+
 @pytest.fixture
 def original(tmp_path):
-    return open_side(str(write_sequence(tmp_path / "original", moving_frames(40, 4))))
+    return scene(tmp_path / "original", moving_frames(40, 4))
 
 
 @pytest.fixture
@@ -54,7 +49,7 @@ def broken(tmp_path):
     frames[1] = moved(frames[1], slice(0, 4), (0.05, 0.0, 0.0))
     frames[2] = moved(frames[2], slice(0, 12), (0.4, 0.2, 0.0))
     frames[3] = frames[3].take(slice(1, None))
-    return open_side(str(write_sequence(tmp_path / "broken", frames)))
+    return scene(tmp_path / "broken", frames)
 
 
 def figures(capsys, *arguments):
@@ -69,7 +64,7 @@ def test_every_rung_is_compared_and_the_one_that_was_the_original_is_exact(top, 
     decoded = report["quality"]["region"]
     assert list(decoded) == ["Q0+L0", "Q0+L1", "Q1+L0", "Q1+L1"] == list(report["quality"]["claimed"])
     exact = {"ssim": pytest.approx(1), "delta_e": pytest.approx(0, abs=1e-4)}
-    assert decoded["Q0+L0"] == {"psnr": PSNR_CAP, "worst": PSNR_CAP} | exact
+    assert decoded["Q0+L0"] == {"psnr": faces.PSNR_CAP, "worst": faces.PSNR_CAP} | exact
     for name in ("Q0+L1", "Q1+L0", "Q1+L1"):
         assert decoded[name]["worst"] < decoded[name]["psnr"] < 60
         assert decoded[name]["ssim"] < 1 and decoded[name]["delta_e"] > 0
@@ -100,46 +95,23 @@ def test_one_rung_of_some_frames_is_that_of_all_rungs(top, capsys):
     assert one["quality"]["region"] == {"Q1+L1": every["quality"]["region"]["Q1+L1"]}
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["--level", "L9"],
-        ["--key-quality", "Q9"],
-        ["--frames", "9"],
-        ["--every", "0"],
-        ["--split", "none"],
-        ["--draws", "-1"],
-    ],
-)
-def test_what_is_not_there_is_refused_in_one_line(top, options, capsys):
-    assert airgs_manifest(["rungs", str(PACKAGE), str(top), *options]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_sequences_of_other_lengths_and_what_is_no_package_are_refused(top, tmp_path, capsys):
-    short = write_sequence(tmp_path / "short", moving_frames(20, 2))
-    for arguments in ([PACKAGE, short], [short, top]):
-        assert airgs_manifest(["rungs", *map(str, arguments)]) == 2
-        assert capsys.readouterr().err.count("\n") == 1
-
-
 def test_the_worst_picture_is_the_worst_and_the_typical_one_the_median(original, broken):
     cameras, frames = ring(5), range(1, 4)
     result = compare_two(original, broken, frames, cameras)
     errors = {}
     for number, first, second in zip(frames, original.read(frames), broken.read(frames), strict=True):
         for camera in cameras:
-            errors[number, camera.name] = mse(render(second, camera).rgb, render(first, camera).rgb)
+            errors[number, camera.name] = faces.mse(faces.render(second, camera).rgb, faces.render(first, camera).rgb)
     ranked = sorted(errors, key=errors.__getitem__)
     assert (result.worst.frame, result.worst.camera.name) == ranked[-1] and result.worst.frame == 2
-    assert result.worst.psnr == pytest.approx(psnr(errors[ranked[-1]]))
+    assert result.worst.psnr == pytest.approx(faces.psnr(errors[ranked[-1]]))
     assert (result.typical.frame, result.typical.camera.name) == ranked[len(ranked) // 2]
-    assert result.quality.psnr == pytest.approx(psnr(float(np.mean(list(errors.values())))))
+    assert result.quality.psnr == pytest.approx(faces.psnr(float(np.mean(list(errors.values())))))
     assert result.gaussians == ((40, 40), (39, 40))
 
 
 def test_other_degrees_and_lengths_are_compared_and_said(original, tmp_path):
-    long = open_side(str(write_sequence(tmp_path / "long", moving_frames(60, 6, degree=2))))
+    long = scene(tmp_path / "long", moving_frames(60, 6, degree=2))
     result = compare_two(original, long, range(4), ring(1))
     words = format_two(original, long, result, "1 view", left_out(original, long))
     assert "A, the reference: " in words and "SH degree 2" in words and "left out: frames 4 to 5" in words
@@ -150,7 +122,7 @@ def test_pictures_show_both_and_their_difference(original, broken):
     picture = side_by_side(original, broken, seen)
     assert picture.shape == (LABEL + 400, 3 * 400, 3)
     first, second, difference = (picture[LABEL:, 400 * i : 400 * (i + 1)] for i in range(3))
-    shown = [to_bytes(render(next(s.read(range(2, 3))), seen.camera).rgb) for s in (original, broken)]
+    shown = [faces.to_bytes(faces.render(next(s.read(range(2, 3))), seen.camera).rgb) for s in (original, broken)]
     assert np.array_equal(first, shown[0]) and np.array_equal(second, shown[1])
     apart = np.abs(shown[0].astype(int) - shown[1])
     assert (difference[apart > 20] > 15).all() and not difference[(apart == 0).all(axis=2)].max() > 32
@@ -166,7 +138,7 @@ def test_small_pictures_have_room_for_labels(original):
 
 
 def test_differences_are_amplified_until_they_are_seen():
-    for largest, gain in ((1.0, 1), (0.5, 2), (0.3, 2), (0.1, 8), (1e-5, MOST_GAIN), (0.0, MOST_GAIN)):
+    for largest, gain in ((1.0, 1), (0.5, 2), (0.3, 2), (0.1, 8), (1e-5, 64), (0.0, 64)):
         assert difference_gain(np.full((20, 20, 3), largest, np.float32)) == gain
 
 
@@ -174,7 +146,69 @@ def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
     g = random_gaussians(40)
     means = g.means.copy()
     means[3] = np.nan
-    other = open_side(str(write_sequence(tmp_path / "nan", [replace(g, means=means)])))
+    other = scene(tmp_path / "nan", [replace(g, means=means)])
     result = compare_two(original, other, range(1), ring(1))
     assert result.gaussians[1] == (40, 40) and np.isfinite(result.quality.psnr)
     assert comparison_json(original, other, result)["compared"]["gaussians"] == [40, 40]
+
+
+def test_a_rung_has_its_bytes_its_claim_and_its_gaussians():
+    package = open_package(PACKAGE)
+    rungs = {f"{r.key}+{r.state}": r for r in faces.summarise(package.manifest, package.manifest_bytes).rungs}
+    for name in ("Q0+L0", "Q1+L1"):
+        side = open_side(str(PACKAGE), name)
+        assert side.rung == name and side.bytes_per_frame == rungs[name].bytes_per_frame
+        assert side.claimed.psnr == rungs[name].psnr
+        decoded = decode_frames(package, 2, 3, key_quality=name[:2], level=name[3:])
+        assert np.array_equal(next(side.read(range(2, 3))).means, next(decoded).gaussians.means, equal_nan=True)
+    assert open_side(str(PACKAGE)).rung == "Q0+L0" and open_side(str(PACKAGE)).label == "moving Q0+L0"
+    for rung in ("Q9+L0", "Q0+L9", "Q0", "L0", ""):
+        with pytest.raises(ConfigError, match="expected one of"):
+            open_side(str(PACKAGE), rung or "+")
+
+
+def test_a_scene_has_the_bytes_of_its_files_and_no_rungs(original, tmp_path):
+    sizes = [path.stat().st_size for path in (tmp_path / "original").glob("*.ply")]
+    assert original.bytes_per_frame == np.mean(sizes) and original.claimed is None and original.label == "original"
+    with pytest.raises(ConfigError, match="expected a package for the rung Q0"):
+        open_side(original.name, "Q0+L0")
+
+
+def test_frames_that_one_side_lacks_are_named(original, tmp_path):
+    long, one_more = (scene(tmp_path / f"{n}", moving_frames(40, n)) for n in (6, 5))
+    assert left_out(original, long) == left_out(long, original)
+    assert left_out(original, long) == [f"frames 4 to 5 of {long.name}, which {original.name} does not have"]
+    assert left_out(original, one_more)[0].startswith("frame 4 of") and left_out(original, original) == []
+
+
+def test_rates_that_are_stated_must_agree(tmp_path):
+    frames = moving_frames(10, 2)
+    slow, fast = (scene(tmp_path / f"at{fps}", frames, fps=fps) for fps in (24, 30))
+    with pytest.raises(ConfigError, match=r"at30: expected 24 frames a second as .*at24, got 30"):
+        comparable(slow, fast)
+    comparable(slow, scene(tmp_path / "silent", frames))
+    comparable(slow, scene(tmp_path / "single", frames[:1], fps=30))
+
+
+def test_views_are_those_of_the_scenes_or_of_the_region_or_an_orbit(original, tmp_path):
+    package = open_side(str(PACKAGE))
+    words, views = shared_views(original, package)
+    assert f"8 views drawn from the viewing region of {PACKAGE}, seed 2" == words
+    drawn = faces.draw_views(package.region, 8, 2)
+    assert all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in zip(views, drawn, strict=True))
+    words, views = shared_views(original, original)
+    assert "orbit around frame 0" in words and len(views) == 8
+    write_cameras(tmp_path / "original" / "transforms.json", ring(4, held_out=1))
+    words, views = shared_views(package, open_side(original.name))
+    assert words == f"1 held-out camera of {original.name}" and [v.split for v in views] == ["test"]
+
+
+def test_held_out_cameras_are_taken_where_there_are_any():
+    assert [c.split for c in compared_views(ring(4, held_out=1), None)] == ["test"]
+    assert len(compared_views(ring(4), None)) == 4
+    drawn = region_views(arc(90, 3, 1.0), 5, 2)
+    assert [c.split for c in compared_views([*ring(4, held_out=1), *drawn], None)] == ["test"] + ["region"] * 5
+    assert len(compared_views([*ring(4), *drawn], None)) == 9
+    assert len(compared_views(ring(4, held_out=1), "train")) == 3
+    with pytest.raises(ConfigError, match="split: expected one of train"):
+        compared_views(ring(4), "test")

@@ -1,4 +1,4 @@
-"""Validation: everything wrong is a finding with its reason, nothing raises, whatever the bytes are."""
+"""Validation: everything wrong is a finding with its reason, nothing raises, whatever the bytes are and promise."""
 
 import dataclasses
 import os
@@ -14,30 +14,11 @@ import pytest
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.media.h264 import ClosedGop, check_gop, encode_gop, key_codec
 from airgs_codec.media.mp4 import box, read_boxes, read_samples, read_segment, with_own_box
-from tests.faces import (
-    FileKind,
-    FormatError,
-    Memory,
-    decode_canonical,
-    decode_segment,
-    digest,
-    file_kind,
-    open_files,
-    open_package,
-    validate,
-)
+from tests import faces
+from tests.faces import FileKind, Memory, digest, file_kind, open_package, validate
 from tests.makers.refusals import TABLE, with_columns
-from tests.support.mutations import (
-    Files,
-    add_file,
-    apply,
-    edit_tables,
-    honest,
-    read_files,
-    reindexed,
-    rewrite,
-    set_value,
-)
+from tests.support import mutations
+from tests.support.mutations import Files, add_file, apply, honest, read_files, reindexed, set_value, write_files
 from tests.support.paths import VALID
 from tests.support.refusals import base_files, findings
 
@@ -81,17 +62,12 @@ def test_only_plain_files_belong_to_a_package(tmp_path):
     assert found == {("unsafe_path", "state/L0/1.m4s"), ("unsafe_path", "folder"), ("foreign_file", "pipe")}
 
 
-def other_columns(data: bytes) -> bytes:
-    """The pictures of a segment behind columns that hold too little."""
-    return with_columns(data, bytes(20))
-
-
 @pytest.mark.parametrize(
     ("relative", "damage", "reason"),
     [
-        *[(f"state/L{level}/1.m4s", other_columns, "bad_sidecar") for level in (0, 1)],
-        *[(f"key/T1/Q{quality}/1.m4s", other_columns, "bad_sidecar") for quality in (0, 1)],
-        *[(f"key/T1/Q{quality}/1.m4s", lambda data: data[:-30], "bad_picture") for quality in (0, 1)],
+        *[(f"state/L{j}/1.m4s", lambda data: with_columns(data, bytes(20)), "bad_sidecar") for j in (0, 1)],
+        *[(f"key/T1/Q{q}/1.m4s", lambda data: with_columns(data, bytes(20)), "bad_sidecar") for q in (0, 1)],
+        *[(f"key/T1/Q{q}/1.m4s", lambda data: data[:-30], "bad_picture") for q in (0, 1)],
     ],
 )
 def test_every_level_and_key_quality_is_decoded_and_its_columns_are_read(relative, damage, reason):
@@ -131,9 +107,9 @@ def test_fewer_pictures_than_frames_are_refused():
     atlas, path = OPENED.manifest.groups[0].levels[0], "state/L0/1.m4s"
     grey = ClosedGop([np.full((atlas.height, atlas.width), 128, np.uint8)], 0, 1000)
     data = media_of(grey, (atlas.width, atlas.height), read_segment(MOVING[path]).columns or b"")
-    package = open_files(Memory("fewer", with_file(MOVING, path, data)))
-    with pytest.raises(FormatError, match=r"state/L0/1\.m4s: expected 4 pictures, got 0"):
-        list(decode_segment(package, 0, decode_canonical(package, 0, 0), 0, range(4)))
+    package = faces.open_files(Memory("fewer", with_file(MOVING, path, data)))
+    with pytest.raises(faces.FormatError, match=r"state/L0/1\.m4s: expected 4 pictures, got 0"):
+        list(faces.decode_segment(package, 0, faces.decode_canonical(package, 0, 0), 0, range(4)))
 
 
 def test_frames_of_more_bytes_than_their_file_are_refused():
@@ -156,7 +132,7 @@ def test_a_group_without_keys_is_refused():
             for entry in (tier["sidecar"], *tier["pictures"]):
                 entry.update(bytes=0, sha256="")
 
-    assert reasons(apply(MOVING, edit_tables(forget, TABLE), reindexed)) == {"missing_entry"}
+    assert reasons(apply(MOVING, mutations.edit_tables(forget, TABLE), reindexed)) == {"missing_entry"}
 
 
 def test_one_broken_quality_does_not_hide_another_group():
@@ -243,7 +219,47 @@ def test_composition_times_and_a_poster_are_looked_at(demo_package, end):
     files = read_files(demo_package)
     poster = files["poster.jpg"][:end] or b"no picture"
     entry = {"bytes": len(poster), "sha256": digest(poster)}
-    wild = rewrite(STATE, field(b"trun", 20, b"\x3b\x9a\xca\0"))
+    wild = mutations.rewrite(STATE, field(b"trun", 20, b"\x3b\x9a\xca\0"))
     found = findings(apply(files, add_file("poster.jpg", poster), wild, honest, set_value(("poster",), entry)))
     assert [f.where for f in found] == [STATE, "poster.jpg"]
     assert "box trun" in str(found[0]) and "expected a JPEG" in str(found[1])
+
+
+MANY = faces.PAGE**4
+EMPTY = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
+BOMB = {"frames": [MANY], "segments": [MANY], "bytes": [100], "sha256": "A" * 32}
+PAGE_PATH = "index/4/1.json"
+
+
+@pytest.fixture
+def bomb(tmp_path):
+    """A package of 16 million groups, of which airgs.json is all there is."""
+    changes = [set_value(("index",), [EMPTY] * 4 + [BOMB]), set_value(("frames",), MANY)]
+    return write_files(tmp_path / "bomb", apply(MOVING, *changes))
+
+
+def test_groups_that_no_page_leads_to_are_not_looked_for(bomb):
+    (finding,) = validate(bomb)
+    assert (finding.reason, finding.where) == ("missing_file", PAGE_PATH)
+    assert list(faces.find_faults(open_package(bomb))) == [PAGE_PATH]
+
+
+def test_commands_say_so_in_a_line(bomb, capsys):
+    assert faces.airgs_manifest(["inspect", str(bomb)]) == 2
+    assert PAGE_PATH in (said := capsys.readouterr().err) and said.count("\n") == 1
+
+
+def test_a_session_ends_when_nothing_can_be_shown_for_long(bomb, tmp_path, capsys):
+    assert faces.airgs_play([str(bomb), "--trace", "const:8", "--json"]) == 0
+    said = capsys.readouterr().out
+    assert "1000 segments in a row were lost" in said
+    assert faces.airgs_play([str(bomb), "--trace", "const:8", "--report", str(tmp_path / "report")]) == 2
+    assert len(capsys.readouterr().err) < 1000
+
+
+def test_text_of_a_package_does_not_act_on_a_terminal(tmp_path, capsys):
+    evil = "\x1b[2J\x9b2J\u202eby a friend"
+    write_files(tmp_path / "p", apply(MOVING, set_value(("attribution",), evil)))
+    assert faces.airgs_manifest(["inspect", str(tmp_path / "p")]) == 0
+    said = capsys.readouterr().out
+    assert r"\x1b[2J\x9b2J\u202eby a friend" in said and all(c.isprintable() or c == "\n" for c in said)
