@@ -7,6 +7,8 @@ from dataclasses import replace
 from fractions import Fraction
 
 import av
+import av.bitstream
+import av.logging
 import numpy as np
 import pytest
 
@@ -14,12 +16,25 @@ from airgs_codec.media import h264, mp4
 from airgs_codec.media.h264 import ClosedGop, CodecSettings, Pictures, check_gop, key_codec, open_segment, state_codec
 from airgs_codec.media.mp4 import box, init_segment, read_boxes, read_samples, read_segment, start_codes, with_own_box
 from tests.faces import CodecError, FormatError
-from tests.support.bitstream import trace_headers
 
 SIZE = (96, 64)
 STEP = 2 ** (16 / 6)  # of QP 20, luma levels
 CODEC = state_codec("veryfast")
 FRAMES, PAGES, TICKS = 5, 3, 1000  # of pictures that are too large for one
+
+
+def trace_headers(mp4):
+    """Syntax elements, by name, that FFmpeg reads in the parameter sets and headers of the first picture of a file."""
+    level = av.logging.get_level()
+    av.logging.set_level(av.logging.INFO)
+    try:
+        with av.open(io.BytesIO(mp4), "r") as container, av.logging.Capture(local=True) as lines:
+            stream = container.streams.video[0]
+            av.bitstream.BitStreamFilterContext("trace_headers", stream).filter(next(container.demux(stream)))
+    finally:
+        av.logging.set_level(level)
+    fields = [text.split() for _, name, text in lines if name == "trace_headers" and " = " in text]
+    return {words[1]: int(words[-1]) for words in fields}
 
 
 def pictures(count, seed=0, width=96, height=64):
@@ -69,17 +84,20 @@ def test_every_closed_gop_decodes_alone_and_completely(preset):
             assert error.max() <= 4 * STEP and error.mean() <= STEP / 2
 
 
+def expect_refused(samples, count, pages=1):
+    with pytest.raises(FormatError) as caught:
+        if len(list(Pictures(samples, "x", pages))) < count:
+            raise FormatError("bad_picture", "x", "no picture")
+    assert caught.value.reason == "bad_picture"
+
+
 def test_broken_bytes_are_refused():
-    coded = encode_gop(ClosedGop(pictures(3), 0, 1), CodecSettings(20, 1.0))
+    whole = read_samples(encode_gop(ClosedGop(pictures(3), 0, 1), CodecSettings(20, 1.0)).fragment)
     with pytest.raises(FormatError) as caught:
         open_segment(b"moof?", "x")
     assert caught.value.reason == "bad_picture"
-    whole = read_samples(coded.fragment)
     for samples in (whole[1:], [whole[0][:-1]], [b"\0\0\0\1\x65"]):
-        with pytest.raises(FormatError) as caught:
-            if len(list(Pictures(samples, "x"))) < len(whole):
-                raise FormatError("bad_picture", "x", "no picture")
-        assert caught.value.reason == "bad_picture"
+        expect_refused(samples, len(whole))
 
 
 @pytest.mark.parametrize("codec", [key_codec("veryfast"), state_codec("veryslow")])
@@ -178,12 +196,9 @@ def test_the_bytes_and_the_time_of_a_frame_are_those_of_all_its_pages(paged):
     assert sum(durations) == FRAMES * TICKS and set(durations) == {333, 334}
 
 
-@pytest.mark.parametrize("samples", [slice(0, -1), slice(0, 0), slice(0, FRAMES)])
-def test_pages_that_differ_in_number_are_refused(paged, samples):
-    with pytest.raises(FormatError) as caught:
-        list(Pictures(read_samples(paged.fragment)[samples], "x", PAGES))
-        raise FormatError("bad_picture", "x", "no picture")
-    assert caught.value.reason == "bad_picture"
+def test_pages_that_differ_in_number_are_refused(paged):
+    for samples in (slice(0, -1), slice(0, 0), slice(0, FRAMES)):
+        expect_refused(read_samples(paged.fragment)[samples], FRAMES, PAGES)
 
 
 def test_slopes_stand_in_front_page_after_page_and_all_samples_share_the_time(paged, tall):
@@ -240,9 +255,6 @@ def test_a_segment_without_its_track_fragment_is_refused(gops, field):
 
 def test_units_of_a_sample_are_told_apart_by_start_codes():
     assert start_codes(b"\0\0\0\2ab\0\0\0\1c") == b"\0\0\0\1ab\0\0\0\1c"
-    for cut in (b"\0\0\0\2a", b"\0\0\0\0", b"\0\0"):
-        with pytest.raises(CodecError):
-            start_codes(cut)
 
 
 def test_another_reader_finds_the_same_pictures(gops, tmp_path):
@@ -260,7 +272,11 @@ def test_another_reader_finds_the_same_pictures(gops, tmp_path):
     assert np.diff([frame.pts for frame in frames]).tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize("data", [b"\0\0\0\4abcd", b"\0\0\0\xffabcd", b"\0\0\0"])
-def test_a_box_whose_size_leaves_the_data_is_refused(data):
+@pytest.mark.parametrize(
+    ("read", "data"),
+    [(read_boxes, data) for data in (b"\0\0\0\4abcd", b"\0\0\0\xffabcd", b"\0\0\0")]
+    + [(start_codes, data) for data in (b"\0\0\0\2a", b"\0\0\0\0", b"\0\0")],
+)
+def test_a_size_that_leaves_the_data_is_refused(read, data):
     with pytest.raises(CodecError):
-        read_boxes(data)
+        read(data)
