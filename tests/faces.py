@@ -18,7 +18,7 @@ from airgs_codec.scene.camera import (
     Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, training_views, with_pixels,
 )  # fmt: skip
 from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
-from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, save_usage
+from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, read_settings, save_usage
 from airgs_codec.scene.frames import Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.scene.formats.ply import read_ply, read_points, write_ply
@@ -99,7 +99,7 @@ from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, from_gaussians
 from airgs_codec.trainer.fit.points import from_points, scene_extent
 from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_in_jobs
-from airgs_codec.trainer.record import FrameRecord, Record, read_model
+from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
 
 # Playing
 from airgs_codec.play.settings import SessionSettings
@@ -109,7 +109,7 @@ from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
     Arrival, Arrived, BatchKind, Lost, Replaced, Request, Shown, SimulatedDownloader,
 )  # fmt: skip
-from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
+from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables, fetch_beside
 from airgs_codec.play.player import run
 from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
@@ -127,7 +127,7 @@ from airgs_codec.serve.export import export_page
 
 # Work in jobs
 from airgs_codec.jobs.engines import InProcess, Processes
-from airgs_codec.jobs.job import Job
+from airgs_codec.jobs.job import Job, load
 from airgs_codec.jobs.work import Work, temporary_work
 
 # Commands

@@ -45,15 +45,15 @@ def _run(loop: asyncio.AbstractEventLoop, work: Coroutine[None, None, None]) -> 
 
 
 class _Quiet(SimpleHTTPRequestHandler):
-    protocol_version = "HTTP/1.1"
-
     def log_message(self, *args: object) -> None:
         pass
 
 
 @contextmanager
-def plainly_serving(folder: Path) -> Iterator[int]:
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Quiet, directory=folder))
+def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> Iterator[int]:
+    """Python's own server; of HTTP/1.0, it ends the connection after every file."""
+    handler = type("Handler", (_Quiet,), {"protocol_version": protocol})
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder))
     server.daemon_threads = True
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()
