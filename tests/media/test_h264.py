@@ -73,6 +73,7 @@ def paged(tall):
 
 @pytest.mark.parametrize("preset", ["ultrafast", "veryslow"])
 def test_every_closed_gop_decodes_alone_and_completely(preset):
+    assert h264.qp_step(20) == pytest.approx(STEP) and h264.qp_step(4) == 1
     for gop in (pictures(12), pictures(7, 1), pictures(1, 2)):
         coded = encode_gop(ClosedGop(gop, 12000, 1000), CodecSettings(20, 1.3, preset))
         decoded = list(coded.pictures("x"))

@@ -10,9 +10,10 @@ import pycolmap
 import pytest
 
 from airgs_codec.scene.cameras import colmap
-from tests.faces import SceneError, find_cameras, look_at, read_cameras, read_posed
+from tests.faces import SceneError, find_cameras, read_cameras, read_posed
 from tests.support import camera_files as files
 from tests.support.camera_files import FORMS, as_inria, intrinsics_of, saved
+from tests.support.clip_files import random_rows, splatv_bytes
 from tests.support.multiview_files import matrix_of
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
@@ -118,10 +119,8 @@ def panoptic_without_pictures(folder):
 
 
 def splatv_of_no_scene(folder):
-    place = files.PLACEHOLDER
-    camera = look_at(np.array(place), np.zeros(3), np.array([0, -1.0, 0]), size=64, fov_y=1, name="00001")
-    header = json.dumps([{"type": "splat", "cameras": [as_inria([camera])[0] | {"position": place}]}]).encode()
-    return saved(folder / "a.splatv", b"\x4b\x67\0\0" + len(header).to_bytes(4, "little") + header)
+    entry = as_inria(ring(1))[0] | {"position": files.PLACEHOLDER}
+    return saved(folder / "a.splatv", splatv_bytes(random_rows(1), cameras=[entry]))
 
 
 def several(folder):
