@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from contextlib import closing
 from dataclasses import replace
 
@@ -10,25 +11,9 @@ import pytest
 
 from airgs_codec.analysis.flow import carry
 from airgs_codec.encoder.track import decide
-from tests.faces import (
-    ConfigError,
-    EncodeSettings,
-    GaussianSequence,
-    Processes,
-    Work,
-    airgs_encode,
-    as_preview,
-    decode,
-    encode,
-    from_rotation_vector,
-    multiply,
-    open_package,
-    open_sequence,
-    open_store,
-    orbit_views,
-    render,
-    to_matrices,
-)
+from tests import faces
+from tests.faces import EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, open_store, render
+from tests.support.mutations import read_files
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import predicted, random_gaussians, write_sequence
 
@@ -37,14 +22,19 @@ SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
 
 def turned(g, angle):
     """A scene that turns about y and moves along x."""
-    q = from_rotation_vector(np.array([0.0, angle, 0.0]))
-    means = g.means @ to_matrices(q).T + [angle, 0, 0]
-    quaternions = multiply(q, g.quaternions.astype(np.float64))
+    q = faces.from_rotation_vector(np.array([0.0, angle, 0.0]))
+    means = g.means @ faces.to_matrices(q).T + [angle, 0, 0]
+    quaternions = faces.multiply(q, g.quaternions.astype(np.float64))
     return replace(g, means=means.astype(np.float32), quaternions=quaternions.astype(np.float32))
 
 
 def mse(a, b):
-    return float(np.mean([(render(a, view).rgb - render(b, view).rgb) ** 2 for view in orbit_views(b, 5, 96)]))
+    return float(np.mean([(render(a, view).rgb - render(b, view).rgb) ** 2 for view in faces.orbit_views(b, 5, 96)]))
+
+
+def apart(frames):
+    """The frames as if each had been made by itself."""
+    return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
 
 
 @pytest.fixture(scope="module")
@@ -55,68 +45,79 @@ def clean():
 
 @pytest.fixture(scope="module")
 def given(clean, tmp_path_factory):
-    """The clean frames as if each had been made by itself."""
-    frames = [predicted(g, np.random.default_rng(t)) for t, g in enumerate(clean)]
-    return open_sequence(write_sequence(tmp_path_factory.mktemp("given"), frames))
+    return faces.open_sequence(write_sequence(tmp_path_factory.mktemp("given"), apart(clean)))
 
 
-def encoded(sequence, place, settings):
+@pytest.fixture(scope="module")
+def few():
+    """Three frames of fewer rows, in memory."""
+    still = random_gaussians(300)
+    return GaussianSequence.from_arrays(apart([turned(still, 0.02 * t) for t in range(3)]))
+
+
+@pytest.fixture(scope="module")
+def tracked(given, made_once):
+    """A folder with the package and the work of the given frames."""
+
+    def make(folder):
+        encode(given, folder / "package.airgs", SETTINGS, work=Work(open_store(folder / "work")))
+
+    return made_once("tracked", make)
+
+
+def shown(place):
     """Bytes of a top rung, its frames, and what was decided."""
-    m = encode(sequence, place, settings).manifest
     package = open_package(place)
-    return m.bytes_of(m.rung_files(0, 0)), [decode(package, t) for t in range(m.frames)], m.decisions
+    m = package.manifest
+    return m.bytes_of(m.rung_files(0, 0)), [faces.decode(package, t) for t in range(m.frames)], m.decisions
 
 
-def test_tracking_takes_fewer_bytes_and_shows_no_less(clean, given, tmp_path):
-    before, apart, _ = encoded(given, tmp_path / "apart.airgs", replace(SETTINGS, track=False))
-    after, tracked, decisions = encoded(given, tmp_path / "tracked.airgs", SETTINGS)
+def test_tracking_takes_fewer_bytes_and_shows_no_less(clean, given, tracked, tmp_path):
+    encode(given, tmp_path / "apart.airgs", replace(SETTINGS, track=False))
+    before, alone, _ = shown(tmp_path / "apart.airgs")
+    after, together, decisions = shown(tracked / "package.airgs")
     assert after < 0.7 * before
-    assert np.mean(list(map(mse, tracked, clean))) < np.mean(list(map(mse, apart, clean)))
+    assert np.mean(list(map(mse, together, clean))) < np.mean(list(map(mse, alone, clean)))
     assert any(line.startswith("tracked: 1 key for 5 frames; against what was given") for line in decisions)
     assert not any("trained model" in line for line in decisions)  # it was not trained from pictures
 
 
-def test_a_run_that_was_cut_off_goes_on(given, tmp_path):
-    work = Work(open_store(tmp_path / "work"))
-    encode(given, tmp_path / "first.airgs", SETTINGS, work=work)
-    [model] = (tmp_path / "work").glob("tracked-*")
+def test_a_run_that_was_cut_off_goes_on(given, tracked, tmp_path):
+    work = shutil.copytree(tracked / "work", tmp_path / "work")
+    [model] = work.glob("tracked-*")
     last = (model / "000004.ply").read_bytes()
     record = json.loads((model / "training.json").read_text())
     record["frames"] = record["frames"][:2]
     (model / "training.json").write_text(json.dumps(record))
     first = (model / "000000.ply").stat().st_mtime_ns
-    encode(given, tmp_path / "second.airgs", SETTINGS, work=work)
+    encode(given, tmp_path / "second.airgs", SETTINGS, work=Work(open_store(work)))
     assert (model / "000004.ply").read_bytes() == last
     assert (model / "000000.ply").stat().st_mtime_ns == first
 
 
 def test_frames_of_other_scenes_are_coded_one_by_one(tmp_path):
     frames = [random_gaussians(300 + t, seed=t) for t in range(3)]
-    others = [replace(g, sh_dc=g.sh_dc + [2, -2, 2][t]) for t, g in enumerate(frames)]
-    sequence = open_sequence(write_sequence(tmp_path / "scene", others))
-    _, shown, decisions = encoded(sequence, tmp_path / "others.airgs", SETTINGS)
-    assert len(shown) == 3
+    others = [replace(g, sh_dc=g.sh_dc + np.float32([2, -2, 2][t])) for t, g in enumerate(frames)]
+    encode(GaussianSequence.from_arrays(others), tmp_path / "others.airgs", SETTINGS)
+    _, frames, decisions = shown(tmp_path / "others.airgs")
+    assert len(frames) == 3
     assert any(line.startswith("not tracked:") and "coded by itself" in line for line in decisions)
 
 
 def test_rows_that_are_in_order_are_not_tracked_again(clean, tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path / "scene", clean[:2]))
-    _, _, decisions = encoded(sequence, tmp_path / "clean.airgs", SETTINGS)
-    assert "not tracked: its rows are in order already" in decisions
+    encode(GaussianSequence.from_arrays(clean[:2]), tmp_path / "clean.airgs", SETTINGS)
+    assert "not tracked: its rows are in order already" in open_package(tmp_path / "clean.airgs").manifest.decisions
 
 
-def test_chunks_are_tracked_alike_whoever_does_them(given, tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.encoder.track.CHUNK", 3)
-    encode(given, tmp_path / "alone.airgs", SETTINGS)
-    with closing(Processes(2)) as engine:
-        encode(given, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), engine))
-    alone, jobs = (
-        {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-        for folder in (tmp_path / f"{name}.airgs" for name in ("alone", "jobs"))
-    )
-    assert alone == jobs
-    starts = [group.start for group in open_package(tmp_path / "alone.airgs").manifest.groups]
-    assert 3 in starts
+def test_chunks_are_tracked_alike_whoever_does_them(few, tmp_path, monkeypatch):
+    monkeypatch.setattr("airgs_codec.encoder.track.CHUNK", 2)
+    encode(few, tmp_path / "alone.airgs", SETTINGS)
+    with closing(faces.Processes(2)) as engine:
+        encode(few, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), engine))
+    assert read_files(tmp_path / "alone.airgs") == read_files(tmp_path / "jobs.airgs")
+    m = open_package(tmp_path / "alone.airgs").manifest
+    assert 2 in [group.start for group in m.groups]
+    assert any(line.startswith("tracked: 2 keys for 3 frames") for line in m.decisions)
 
 
 def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path):
@@ -132,18 +133,18 @@ def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(cl
         assert not settings.track and "track" not in line
 
 
-def test_two_frames_are_tracked(given, tmp_path):
-    sequence = GaussianSequence.from_arrays([given.read(0), given.read(1)])
-    _, shown, decisions = encoded(sequence, tmp_path / "two.airgs", SETTINGS)
-    assert len(shown) == 2 and len(shown[0]) == len(shown[1])
+def test_two_frames_are_tracked(few, tmp_path):
+    encode(GaussianSequence.from_arrays([few.read(0), few.read(1)]), tmp_path / "two.airgs", SETTINGS)
+    _, frames, decisions = shown(tmp_path / "two.airgs")
+    assert len(frames) == 2 and len(frames[0]) == len(frames[1])
     assert any(line.startswith("tracked: 1 key for 2 frames") for line in decisions)
 
 
 def test_options_that_contradict_are_refused(given, tmp_path):
-    with pytest.raises(ConfigError, match=r"rows: expected auto with track, .* got keep"):
-        encode(given, tmp_path / "x.airgs", replace(SETTINGS, rows="keep"))
-    assert airgs_encode([str(given.folder), "--track", "--follow"]) == 2
-    assert airgs_encode([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
+    with pytest.raises(faces.ConfigError, match=r"rows: expected auto with track, .* got keep"):
+        replace(SETTINGS, rows="keep")
+    assert faces.airgs_encode([str(given.folder), "--track", "--follow"]) == 2
+    assert faces.airgs_encode([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
 
 
 def test_rows_go_where_the_frame_has_them(clean):
