@@ -1,6 +1,8 @@
-"""Rows are added where the loss or what has appeared asks for them, and removed where they show nothing."""
+"""Rows are added where the loss or what has appeared asks for them, and removed where they show nothing or hang before
+viewers; what cameras see from near, what stands behind all else, and what rests stays."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,70 +10,77 @@ import torch
 
 from airgs_codec.render import cpu
 from airgs_codec.render.cuda import AbsGrad
+from airgs_codec.trainer.fit import grow, losses, parameters
 from airgs_codec.trainer.fit.active import Resting, find_active
-from airgs_codec.trainer.fit.grow import (
-    Densifier,
-    Growth,
-    find_wrong,
-    is_visible,
-    residual_seeds,
-    split_or_clone,
-    strongest,
-)
-from airgs_codec.trainer.fit.losses import photometric
-from airgs_codec.trainer.fit.parameters import render
-from tests.faces import from_gaussians
+from tests import faces
+from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
 
 
+def rng():
+    return np.random.default_rng(0)
+
+
 def test_growth_ends_at_the_budget_and_never_passes_it():
-    growth = Growth(budget=1000, start=0.1, stop=0.6, every=10)
+    growth = grow.Growth(budget=1000, start=0.1, stop=0.6, every=10)
     counts = [growth.target(300, done) for done in np.linspace(0, 1, 101)]
     assert counts[0] == 300 and counts[-1] == 1000
     assert counts == sorted(counts)
     assert growth.target(1200, 0.5) == 1200
-    assert not growth.due(20, 1000) and growth.due(300, 1000) and not growth.due(305, 1000)
-    assert not growth.due(700, 1000)
+    assert [i for i in (20, 300, 305, 700) if growth.due(i, 1000)] == [300]
+
+
+def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
+    growth = grow.growth_of_3dgs(1000, pictures=1)
+    assert [i for i in range(1, 30001) if growth.due(i, 30000)] == list(range(500, 15001, 100))
+    assert growth.removes(29900, 30000) and not growth.removes(29950, 30000)  # faint rows go throughout
+    gradients = torch.tensor([3e-4, 1e-4, 1.9e-4, 2.1e-4, 0.0])
+    p = random_parameters(5)
+    p["log_scales"][:] = np.log(0.009)  # no larger than 0.01 of the extent: clones
+    for budget, parents in ((1000, [0, 3]), (6, [0])):
+        densifier = grow.Densifier(grow.growth_of_3dgs(budget, pictures=1), 5, rng())
+        keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.5)
+        assert added is None and keep.all()  # before a gradient was seen
+        densifier.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
+        keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.2)
+        assert keep.all() and all(torch.equal(added[name], value[parents]) for name, value in p.items())
 
 
 def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     p = random_parameters(50)
-    parents = strongest(torch.linspace(0, 1, 50), 20)
-    keep, added = split_or_clone(p, parents, parents, fixed=40, rng=np.random.default_rng(0))
+    parents = grow.strongest(torch.linspace(0, 1, 50), 20)
+    keep, added = grow.split_or_clone(p, parents, parents, fixed=40, rng=rng())
     assert keep[:40].all() and not keep[40:].any()  # splits of kept rows leave the parent
     assert int(keep.sum()) + len(added["means"]) == 70
-    sizes = p["log_scales"][-1]
-    assert torch.allclose(added["log_scales"][-1], sizes - math.log(1.6))
+    assert torch.allclose(added["log_scales"][-1], p["log_scales"][-1] - math.log(1.6))
     spread = (added["means"][-1] - p["means"][-1]).norm()
     assert 0 < spread < 6 * p["log_scales"][-1].max().exp()
 
 
-def test_rows_without_a_gradient_are_never_parents():
-    assert not strongest(torch.zeros(9), 5).any()
-    assert strongest(torch.tensor([0.0, 2.0, 1.0]), 5).tolist() == [False, True, True]
-    assert not strongest(torch.ones(3), -4).any()  # above the target already
-
-
-def test_nothing_is_added_before_a_gradient_was_seen():
-    densifier = Densifier(Growth(20), 9, np.random.default_rng(0))
-    keep, added = densifier.grow(random_parameters(9), extent=1.0, fixed=0, done=0.5)
-    assert added is None and keep.all()
+@pytest.mark.parametrize(
+    ("score", "count", "chosen"),
+    [([0, 0, 0], 5, []), ([0, 2, 1], 5, [1, 2]), ([3, 2, 1], 2, [0, 1]), ([1, 1, 1], -4, [])],  # -4: above the target
+)
+def test_rows_without_a_gradient_are_never_parents(score, count, chosen):
+    assert grow.strongest(torch.tensor(score).float(), count).nonzero()[:, 0].tolist() == chosen
 
 
 def test_what_is_faint_goes_but_for_kept_rows():
     p = random_parameters(6)
     p["opacity_logits"] = torch.tensor([-9.0, 3.0, -9.0, 3.0, -9.0, 3.0])
-    assert is_visible(p, fixed=3).tolist() == [True, True, True, True, False, True]
+    assert grow.is_visible(p, fixed=3).tolist() == [True, True, True, True, False, True]
 
 
 def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
+    with pytest.raises(RuntimeError, match="backward"):
+        AbsGrad().read()
     g = coloured_cloud()
     views = views_of(moved(g, slice(0, 1), (0.0, 0.0, 0.3)), ring(4))
     total = torch.zeros(len(g))
     for view in views:
         absgrad = AbsGrad()
         p = {n: t.requires_grad_() for n, t in from_gaussians(g).items()}
-        photometric(render(p, view.camera, 0, absgrad)[0], view.target).backward()
+        losses.photometric(parameters.render(p, view.camera, 0, absgrad)[0], view.target).backward()
         gradients, seen = absgrad.read()
         assert (gradients[~seen] == 0).all()
         total += gradients
@@ -79,58 +88,51 @@ def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
     assert near[int(total.argmax())]
 
 
-def test_absolute_gradients_cannot_be_read_before_the_backward_pass():
-    with pytest.raises(RuntimeError, match="backward"):
-        AbsGrad().read()
-
-
 def test_seeds_lie_in_what_appeared():
-    old = coloured_cloud()
-    views = views_of(joined(old, appeared()), ring(8))
-    seeds = residual_seeds(old, views, find_wrong(old, views), 120, 1.0, np.random.default_rng(0))
-    assert 0 < len(seeds) <= 120
+    old, new = coloured_cloud(), joined(coloured_cloud(), appeared())
+
+    def seeds(views, most=120):
+        return grow.residual_seeds(old, views, grow.find_wrong(old, views), most, 1.0, rng())
+
+    found = seeds(views_of(new, ring(8)))
+    assert 0 < len(found) <= 120
     # The ball can be seen to 0.45 from its centre (0.24 + 3 sigma of 0.07), and a pixel is 0.1 wide there.
-    assert np.linalg.norm(seeds.means - BALL, axis=1).max() < 0.6
-    few = views_of(joined(old, appeared()), ring(3))
+    assert np.linalg.norm(found.means - BALL, axis=1).max() < 0.6
     for most in (1, 120):
-        seeds = residual_seeds(old, few, find_wrong(old, few), most, 1.0, np.random.default_rng(0))
-        assert seeds is None or 0 < len(seeds) <= most
-    same = views_of(old, ring(8))
-    assert residual_seeds(old, same, find_wrong(old, same), 120, 1.0, np.random.default_rng(0)) is None
+        few = seeds(views_of(new, ring(3)), most)
+        assert few is None or 0 < len(few) <= most
+    assert seeds(views_of(old, ring(8))) is None
 
 
-def case():
+@pytest.fixture(scope="module")
+def moving():
+    """A cloud whose first twenty rows move, what cameras see of it then, and where their pictures differ."""
     g = coloured_cloud(300)
-    order = np.argsort(np.linalg.norm(g.means - g.means[0], axis=1))
-    g = type(g)(*(getattr(g, n)[order] for n in g.__slots__))
-    after = moved(g, slice(0, 20), (0.05, 0.0, 0.0))
-    cameras = ring(8, size=96)
+    g = g.take(np.argsort(np.linalg.norm(g.means - g.means[0], axis=1)))
+    after, cameras = moved(g, slice(0, 20), (0.05, 0.0, 0.0)), ring(8, size=96)
     masks = [np.abs(cpu.render(g, c).rgb - cpu.render(after, c).rgb).max(axis=2) > 0.01 for c in cameras]
     return g, views_of(after, cameras), masks
 
 
-def test_active_rows_are_those_that_make_what_moves():
-    active = find_active(*case())
+def test_active_rows_are_those_that_make_what_moves(moving):
+    active = find_active(*moving)
     assert np.isin(np.arange(20), active.rows).mean() > 0.9
     assert len(active.rows) < 100
 
 
-def test_tiles_hold_all_that_moves_and_views_without_any_are_left_out():
-    g, views, masks = case()
-    masks[0][:] = False
-    masks = [m if i in (0, 1) else np.zeros_like(m) for i, m in enumerate(masks)]
-    active = find_active(g, views[:2], masks[:2])
-    drawn = {v.camera.name: v.redraw for v in active.views}
-    redraw = drawn[views[1].camera.name]
-    pixels = np.repeat(np.repeat(redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
-    assert pixels[masks[1]].all() and not redraw.tiles.all()
-    assert (redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
-    nothing = find_active(g, views, [np.zeros_like(m) for m in masks[:1]] * len(views))
+def test_tiles_hold_all_that_moves_and_views_without_any_are_left_out(moving):
+    g, views, masks = moving
+    still = np.zeros_like(masks[0])
+    [shown] = (v for v in find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == views[1].camera.name)
+    pixels = np.repeat(np.repeat(shown.redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
+    assert pixels[masks[1]].all() and not shown.redraw.tiles.all()
+    assert (shown.redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
+    nothing = find_active(g, views, [still] * len(views))
     assert not len(nothing.rows) and not nothing.views
 
 
-def test_weights_are_those_of_the_contribution():
-    g, views, masks = case()
+def test_weights_are_those_of_the_contribution(moving):
+    g, views, masks = moving
     w = cpu.weights(cpu.activate(g), views[0].camera, masks[0])
     whole = cpu.measure_contribution(g, views[0].camera).total
     np.testing.assert_allclose(np.bincount(w.ids, w.total, len(g)), whole, rtol=1e-4, atol=1e-4)
@@ -142,9 +144,57 @@ def test_rows_are_joined_and_picked_again():
     rows = random_parameters(10)
     resting = Resting(rows, torch.tensor([2, 5, 7]))
     fitted = {name: value[:5] + 1 for name, value in random_parameters(5, seed=1).items()}
-    whole = resting.joined(fitted)
-    for name, value in whole.items():
+    for name, value in resting.joined(fitted).items():
         assert len(value) == 12
         assert torch.equal(resting.picked(value), fitted[name])
         still = [0, 1, 3, 4, 6, 8, 9]
         assert torch.equal(value[still], rows[name][still])
+
+
+FREE = (0.1, 0.1, 2.3)  # behind the two near cameras, before the two far ones
+
+
+def seen_from(x, z, to):
+    place, target, up = (np.array(v, np.float64) for v in ((x, 0, z), (x / 2, 0, to), (0, -1, 0)))
+    return replace(look_at(place, target, up, size=64, fov_y=1.0, name="c"), near=0.02)
+
+
+CAMERAS = [seen_from(*c) for c in ((-1.5, -3, 4), (1.5, -3, 4), (0, 2.9, 4), (0.3, 2.9, 4), (1.5, 3.4, 3.4))]
+
+
+def balls(places, colour, size, opacity=0.95):
+    places = np.array(places, np.float32)
+    g = from_points(places, np.full((len(places), 3), colour, np.float32), 0, opacity, 1.0)
+    return replace(g, log_scales=np.full_like(g.log_scales, np.log(size)))
+
+
+@pytest.fixture(scope="module")
+def room():
+    """A wall, a rod before the near cameras, and a last camera right before the wall that looks away from it."""
+    x, y = np.meshgrid(np.linspace(-4, 4, 50), np.linspace(-4, 4, 50))
+    wall = balls(np.stack([x.ravel(), y.ravel(), np.full(2500, 4.0)], axis=1), 0.5, 0.1)
+    colours = 0.4 * np.sin(3 * wall.means[:, :1] + np.array([0, 1, 2])) * np.cos(2 * wall.means[:, 1:2])
+    rod = balls([(0.15, y, 3.5) for y in np.linspace(-0.2, 0.2, 20)], 0.9, 0.01)
+    return join_rows([replace(wall, sh_dc=colours.astype(np.float32)), rod])
+
+
+@pytest.mark.parametrize(("far", "opacity"), [((0, 1), 0.5), ((0,), 0.95)])
+def test_a_floater_before_a_held_out_camera_goes_and_what_is_there_stays(room, far, opacity):
+    cameras, held_out = [CAMERAS[i] for i in (*far, 2, 3, 4)], seen_from(0.1, 2.0, 4)
+    shown = join_rows([room, balls([FREE], 0.1, 0.05, opacity)])
+    gone = grow.in_open_space(shown, cameras)
+    assert gone[-1] and not gone[2500:-1].any()
+    assert len(far) == 1 or not gone[:2500].any(), "a wall that several see stays, however near viewers come to it"
+    kept = shown.take(np.flatnonzero(~gone))
+    expected, before, after = (render(g, held_out).rgb[16:48, 16:48] for g in (room, shown, kept))
+    assert np.abs(before - expected).mean() > 10 * np.abs(after - expected).mean()
+
+
+def test_a_fit_removes_it_and_says_how_many(room):
+    cloud = np.concatenate([room.means, rng().normal(FREE, 0.05, (30, 3))])
+    trainer = Trainer(faces.TrainSettings(budget=2600, sh_degree=0, first_iterations=20), scene_extent(CAMERAS))
+    found = fit_first(
+        trainer, faces.FrameViews(0, views_of(room, CAMERAS)), faces.Points(cloud.astype(np.float32), None)
+    )
+    assert found.cleared >= 10
+    assert (np.linalg.norm(found.gaussians.means - FREE, axis=1) < 0.3).sum() < 15

@@ -1,4 +1,4 @@
-"""The loop that fits, the order of views, and pictures of half the size."""
+"""The loop that fits: its losses, the order of views, pictures of half the size, and Adam whose rows come and go."""
 
 import math
 from dataclasses import replace
@@ -8,25 +8,13 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.trainer.fit.losses import mean_psnr, photometric
+from airgs_codec.trainer.fit import losses, parameters
 from airgs_codec.trainer.fit.optimise import Deck, Losses, Schedule, can_be_halved, drawn, halve, optimise
-from airgs_codec.trainer.fit.parameters import render, to_gaussians, with_motion
-from airgs_codec.trainer.fit.variables import PerGaussian
-from tests.faces import (
-    Adam,
-    Gaussians,
-    InMotion,
-    Pictures,
-    Redraw,
-    Target,
-    TrainingError,
-    View,
-    from_gaussians,
-    look_at,
-    open_scene,
-    with_pixels,
-)
-from tests.support.views import coloured_cloud, moved, ring, views_of
+from airgs_codec.trainer.fit.variables import HIDDEN, PerGaussian
+from tests import faces
+from tests.faces import ATTRIBUTES, Adam, Gaussians, InMotion, Target, TrainingError, View, from_gaussians, open_scene
+from tests.support.scenes import random_gaussians
+from tests.support.views import coloured_cloud, moved, random_parameters, ring, views_of
 
 
 def test_a_loss_that_is_not_finite_ends_the_fit_with_the_view():
@@ -42,7 +30,7 @@ def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
     scene = open_scene(moving)
     fitted = []
     for size in (1 << 30, 1):
-        pictures = Pictures(scene, picture_bytes=size, target_bytes=size)
+        pictures = faces.Pictures(scene, picture_bytes=size, target_bytes=size)
         variables = PerGaussian(from_gaussians(coloured_cloud(30)), 5.0)
         optimise(variables, pictures.train(0), Schedule("fit", 12, lambda done: 0), np.random.default_rng(0))
         fitted.append(variables.detached())
@@ -74,8 +62,8 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
     views = views_of(moved(g, slice(0, 10), (0.1, 0, 0)), ring(3))
     together, by_hand = (PerGaussian(from_gaussians(g), 5.0) for _ in range(2))
     optimise(together, views, Schedule("fit", 1, lambda done: 0, views=3), np.random.default_rng(0))
-    parts = [render(by_hand.current(), v.camera, 0)[0] for v in views]
-    sum(photometric(rgb, v.target) / 3 for rgb, v in zip(parts, views, strict=True)).backward()
+    parts = [parameters.render(by_hand.current(), v.camera, 0)[0] for v in views]
+    sum(losses.photometric(rgb, v.target) / 3 for rgb, v in zip(parts, views, strict=True)).backward()
     by_hand.step(1, 1)
     for name, value in together.detached().items():
         torch.testing.assert_close(value, by_hand.detached()[name], atol=1e-4, rtol=1e-3)
@@ -85,14 +73,15 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
 def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
     g, motion = coloured_cloud(30), np.full((30, 3), 0.1, np.float32)
     views = [replace(v, after=after) for v, after in zip(views_of(g, ring(3)), (0.0, -0.5, 0.25), strict=True)]
-    pictures = drawn(PerGaussian(with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
+    pictures = drawn(PerGaussian(parameters.with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
     for view, (rgb, _) in zip(views, pictures, strict=True):
-        shown = render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
+        shown = parameters.render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
         torch.testing.assert_close(rgb, shown, atol=1e-5, rtol=0)
     assert halve(views[1]).after == -0.5
 
 
-CAMERA = look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), size=75, fov_y=0.9, name="odd")
+UP = np.array([0.0, 1.0, 0.0])
+CAMERA = faces.look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), UP, size=75, fov_y=0.9, name="odd")
 SCENE = replace(coloured_cloud(60), log_scales=np.full((60, 3), np.log(0.25), np.float32))
 
 
@@ -108,7 +97,7 @@ def test_a_halved_camera_sees_what_its_halved_picture_shows():
 
 def test_pictures_that_are_small_on_either_side_are_not_halved():
     target = Target(np.zeros((1, 1, 3), np.float32))
-    views = [View(with_pixels(CAMERA, *size), target) for size in ((160, 200), (159, 400))]
+    views = [View(faces.with_pixels(CAMERA, *size), target) for size in ((160, 200), (159, 400))]
     assert can_be_halved(views[:1]) and not can_be_halved(views)
 
 
@@ -116,7 +105,7 @@ def test_tiles_are_drawn_again_where_one_of_four_was():
     whole = cpu.render(SCENE, CAMERA)
     tiles = np.zeros((5, 5), np.bool_)
     tiles[1, 4] = tiles[4, 0] = True
-    redraw = Redraw(tiles, lambda: whole, np.ones(len(SCENE), np.bool_))
+    redraw = faces.Redraw(tiles, lambda: whole, np.ones(len(SCENE), np.bool_))
     half = halve(View(CAMERA, Target(whole.rgb), redraw)).redraw
     assert half is not None
     assert np.argwhere(half.tiles).tolist() == [[0, 2], [2, 0]]
@@ -131,9 +120,9 @@ def fitted(start: Gaussians, target: Gaussians, iterations: int = 30) -> tuple[G
     views = views_of(target, CAMERAS)
     variables = PerGaussian(from_gaussians(start), 5.0)
     optimise(variables, views, Schedule("fit", iterations, lambda done: 0), np.random.default_rng(0))
-    after = to_gaussians(variables.detached())
+    after = parameters.to_gaussians(variables.detached())
     assert all(np.isfinite(getattr(after, name)).all() for name in after.__slots__)
-    return after, mean_psnr(after, views) - mean_psnr(start, views)
+    return after, losses.mean_psnr(after, views) - losses.mean_psnr(start, views)
 
 
 def stretched(ratio) -> Gaussians:
@@ -144,18 +133,14 @@ def stretched(ratio) -> Gaussians:
     return replace(g, log_scales=np.tile(short, (6, 1)).astype(np.float32), quaternions=turns)
 
 
-@pytest.mark.parametrize("ratio", [1e3, 1e6])
-def test_needles_train(ratio):
-    target = stretched(ratio)
-    start = replace(target, sh_dc=target.sh_dc + 0.3, means=target.means + np.float32(0.02))
-    assert fitted(start, target)[1] > 2
-
-
-@pytest.mark.parametrize("norm", [1e-20, 1e-6, 1e15, 1e25])
-def test_quaternions_of_any_length_train(norm):
-    g = stretched(3.0)
+@pytest.mark.parametrize(
+    ("ratio", "norm", "shift"),
+    [(1e3, 1, 0.02), (1e6, 1, 0.02), *((3.0, norm, 0.0) for norm in (1e-20, 1e-6, 1e15, 1e25))],
+)
+def test_needles_and_quaternions_of_any_length_train(ratio, norm, shift):
+    g = stretched(ratio)
     target = replace(g, quaternions=g.quaternions * np.float32(norm))
-    after, gain = fitted(replace(target, sh_dc=target.sh_dc + 0.3), target)
+    after, gain = fitted(replace(target, sh_dc=target.sh_dc + 0.3, means=target.means + np.float32(shift)), target)
     assert gain > 2
     if norm == 1e-20:  # the identity, which has no gradient
         np.testing.assert_array_equal(after.quaternions, target.quaternions)
@@ -187,14 +172,11 @@ def test_rows_in_one_place_part():
     assert np.abs(after.sh_dc[:4] - after.sh_dc[4:]).max() > 0.01
 
 
+LOGITS = [100, -100, 20, -20, 0, 50, -50, 5, -5, 1]
+
+
 @pytest.mark.parametrize(
-    ("column", "value"),
-    [
-        ("opacity_logits", [100, -100, 20, -20, 0, 50, -50, 5, -5, 1]),
-        ("log_scales", -30),
-        ("log_scales", 8),
-        ("quaternions", 0),
-    ],
+    ("column", "value"), [("opacity_logits", LOGITS), ("log_scales", -30), ("log_scales", 8), ("quaternions", 0)]
 )
 def test_extreme_rows_stay_finite_in_a_fit(column, value):
     g = coloured_cloud(40)
@@ -213,3 +195,161 @@ def test_the_size_of_gradients_does_not_matter_to_steps():
             adam.step()
         moved.append(float(-adam.parameters["means"].detach()))
     assert moved[1] == pytest.approx(moved[0], rel=0.02)
+
+
+def test_adam_follows_torch():
+    start = random_parameters(5)
+    ours = Adam(start, dict.fromkeys(ATTRIBUTES, 0.01))
+    theirs = {n: p.clone().requires_grad_() for n, p in start.items()}
+    reference = torch.optim.Adam(theirs.values(), lr=0.01, betas=parameters.BETAS, eps=1e-12)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(20):
+        for name in ATTRIBUTES:
+            gradient = torch.randn(start[name].shape, generator=generator)
+            ours.parameters[name].grad, theirs[name].grad = gradient.clone(), gradient.clone()
+        ours.step()
+        reference.step()
+    for name in ATTRIBUTES:
+        torch.testing.assert_close(ours.parameters[name].detach(), theirs[name].detach(), rtol=1e-5, atol=1e-6)
+
+
+def test_rows_keep_their_moments_when_others_come_and_go():
+    rates = dict.fromkeys(ATTRIBUTES, 0.01)
+    whole, alone = Adam(random_parameters(4), rates), Adam({n: p[2:3] for n, p in random_parameters(4).items()}, rates)
+    for step in range(6):
+        if step == 3:
+            keep = torch.tensor([False, False, True, True])
+            whole.replace_rows(keep, {n: p[:1] for n, p in random_parameters(3, seed=5).items()})
+        for adam in (whole, alone):
+            for p in adam.parameters.values():
+                p.grad = torch.full_like(p, math.sin(step + 1))
+            adam.step()
+    row = 0
+    for name in ATTRIBUTES:
+        torch.testing.assert_close(whole.parameters[name][row], alone.parameters[name][0], rtol=0, atol=0)
+        assert len(whole.parameters[name]) == 3
+
+
+def test_shrinking_ends_at_the_minimum_of_the_l1_problem():
+    """min (x - a)^2 / 2 + w |x| is at a - w, and exactly at 0 for |a| <= w."""
+    wanted = torch.tensor([[1.0, 0.3, -0.05], [-0.8, 0.1, 0.0]])
+    adam = Adam({"means": torch.zeros(2, 3)}, {"means": 0.02})
+    weight = {"means": torch.full((2, 3), 0.1)}
+    for step in range(800):
+        adam.rates["means"] = 0.02 * 0.01 ** (step / 800)
+        adam.parameters["means"].grad = adam.parameters["means"].detach() - wanted
+        adam.step(weight)
+    expected = torch.tensor([[0.9, 0.2, 0.0], [-0.7, 0.0, 0.0]])
+    result = adam.parameters["means"].detach()
+    torch.testing.assert_close(result, expected, rtol=0, atol=5e-3)
+    assert (result[expected == 0] == 0).all()
+
+
+def test_other_values_begin_without_moments():
+    rates = dict.fromkeys(ATTRIBUTES, 0.01)
+    adam = Adam(random_parameters(3), rates)
+    push(adam, 1.0)
+    before = {n: p.detach().clone() for n, p in adam.parameters.items()}
+    adam.replace_values("opacity_logits", torch.zeros(3))
+    push(adam, 0.0)
+    assert adam.parameters["opacity_logits"].tolist() == [0.0, 0.0, 0.0]
+    assert not torch.equal(adam.parameters["means"], before["means"])
+
+
+def push(adam: Adam, gradient: float) -> None:
+    for p in adam.parameters.values():
+        p.grad = torch.full_like(p, gradient)
+    adam.step()
+
+
+def test_rows_are_left_out_of_pictures_alone_and_the_more_the_longer_a_fit_goes_on():
+    base = from_gaussians(random_gaussians(400, 1))
+    variables = PerGaussian(base, 1.0, dropout=0.5)
+
+    def hidden():
+        return int((variables.current()["opacity_logits"] == HIDDEN).sum())
+
+    assert hidden() == 0
+    for iteration in (1, 2):
+        variables.current()["means"].sum().backward()
+        variables.step(iteration, 2)
+    assert 120 < hidden() < 280
+    assert not (variables.detached()["opacity_logits"] == HIDDEN).any()
+
+
+@pytest.mark.parametrize(
+    ("loss_of", "shape", "tolerance"),
+    [
+        *((losses.photometric, shape, 1e-5) for shape in ((16, 16), (7, 33), (40, 5), (1, 1))),
+        (losses._on_cuda, (20, 30), 1e-4),  # on tensors of the CPU: the same arithmetic
+    ],
+)
+def test_losses_and_their_gradients_equal_the_definition(loss_of, shape, tolerance):
+    rng = np.random.default_rng(0)
+    picture, truth = (rng.uniform(-0.1, 1.1, (*shape, 3)).astype(np.float32) for _ in range(2))
+    x, target = torch.from_numpy(picture).requires_grad_(), Target(truth)
+    fused = loss_of(x, target, losses.LAMBDA)
+    fused.backward()
+    y = torch.from_numpy(picture).double().requires_grad_()
+    t = torch.from_numpy(truth).double()
+    similarity = losses.windowed_ssim(y, t)
+    loss = 0.8 * (y - t).abs().mean() + 0.2 * (1 - similarity)
+    loss.backward()
+    assert fused.item() == pytest.approx(loss.item(), rel=tolerance)
+    assert 1 - loss_of(x, target, 1.0).item() == pytest.approx(similarity.item(), abs=tolerance)
+    assert (x.grad - y.grad).norm() <= tolerance * y.grad.norm()
+    there = target.on_device
+    assert loss_of(x, target, 0.0).item() == pytest.approx((y - t).abs().mean().item(), rel=tolerance)
+    assert target.on_device is there  # the picture is taken there once
+
+
+def test_equal_pictures_have_no_loss_and_black_ones_a_finite_gradient():
+    black = np.zeros((12, 12, 3), np.float32)
+    x = torch.from_numpy(black.copy()).requires_grad_()
+    compared = losses.photometric(x, Target(black))
+    compared.backward()
+    assert compared.item() == pytest.approx(0, abs=1e-6)
+    assert torch.isfinite(x.grad).all() and x.grad.abs().max() < 1e-6
+
+
+def test_codec_steps_are_positive_and_finite_at_extremes():
+    g = random_gaussians(12, 1)
+    logits = np.array([0, 100, -100, 20, -20, 1, 2, 3, 4, 5, 6, 7], np.float32)
+    lengths = np.repeat([1e-3, 1e20], 6).astype(np.float32)
+    g = Gaussians(g.means, g.quaternions * lengths[:, None], g.log_scales, logits, g.sh_dc, g.sh_rest)
+    steps = losses.codec_steps(g, ring(3))
+    for name in ATTRIBUTES:
+        assert steps[name].shape == getattr(g, name).shape
+        assert torch.isfinite(steps[name]).all() and (steps[name] > 0).all()
+    assert steps["opacity_logits"][0] == pytest.approx(0.058 * 4)
+    lengths = np.linalg.norm(g.quaternions.astype(float), axis=1, keepdims=True)
+    half = faces.StepSettings().state.quaternions / 2 * lengths
+    np.testing.assert_allclose(steps["quaternions"], np.broadcast_to(half, (12, 4)), rtol=1e-5)
+
+
+@pytest.mark.parametrize(("unit", "weights"), [("step", [0.4, 0.1]), ("raw", [0.4, 0.4])])
+def test_temporal_weights_have_the_unit_they_say(unit, weights):
+    steps = {"means": torch.tensor([[0.5, 0.5, 0.5], [2.0, 2.0, 2.0]])}
+    found = losses.temporal_weights(faces.Temporal(0.4, unit), steps)["means"]
+    assert found.tolist() == [pytest.approx([weight] * 3) for weight in weights]
+
+
+@pytest.mark.parametrize(("sides", "differs"), [((1.05, 1.05), True), ((1.05, 0.95), False)])
+def test_exposure_is_one_only_where_both_halves_of_pictures_ask_for_it(sides, differs):
+    gains = np.repeat(sides, 8).astype(np.float32)[None, :, None]
+    grey = torch.full((8, 16, 3), 0.5)
+    model = losses.ExposureModel(2, "cpu", looks=60)
+    for i in range(60):
+        target = grey.numpy() * (gains if i % 2 else 2 - gains)
+        (model.apply(grey, i % 2) - torch.from_numpy(target)).abs().mean().backward()
+        model.step()
+    assert model.differs == differs
+
+
+def test_gains_of_a_picture_are_matched_only_where_its_halves_agree():
+    g = coloured_cloud()
+    view = views_of(g, ring(1))[0]
+    for gain in (np.full(48, 0.7), np.repeat((0.7, 1.0), 24)):
+        dark = replace(view, picture=Target(view.target.rgb * gain.astype(np.float32)[None, :, None]))
+        better = losses.matched_psnr(g, [dark]) - losses.mean_psnr(g, [dark])
+        assert better > 20 if gain[-1] < 1 else better == 0

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from airgs_codec.trainer.fit import first
-from airgs_codec.trainer.fit.first import usual_budget
 from airgs_codec.trainer.fit.losses import mean_psnr
 from tests.faces import FrameViews, InMotion, Points, Temporal, Trainer, TrainSettings, fit_first, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, ring, views_of
@@ -166,7 +165,7 @@ def test_a_frame_of_cameras_out_of_step_is_as_sharp_as_in_step(deltas):
 
 @pytest.mark.parametrize(("size", "budget"), [(100, 8000), (400, 11429), (700, 35000), (2000, 64000)])
 def test_larger_pictures_have_more_gaussians_within_bounds(size, budget):
-    assert usual_budget(ring(8, size=size)) == budget
+    assert first.usual_budget(ring(8, size=size)) == budget
 
 
 def test_a_first_frame_has_what_its_pictures_can_tell(monkeypatch):
@@ -174,4 +173,4 @@ def test_a_first_frame_has_what_its_pictures_can_tell(monkeypatch):
     truth = coloured_cloud(400)
     trainer = Trainer(TrainSettings(sh_degree=0, first_iterations=150), scene_extent(ring()))
     found = fit_first(trainer, FrameViews(0, views_of(truth, ring(8, size=48))), Points(truth.means, None))
-    assert 60 < len(found.gaussians) <= 48 * 48 / first.GAUSSIAN_PIXELS
+    assert 60 < len(found.gaussians) <= 48 * 48 / 14
