@@ -17,28 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.encoder.tables import add_sound
-from tests.faces import (
-    APART,
-    KEPT,
-    EncodeSettings,
-    Folder,
-    Gaussians,
-    Groups,
-    LevelSettings,
-    LiveClock,
-    Place,
-    Region,
-    encode_sound,
-    open_package,
-    world_from,
-    write_tables,
-)
-from tests.makers.bare import encode_bare
+from tests import faces
+from tests.faces import KEPT, Folder, Gaussians, Manifest, Package, Place, open_package, write_tables
+from tests.makers.golden import COARSE, WHOLE, encode_bare
 from tests.support.chirps import write_wav
 from tests.support.paths import VALID
 from tests.support.rooms import room_frames
-
-SETTINGS = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
 
 
 def frames(count: int, degree: int, length: int) -> list[Gaussians]:
@@ -59,23 +43,21 @@ def drifting(count: int, length: int) -> list[Gaussians]:
     return [replace(first, means=(first.means + t * way).astype(np.float32)) for t in range(length)]
 
 
-BALL = Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
+BALL = faces.Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
 
+ONE_KEY = replace(WHOLE, key_factors=(1.0,))
 PACKAGES = {
-    "moving": (frames(64, 0, 4), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
+    "moving": (frames(64, 0, 4), COARSE),
     "kept": (
         room_frames(60, 6),
-        replace(SETTINGS, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2),
+        replace(WHOLE, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2),
     ),
-    "lined": (drifting(80, 6), replace(SETTINGS, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))),
-    "one-gaussian": (frames(1, 1, 1), replace(SETTINGS, key_factors=(1.0,))),
-    "paged": (
-        frames(4, 0, 65),
-        replace(SETTINGS, group_frames=1, key_factors=(1.0,), tiers=(1.0,), measure_pictures=0),
-    ),
-    "placed": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), world=world_from((0, 0, 1), 0.01))),
-    "white": (frames(2, 0, 1), replace(SETTINGS, key_factors=(1.0,), region=replace(BALL, background=[1.0, 1.0, 1.0]))),
-    "two-groups-sh1": (frames(40, 1, 5), replace(SETTINGS, group_frames=3, segment_s=0.07)),
+    "lined": (drifting(80, 6), COARSE),
+    "one-gaussian": (frames(1, 1, 1), ONE_KEY),
+    "paged": (frames(4, 0, 65), replace(ONE_KEY, group_frames=1, tiers=(1.0,), measure_pictures=0)),
+    "placed": (frames(2, 0, 1), replace(ONE_KEY, world=faces.world_from((0, 0, 1), 0.01))),
+    "white": (frames(2, 0, 1), replace(ONE_KEY, region=replace(BALL, background=[1.0, 1.0, 1.0]))),
+    "two-groups-sh1": (frames(40, 1, 5), replace(WHOLE, group_frames=3, segment_s=0.07)),
 }
 
 
@@ -83,35 +65,36 @@ def main() -> None:
     shutil.rmtree(VALID, ignore_errors=True)
     for name, (sequence, settings) in PACKAGES.items():
         encode_bare(sequence, VALID / name, settings)
-    write_live()
-    write_sound()
+    package = open_package(VALID / "two-groups-sh1")
+    write_live(package, package.manifest)
+    write_sound(package, package.manifest)
 
 
-def write_sound() -> None:
-    package, sound = open_package(VALID / "two-groups-sh1"), Folder(VALID / "sound")
-    m = package.manifest
+def copied(package: Package, m: Manifest, name: str) -> Folder:
+    """A folder with the files of the groups of `m`, without tables."""
+    folder = Folder(VALID / name)
+    for path in (*m.shared_files(), *(path for group in range(len(m.groups)) for path in m.group_files(group))):
+        folder.write(path, package.read(path))
+    return folder
+
+
+def write_sound(package: Package, m: Manifest) -> None:
+    """valid/sound: valid/two-groups-sh1 with a tone."""
     tone = np.round(8000 * np.sin(2 * np.pi * 440 * np.arange(48_000) / 48_000)).astype("<i2")
     with tempfile.TemporaryDirectory() as folder:
-        write_wav(Path(folder) / "tone.wav", tone[:, None])
-        track = encode_sound(Path(folder) / "tone.wav", m.frames / m.fps)
+        track = faces.encode_sound(write_wav(Path(folder) / "tone.wav", tone[:, None]), m.frames / m.fps)
     with_sound, files = add_sound(m, track)
-    for path in (*m.shared_files(), *(path for group in range(len(m.groups)) for path in m.group_files(group))):
-        sound.write(path, package.read(path))
+    sound = copied(package, m, "sound")
     for path, data in files.items():
         sound.write(path, data)
     write_tables(sound, with_sound)
 
 
-def write_live() -> None:
+def write_live(package: Package, m: Manifest) -> None:
     """valid/live: the first group of valid/two-groups-sh1 while the second is still to come."""
-    package = open_package(VALID / "two-groups-sh1")
-    m = package.manifest
-    first = replace(m, frames=m.groups[0].stop, live=True, groups=Groups.of(m.groups[:1]))
-    live = Folder(VALID / "live")
-    for path in (*first.shared_files(), *first.group_files(0)):
-        live.write(path, package.read(path))
+    first = replace(m, frames=m.groups[0].stop, live=True, groups=faces.Groups.of(m.groups[:1]))
     moment = datetime(2026, 1, 1, tzinfo=UTC)
-    write_tables(live, first, LiveClock(moment, moment))
+    write_tables(copied(package, first, "live"), first, faces.LiveClock(moment, moment))
 
 
 if __name__ == "__main__":

@@ -9,17 +9,32 @@ from __future__ import annotations
 
 import json
 import shutil
+import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from tests.faces import APART, KEPT, EncodeSettings, LevelSettings, StepSettings, open_package, open_sequence
-from tests.makers.bare import encode_bare
+from tests import faces
+from tests.faces import APART, KEPT, EncodeSettings, Folder, LevelSettings, StepSettings, open_package, open_sequence
 from tests.support.digests import digests
 from tests.support.paths import FOX, GOLDEN
 from tests.support.rooms import room_frames
+from tests.support.scenes import write_sequence
 
 ROWS = 700  # Gaussians kept of the embedded scene
+WHOLE = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)
+COARSE = replace(WHOLE, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)))  # and a level of half the rows
+
+
+def encode_bare(frames: Sequence[faces.Gaussians], place: Path, settings: EncodeSettings, **sequence: object) -> None:
+    """Encode frames without cameras, and without a poster; `sequence` are entries of sequence.json."""
+    with tempfile.TemporaryDirectory() as folder:
+        scene = write_sequence(Path(folder), list(frames), cameras=False, **sequence)
+        faces.encode(open_sequence(scene), place, settings)
+    faces.write_tables(Folder(place), replace(open_package(place).manifest, poster=None))
+    (place / faces.POSTER_NAME).unlink()
 
 
 def main() -> None:
@@ -28,17 +43,11 @@ def main() -> None:
     source = open_sequence(FOX)
     rows = np.linspace(0, 4999, ROWS).astype(int)
     fox = {frame: source.read(frame).take(rows) for frame in range(3, 8)}
-    fine = StepSettings(grid=0.00007)
-    coarse = EncodeSettings(
-        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1)), keys=APART
-    )
+    fine = replace(WHOLE, key_factors=(1.0,), quality=0.1, steps=StepSettings(grid=0.00007))
     cases = {
-        "fox": ([fox[frame] for frame in range(3, 7)], coarse),
-        "fox-fine": (
-            [fox[frame] for frame in range(5, 8)],
-            replace(coarse, levels=(LevelSettings(0.0),), key_factors=(1.0,), quality=0.1, steps=fine),
-        ),
-        "room": (room_frames(ROWS, 4, degree=1), replace(coarse, keys=KEPT, keep_all=True)),
+        "fox": ([fox[frame] for frame in range(3, 7)], COARSE),
+        "fox-fine": ([fox[frame] for frame in range(5, 8)], fine),
+        "room": (room_frames(ROWS, 4, degree=1), replace(COARSE, keys=KEPT, keep_all=True)),
     }
     for name, (cut, settings) in cases.items():
         encode_bare(cut, GOLDEN / name, settings, fps=24, keyframes=[0, 2])

@@ -12,7 +12,6 @@ import base64
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec.media.h264 import ClosedGop, CodecSettings, Pictures, encode_gop
 from airgs_codec.media.mp4 import read_samples
@@ -34,30 +33,16 @@ export const PROBE_CLIP =
 """
 
 
-def picture() -> NDArray[np.uint8]:
-    """(256, 256) luma: each value in a macroblock of its own."""
-    return np.kron(np.arange(BLOCK * BLOCK, dtype=np.uint8).reshape(BLOCK, BLOCK), np.ones((BLOCK, BLOCK), np.uint8))
-
-
-def encode_probe() -> bytes:
-    shown = picture()
-    settings = CodecSettings(QP, 1.0, between=0)
-    coded = encode_gop(ClosedGop([shown], 0, 1), shown.shape, Fraction(24), settings)
+def main() -> None:
+    """Each value of luma is in a macroblock of its own."""
+    picture = np.kron(np.arange(BLOCK * BLOCK).reshape(BLOCK, BLOCK), np.ones((BLOCK, BLOCK))).astype(np.uint8)
+    coded = encode_gop(ClosedGop([picture], 0, 1), picture.shape, Fraction(24), CodecSettings(QP, 1.0, between=0))
     (sample,) = read_samples(coded.fragment)
-    return sample
-
-
-def text(sample: bytes) -> str:
+    (decoded,) = Pictures([sample], PATH.name)
+    assert np.array_equal(decoded, picture), "the coded picture is not exact"
     letters = base64.b64encode(sample).decode()
     lines = [f'  "{letters[start : start + 112]}"' for start in range(0, len(letters), 112)]
-    return TEXT.format(blocks=BLOCK, lines=" +\n".join(lines))
-
-
-def main() -> None:
-    sample = encode_probe()
-    (decoded,) = Pictures([sample], PATH.name)
-    assert np.array_equal(decoded, picture()), "the coded picture is not exact"
-    PATH.write_text(text(sample))
+    PATH.write_text(TEXT.format(blocks=BLOCK, lines=" +\n".join(lines)))
     print(f"{PATH.name}: {len(sample)} bytes of H.264")
 
 

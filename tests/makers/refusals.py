@@ -48,6 +48,8 @@ from tests.support.refusals import Case, base_files, findings
 KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
 KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
 NONE = {"bytes": 0, "sha256": ""}
+LEVEL = ("segments", 0, "levels", 0)
+MIRROR = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0]
 NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
 
 
@@ -74,10 +76,6 @@ def flip(data: bytes) -> bytes:
 def in_table(*mutations: Mutation) -> tuple[Mutation, ...]:
     """Changes to the table of the first group, of which the index knows."""
     return (*mutations, reindexed)
-
-
-def inflated(data: bytes) -> bytes:
-    return gzip.decompress(data)
 
 
 def fragment_of(data: bytes) -> bytes:
@@ -126,7 +124,7 @@ def shortened(files: Files) -> Files:
 BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what breaks the valid package
     "too_large": (rewrite(JSON_NAME, lambda text: text.ljust(MAX_TABLE_BYTES + 1)),),
     "not_json": (rewrite(JSON_NAME, lambda text: text[:-1]),),
-    "not_json-group": in_table(rewrite(TABLE, inflated)),
+    "not_json-group": in_table(rewrite(TABLE, gzip.decompress)),
     "not_json-group-tail": in_table(rewrite(TABLE, lambda data: data + data)),
     "unknown_version": (set_value(("version",), 1),),
     "unknown_field": (set_value(("colour",), "red"),),
@@ -141,9 +139,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "wrong_type-group": in_table(set_value(("count",), None, TABLE)),
     "bad_value": (set_value(("sh_degree",), 4),),
     "bad_value-world": (set_value(("world",), {"transform": [1, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1, 0], "metric": True}),),
-    "bad_value-world-mirror": (
-        set_value(("world",), {"transform": [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], "metric": False}),
-    ),
+    "bad_value-world-mirror": (set_value(("world",), {"transform": MIRROR, "metric": False}),),
     "bad_value-name": (set_value(("region", "places", 0, "name"), ""),),
     "bad_value-name-long": (set_value(("region", "places", 0, "name"), 65 * "a"),),
     "bad_value-background": (set_value(("region", "background"), [1, 1, 1.5]),),
@@ -157,22 +153,22 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-page-level": (raised,),
     "bad_value-page-short": (shortened,),
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
-    "wrong_type-line": in_table(set_value(("segments", 0, "levels", 0, "line"), 1, TABLE)),
+    "wrong_type-line": in_table(set_value((*LEVEL, "line"), 1, TABLE)),
     "bad_value-line-none": in_table(
-        set_value(("segments", 0, "levels", 0, "file"), NONE, TABLE),
-        set_value(("segments", 0, "levels", 0, "frame_bytes"), [], TABLE),
+        set_value((*LEVEL, "file"), NONE, TABLE),
+        set_value((*LEVEL, "frame_bytes"), [], TABLE),
         remove_file("state/L0/1.m4s"),
     ),
     "bad_picture-line": (
-        drop_value(("segments", 0, "levels", 0, "line"), TABLE),
+        drop_value((*LEVEL, "line"), TABLE),
         rewrite("state/L0/1.m4s", lambda b: with_columns(b, b"")),
         honest,
     ),
-    "bad_sidecar-line": in_table(drop_value(("segments", 0, "levels", 0, "line"), TABLE)),
+    "bad_sidecar-line": in_table(drop_value((*LEVEL, "line"), TABLE)),
     "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 1, "line"), True, TABLE)),
     "bad_value-tiers": (set_value(("tiers",), 3),),
     "bad_value-levels": in_table(set_value(("levels",), [], TABLE)),
-    "bad_value-frame-bytes": in_table(set_value(("segments", 0, "levels", 0, "frame_bytes"), [], TABLE)),
+    "bad_value-frame-bytes": in_table(set_value((*LEVEL, "frame_bytes"), [], TABLE)),
     "bad_value-segments": in_table(set_value(("segments", 0, "stop"), 3, TABLE)),
     "bad_value-page-sum": (set_value(("frames", 0), 2, PAGE_TABLE), repaged),
     "bad_value-keeps": in_table(set_value(("keeps",), 2, KEPT_TABLE)),
@@ -187,9 +183,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_sidecar-kept": (kept_sidecar, honest),
     "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEY_SIDECAR]}, honest),
     "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
-    "missing_entry": in_table(
-        set_value(("tiers", 0, "pictures", 0), {"bytes": 0, "sha256": ""}, TABLE), remove_file(KEY_PICTURE)
-    ),
+    "missing_entry": in_table(set_value(("tiers", 0, "pictures", 0), NONE, TABLE), remove_file(KEY_PICTURE)),
     "missing_file": (remove_file(KEY_PICTURE),),
     "missing_file-group": (remove_file(TABLE),),
     "missing_file-page": (remove_file(PAGE_TABLE),),

@@ -1,8 +1,9 @@
 """The index: a long package starts as quickly as a short one, and every group is found with a page for each level."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from itertools import accumulate, pairwise
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import example, given, settings
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from airgs_codec.package.index import count_groups
 from tests import faces
 from tests.faces import FormatError, GroupIndex, Groups, build_index, decode, digest, open_package, pack_json, root_of
+from tests.makers.vectors.packages import pages_to
 from tests.support.manifests import no_page, tiny_manifest
 from tests.support.mutations import read_files, write_files
 from tests.support.paths import VALID
@@ -23,17 +25,10 @@ MOST = 5000  # groups whose index is made by chance
 MOST_ROOT_BYTES = 63 * 50 * 3  # of three levels
 
 
-@dataclass(frozen=True)
-class Part:
-    start: int
-    stop: int
-    segments: range
-
-
 def parts_of(count):
     """So many groups of one to five frames and one to three segments."""
-    stops = list(accumulate((1 + 7 * n % 5 for n in range(count)), initial=0))
-    return [Part(stops[n], stops[n + 1], range(1 + 3 * n % 4 % 3)) for n in range(count)]
+    spans = pairwise(accumulate((1 + 7 * n % 5 for n in range(count)), initial=0))
+    return [SimpleNamespace(start=a, stop=b, segments=range(1 + 3 * n % 4 % 3)) for n, (a, b) in enumerate(spans)]
 
 
 ALL = parts_of(MOST)
@@ -76,7 +71,8 @@ def segment_before(group):
 @settings(max_examples=12)
 def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count, seed):
     index, pages = index_of(count)
-    assert [len(spans) for spans in index] == digits(count) and sum(len(pack_json(s)) for s in index) < MOST_ROOT_BYTES
+    digits = [count // PAGE**level % PAGE for level in range(9) if count >= PAGE**level]
+    assert [len(spans) for spans in index] == digits and sum(len(pack_json(s)) for s in index) < MOST_ROOT_BYTES
     assert count_groups(index) == count and sorted(pages) == sorted(GroupIndex(index, no_page).pages())
     assert len(pages) == sum(count // PAGE**level for level in range(1, 9))
     firsts = list(accumulate((len(part.segments) for part in ALL[:count]), initial=0))
@@ -92,18 +88,9 @@ def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count
     for number in (0, count // 2, count - 1):
         fresh, _, way = places_of(count)
         fresh.at_frame(ALL[number].start)
-        assert len(way) < len(index) and way == list(places.pages_to("groups", number))
+        assert way == pages_to(number, count) == list(places.pages_to("groups", number))
         assert way == list(places.pages_to("segments", firsts[number]))
     assert (places.groups, places.frames, places.segments) == (count, ALL[count - 1].stop, firsts[-1])
-
-
-def digits(count):
-    """The digits of a number in base 64, the last one first."""
-    found = []
-    while count:
-        count, digit = divmod(count, PAGE)
-        found.append(digit)
-    return found
 
 
 def test_extending_one_by_one_gives_the_same_as_building_at_once():
@@ -118,11 +105,6 @@ def test_extending_one_by_one_gives_the_same_as_building_at_once():
         assert index[carried + 1 :] == before[carried + 1 :]
         if number + 1 in (1, 63, 64, 65, 700, 4095, 4096, 4097):
             assert (index, pages) == index_of(number + 1)
-
-
-@pytest.mark.parametrize(("count", "needed"), [(63, 0), (64, 1), (65, 0), (128, 1), (4095, 0), (4096, 2), (4097, 0)])
-def test_the_newest_group_needs_a_page_for_each_level_that_was_just_filled(count, needed):
-    assert len(list(places_of(count)[0].pages_to("groups", count - 1))) == needed
 
 
 def test_pages_that_are_not_there_are_asked_for_from_the_root_on():

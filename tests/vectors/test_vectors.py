@@ -1,7 +1,5 @@
 """The decoder reads what the vectors say: whole numbers exactly, others as near as FORMAT.md asks, whole packages."""
 
-from hashlib import sha256
-
 import numpy as np
 import pytest
 import torch
@@ -9,7 +7,6 @@ import torch
 from airgs_codec.coding import atlas, channels, escapes, grid, sidecar
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.rangecoder import ColumnReader
-from airgs_codec.media.h264 import open_segment
 from airgs_codec.render.reference import sh_colours
 from tests import faces
 from tests.faces import KEY, STATE, FormatError, Grid, from_codes, unpack_matrix
@@ -271,15 +268,6 @@ def test_what_is_fetched_before_the_first_picture(case, monkeypatch):
     assert asked == case["files"]
     tables = [path for path in asked if path.startswith("group/")]
     assert case["tiers"] > 1 or len(asked) <= MOST_REQUESTS[len(tables) - 1]
-
-
-@each("packages", "units")
-def test_pictures_and_columns(case):
-    columns, coded = open_segment(package(case).read(case["path"]), case["path"])
-    assert columns == (None if case["columns"] is None else data(case["columns"]))
-    pictures = list(coded)
-    assert {picture.shape for picture in pictures} == {(case["height"], case["width"])}
-    assert [sha256(picture.tobytes()).hexdigest() for picture in pictures] == case["luma"]
 
 
 @each("packages", "frames")
