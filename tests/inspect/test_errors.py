@@ -1,34 +1,29 @@
 """max_error: kept by every package, measured again against the original, and found when it is a lie."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.settings import read_levels
 from airgs_codec.inspect import errors
-from tests.faces import (
-    KEY,
-    STATE,
-    STATIC,
-    ConfigError,
-    EncodeSettings,
-    airgs_manifest,
-    decode_canonical,
-    encode,
-    exceeded,
-    measure_errors,
-    open_package,
-    open_sequence,
-    to_rotation_vector,
-    validate,
-)
+from tests import faces
+from tests.faces import KEY, STATE, STATIC, decode_canonical, measure_errors, open_package, open_sequence
 from tests.makers.refusals import TABLE
 from tests.support.mutations import on_disk, reindexed, set_value
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, write_sequence
 
-FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2)
+
+@pytest.fixture(scope="module")
+def turned(made_once):
+    """A package without the rows that pictures do not need, in which most that swings is not updated; its sequence."""
+
+    def make(folder):
+        sequence = open_sequence(write_sequence(folder / "scene", moving_frames(400, 4, 1)))
+        levels = faces.LevelSettings(0.6), faces.LevelSettings(0.6, 2.0)
+        fast = faces.EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2, levels=levels)
+        faces.encode(sequence, folder / "out", fast)
+
+    folder = made_once("turned", make)
+    return open_package(folder / "out"), open_sequence(folder / "scene")
 
 
 def test_every_atlas_keeps_its_bound_and_the_bound_is_tight(demo_package):
@@ -52,46 +47,31 @@ def test_coarser_levels_promise_less(demo_package):
 
 
 def test_a_lie_is_found(demo_copy, capsys):
-    assert airgs_manifest(["validate", str(demo_copy), "--against", str(FOX)]) == 0
+    assert faces.airgs_manifest(["validate", str(demo_copy), "--against", str(FOX)]) == 0
     assert "measured / max_error" in capsys.readouterr().out
     place = ("levels", 0, "max_error", 0)
     promised = open_package(demo_copy).manifest.groups[0].levels[0].max_error[0]
     on_disk(demo_copy, set_value(place, 0.5 * promised, TABLE), reindexed)
-    assert airgs_manifest(["validate", str(demo_copy), "--against", str(FOX)]) == 1
+    assert faces.airgs_manifest(["validate", str(demo_copy), "--against", str(FOX)]) == 1
     assert "means: max_error" in capsys.readouterr().out
 
 
 def test_another_sequence_is_refused(demo_package, tmp_path):
     other = open_sequence(write_sequence(tmp_path / "scene", moving_frames(20, 3)))
-    with pytest.raises(ConfigError, match="expected 10 frames"):
+    with pytest.raises(faces.ConfigError, match="expected 10 frames"):
         list(measure_errors(open_package(demo_package), other))
 
 
-def test_left_out_rows_and_bands_do_not_matter(tmp_path):
-    """Rows in another order, some of them left out, and a sequence with more SH bands than are coded."""
-    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4, 1)))
-    encode(sequence, tmp_path / "out", replace(FAST, keep_all=False))
-    assert validate(tmp_path / "out") == exceeded(measure_errors(open_package(tmp_path / "out"), sequence)) == []
-
-
-def test_rows_that_move_and_are_never_updated_are_found_by_their_mean(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path / "scene", moving_frames(300, 4)))
-    encode(sequence, tmp_path / "out", replace(FAST, levels=read_levels("60:1,60:2")))
-    package = open_package(tmp_path / "out")
-    still = decode_canonical(package, 0, 0).depths == STATIC
-    assert still.sum() > 180  # 150 swing, and most of them with no update
-    measured = list(measure_errors(package, sequence))
-    assert exceeded(measured) == [] and max(m.ambiguous for m in measured) == 0
-
-
-def test_promises_hold_of_rows_whose_axes_have_other_names(tmp_path):
-    scene = write_sequence(tmp_path / "scene", moving_frames(400, 3))  # turned anyhow
-    encode(open_sequence(scene), tmp_path / "package", FAST)
-    measured = list(measure_errors(open_package(tmp_path / "package"), open_sequence(scene)))
+def test_rows_that_are_left_out_turned_or_never_updated_keep_their_promises(turned):
+    """The rows are in another order; those that move and are never updated are found by their mean."""
+    package, sequence = turned
+    measured, base = list(measure_errors(package, sequence)), decode_canonical(package, 0, 0)
+    assert faces.validate(package.files.path) == faces.exceeded(measured) == []
+    assert max(m.ambiguous for m in measured) == 0 and all(e.error <= e.bound for e in measured)
+    assert package.manifest.groups[0].left_out[0].what == "gaussians" and package.manifest.sh_degree == 1
+    assert (base.depths == STATIC).sum() > 200  # of 305, half of which swing: most of them with no update
     assert sum(e.attribute == "quaternions" and "key" in e.where and e.rows > 0 for e in measured)
-    assert all(e.error <= e.bound for e in measured)
-    base = decode_canonical(open_package(tmp_path / "package"), 0, 0)
-    assert np.linalg.norm(to_rotation_vector(base.quaternions), axis=1).max() < np.radians(70)  # 62.8, and a step
+    assert np.linalg.norm(faces.to_rotation_vector(base.quaternions), axis=1).max() < np.radians(70)  # 62.8, and a step
 
 
 def test_the_nearest_original_that_keeps_the_promise_is_taken_or_the_nearest():
