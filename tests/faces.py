@@ -50,7 +50,7 @@ from airgs_codec.package.layout import (
     key_media_path, key_sidecar_path, locate, page_path, sound_path, state_media_path,
 )  # fmt: skip
 from airgs_codec.package.tables import (
-    Atlas, FileEntry, Grid, KeySteps, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound, StateSteps,
+    Atlas, FileEntry, Grid, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound, StateSteps,
     World, digest, file_entry, pack_matrix, unpack_matrix,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
@@ -122,7 +122,7 @@ from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 # Serving
 from airgs_codec.serve.app import Packages, media_type
 from airgs_codec.serve.pages import content_policy, is_built
-from airgs_codec.serve.server import Certificate, ServerSettings, listen
+from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
 from airgs_codec.serve.export import export_page
 
 # Work in jobs

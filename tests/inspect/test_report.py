@@ -7,17 +7,16 @@ import re
 
 import pytest
 
-from airgs_codec.analysis.rows import Restored
-from airgs_codec.encoder.measure import uncertainty_db
-from airgs_codec.encoder.publish import EncodeReport, certainty_words
 from airgs_codec.inspect.report import advice, bought, holds_back, write_report
-from airgs_codec.inspect.summary import RungSummary
-from tests.faces import DELTA_E, PSNR, GaussianSequence, Goal, VideoReader, decode_frames, open_package, read_picture
+from tests import faces
+from tests.faces import DELTA_E, PSNR, Goal, decode_frames, open_package
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 from tests.support.views import moved
 
-DONE = EncodeReport(tiny_manifest(), 0, Restored(None), 0.1, 2.0, 3.0, 0.0, 6.0, 3.0, False, uncertainty=0.03)
+DONE = faces.EncodeReport(
+    tiny_manifest(), 0, faces.Restored(None), 0.1, 2.0, 3.0, 0.0, 6.0, 3.0, False, uncertainty=0.03
+)
 
 
 @pytest.fixture(scope="module")
@@ -28,36 +27,28 @@ def page(tmp_path_factory):
     frames[2] = moved(frames[2], slice(0, 12), (0.4, 0.2, 0.0))
     folder = tmp_path_factory.mktemp("report") / "made"
     done = dataclasses.replace(DONE, manifest=package.manifest)
-    write_report(folder, GaussianSequence.from_arrays(frames, fps=package.manifest.fps), package, done)
+    write_report(folder, faces.GaussianSequence.from_arrays(frames, fps=package.manifest.fps), package, done)
     return folder
 
 
-def test_the_worst_frame_is_named_and_shown(page):
+def test_the_page_names_the_worst_frame_and_shows_it_and_a_film_of_both_sides(page):
     text = (page / "index.html").read_text()
     assert "Frame 2 is the worst" in text and "far below the others" in text
     assert set(re.findall(r'<img src="([^"]+)"', text)) == {"frame-000002.png"}
-    assert read_picture(page / "frame-000002.png").shape[1] > 3 * 300  # given, encoded, difference
-
-
-def test_a_film_shows_both_sides(page):
-    film = VideoReader(page / "film.mp4")
-    assert len(film.clock.pictures) == 4
+    assert faces.read_picture(page / "frame-000002.png").shape[1] > 3 * 300  # given, encoded, difference
+    film = faces.VideoReader(page / "film.mp4")
     width, height = film.size
-    assert width > height  # two pictures beside each other
-
-
-def test_all_that_the_page_names_is_there(page):
-    text = (page / "index.html").read_text()
+    assert len(film.clock.pictures) == 4 and width > height  # two pictures beside each other
     assert set(re.findall(r'(?:src|href)="([^"#]+)"', text)) <= {path.name for path in page.iterdir()}
     assert text.count("<figure") == 4 and html.escape(bought(DONE.stages())).split(".")[0] in text
 
 
 def rungs(*figures):
     """Rungs of two key qualities and two levels from (kB a frame, dB) of Q0+L0, Q0+L1, Q1+L0 and Q1+L1."""
-    names = [("Q0", "L0"), ("Q0", "L1"), ("Q1", "L0"), ("Q1", "L1")]
+    known = [rung for rung in faces.summarise(tiny_manifest(), 0).rungs if rung.state != "L2"]
     return [
-        RungSummary(*name, 1e3 * kb, 1e6, psnr, psnr, 0.9, 0.5, True)
-        for name, (kb, psnr) in zip(names, figures, strict=True)
+        dataclasses.replace(rung, bytes_per_frame=1e3 * kb, psnr=psnr)
+        for rung, (kb, psnr) in zip(known, figures, strict=True)
     ]
 
 
@@ -74,7 +65,7 @@ def test_what_each_second_bought_begins_with_what_took_longest():
     told = bought(DONE.stages())
     assert told.startswith("14 s in all. Encoding took 6.0 s: the package, at the first attempt.")
     assert "Order of rows" not in told and "Calibration took 3.0 s: nothing" in told
-    assert f"good to {uncertainty_db(0.03):.1f} dB" in told
+    assert "good to 0.3 dB" in told
     top = DONE.manifest.bytes_of(DONE.manifest.rung_files(0, 0)) / DONE.manifest.frames
     more = dataclasses.replace(DONE, saved=top / 3, cached=True, search_s=12.0, goal=Goal(PSNR, 40.0), repairs=("L1",))
     more = dataclasses.replace(more, trials=((1.0, 42.0), (1.3, 40.05), (1.2, 41.0)))
@@ -91,5 +82,5 @@ def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():
     assert "Fewer --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0))
     for uncertainty in (0.2, math.inf):  # infinite: of one picture
         assert "more --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0, uncertainty=uncertainty))
-    assert certainty_words(math.inf).startswith("of a single picture")
+    assert faces.certainty_words(math.inf).startswith("of a single picture")
     assert "--calibrate none" in advice(dataclasses.replace(DONE, calibrate_s=60.0))
