@@ -50,8 +50,8 @@ from airgs_codec.package.layout import (
     key_media_path, key_sidecar_path, locate, page_path, sound_path, state_media_path,
 )  # fmt: skip
 from airgs_codec.package.tables import (
-    Atlas, FileEntry, Grid, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound, StateSteps,
-    World, digest, file_entry, pack_matrix, unpack_matrix,
+    Atlas, FileEntry, Grid, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound,
+    StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd

@@ -3,7 +3,6 @@
 import contextlib
 import gzip
 import http.client
-import json
 import os
 import shutil
 import socket
@@ -14,29 +13,17 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from airgs_codec.places.whole import write_bytes
-from airgs_codec.serve.server import Certificate, check_certificate
-from tests.faces import (
-    ConfigError,
-    HttpDownloader,
-    HttpSettings,
-    ServerSettings,
-    SessionSettings,
-    check_repr_digest,
-    digest,
-    listen,
-    media_type,
-    play,
-)
+from tests import faces
+from tests.faces import Certificate, ConfigError, Folder, ServerSettings, check_certificate, digest, listen
 from tests.support.mutations import read_files
 from tests.support.paths import VALID
-from tests.support.servers import plainly_serving, say, serving
+from tests.support.servers import ask, say, serving
 
 PACKAGE = VALID / "two-groups-sh1"
 NAME = PACKAGE.name
 ROOT = f"/{NAME}/airgs.json"
-RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0, loops=1)
 PATIENCE_S = 0.4
+STATE, SIZE = "state/L0/1.m4s", 32 << 20
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +33,12 @@ def port():
         yield port
 
 
-def ask(port, path, method="GET", headers=None, body=None):
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-    connection.request(method, path, body, headers or {})
-    response = connection.getresponse()
-    data = response.read()
-    connection.close()
-    return response.status, response.headers, data
+@pytest.fixture
+def big(tmp_path):
+    """A package with a file that is larger than buffers are."""
+    package = shutil.copytree(PACKAGE, tmp_path / "big")
+    (package / STATE).write_bytes(bytes(SIZE))
+    return package
 
 
 def statuses(answer):
@@ -68,65 +54,47 @@ def test_every_file_is_served_whole(port):
     for path, data in read_files(PACKAGE).items():
         status, headers, body = ask(port, f"/{NAME}/{path}")
         assert (status, body) == (200, data)
-        assert headers["Content-Type"] == media_type(path) and headers["Content-Length"] == str(len(data))
+        assert headers["Content-Type"] == faces.media_type(path) and headers["Content-Length"] == str(len(data))
         assert ("immutable" in headers["Cache-Control"]) == (path not in ("airgs.json", "manifest.mpd"))
         assert headers["Access-Control-Allow-Origin"] == "*" and headers["X-Content-Type-Options"] == "nosniff"
         status, headers, body = ask(port, f"/{NAME}/{path}", "HEAD")
         assert (status, body, headers["Content-Length"]) == (200, b"", str(len(data)))
 
 
-def test_the_packages_are_listed(port):
-    listed = json.loads(ask(port, "/", headers={"Accept": "application/json"})[2])
-    assert [entry["name"] for entry in listed] == ["moving", NAME]
-    page = ask(port, "/")[2].decode()
-    for entry in listed:
-        assert ask(port, entry["tables"])[0] == ask(port, entry["mpd"])[0] == 200
-        assert entry["mpd"] in page
-
-
-def test_names_of_packages_are_quoted(tmp_path):
-    shutil.copytree(PACKAGE, tmp_path / "a <b>&?#%é.airgs")
-    with serving(tmp_path / "a <b>&?#%é.airgs") as port:
-        (entry,) = json.loads(ask(port, "/", headers={"Accept": "application/json"})[2])
-        assert ask(port, entry["tables"])[0] == 200
-        assert "<b>" not in ask(port, "/")[2].decode()
-
-
 def test_conditions_and_ranges(port):
-    data = (PACKAGE / "state/L0/1.m4s").read_bytes()
-    target = f"/{NAME}/state/L0/1.m4s"
+    data = (PACKAGE / STATE).read_bytes()
+    target = f"/{NAME}/{STATE}"
     tag = ask(port, target)[1]["ETag"]
     for known in (tag, f'"a", W/{tag}', "*"):
-        status, headers, body = ask(port, target, headers={"If-None-Match": known})
+        status, headers, body = ask(port, target, If_None_Match=known)
         assert (status, body) == (304, b"") and "immutable" in headers["Cache-Control"]
-    status, headers, body = ask(port, target, headers={"Range": "bytes=5-9", "If-Range": tag})
+    status, headers, body = ask(port, target, Range="bytes=5-9", If_Range=tag)
     assert (status, body, headers["Content-Range"]) == (206, data[5:10], f"bytes 5-9/{len(data)}")
     assert headers["Content-Type"] == "video/mp4" and "immutable" in headers["Cache-Control"]
-    assert ask(port, target, headers={"Range": "bytes=5-9", "If-Range": '"old"'})[0::2] == (200, data)
-    assert ask(port, target, headers={"Range": "bytes=-5"})[0::2] == (206, data[-5:])
-    assert ask(port, target, headers={"Range": f"bytes={10**30}-"})[0] == 416
+    assert ask(port, target, Range="bytes=5-9", If_Range='"old"')[0::2] == (200, data)
+    assert ask(port, target, Range="bytes=-5")[0::2] == (206, data[-5:])
+    assert ask(port, target, Range=f"bytes={10**30}-")[0] == 416
     for text in ("bytes=5-4", "bytes=a-b", "bytes=", "bits=0-1", f"bytes={'9' * 9000}-", "bytes=--1", "bytes=-0", "x"):
-        assert ask(port, target, headers={"Range": text})[0] in (200, 400, 416), text
+        assert ask(port, target, Range=text)[0] in (200, 400, 416), text
     many = ",".join(f"{i}-{i}" for i in range(1000))
-    assert ask(port, target, headers={"Range": f"bytes={many}"})[0::2] == (200, data)
+    assert ask(port, target, Range=f"bytes={many}")[0::2] == (200, data)
 
 
 def test_texts_are_zipped_for_those_who_take_it_and_never_given_in_parts(port):
     data = (PACKAGE / "airgs.json").read_bytes()
     for accepted in ("br, gzip", "br"):
-        status, headers, body = ask(port, ROOT, headers={"Accept-Encoding": accepted, "Range": "bytes=0-9"})
+        status, headers, body = ask(port, ROOT, Accept_Encoding=accepted, Range="bytes=0-9")
         zipped = headers["Content-Encoding"] == "gzip"
         assert status == 200 and zipped == ("gzip" in accepted)
         assert (gzip.decompress(body) if zipped else body) == data
         assert headers["ETag"] == f'"{digest(data)}{"-gzip" * zipped}"' and headers["Vary"] == "Accept-Encoding"
-        check_repr_digest("airgs.json", body, headers["Repr-Digest"])
-        asked = {"Accept-Encoding": accepted, "If-None-Match": headers["ETag"]}
-        assert ask(port, ROOT, headers=asked)[0::2] == (304, b"")
+        faces.check_repr_digest("airgs.json", body, headers["Repr-Digest"])
+        assert ask(port, ROOT, Accept_Encoding=accepted, If_None_Match=headers["ETag"])[0::2] == (304, b"")
 
 
 def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
     asked = {"Origin": "https://a.b", "Access-Control-Request-Method": "GET", "Access-Control-Request-Headers": "range"}
-    status, headers, _ = ask(port, ROOT, "OPTIONS", asked)
+    status, headers, _ = ask(port, ROOT, "OPTIONS", **asked)
     assert status == 204 and "Range" in headers["Access-Control-Allow-Headers"]
     assert headers["Access-Control-Allow-Origin"] == "*" and "GET" in headers["Access-Control-Allow-Methods"]
     assert ask(port, ROOT)[1]["Access-Control-Expose-Headers"] == "*"  # ETag and Content-Range, too
@@ -136,20 +104,13 @@ def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
 @pytest.mark.parametrize(
     "target",
     [
-        "/../../etc/passwd",
-        f"/{NAME}/../moving/airgs.json",
-        f"/{NAME}/%2e%2e/moving/airgs.json",
-        f"/{NAME}/..%2fmoving%2fairgs.json",
-        f"/{NAME}//etc/passwd",
-        f"/{NAME}/key/..%5c..%5cairgs.json",
-        f"/{NAME}/.airgs.json.part",
+        *("/../../etc/passwd", "/%ff%fe/airgs.json", "/other/airgs.json", "/other/", f"/{NAME}", "*"),
+        *(
+            f"/{NAME}/{path}"
+            for path in ("../moving/airgs.json", "%2e%2e/moving/airgs.json", "..%2fmoving%2fairgs.json")
+        ),
+        *(f"/{NAME}/{path}" for path in ("/etc/passwd", "key/..%5c..%5cairgs.json", ".airgs.json.part", "key")),
         f"/{NAME}/airgs.json%00.m4s",
-        "/%ff%fe/airgs.json",
-        "/other/airgs.json",
-        f"/{NAME}",
-        "/other/",
-        f"/{NAME}/key",
-        "*",
     ],
 )
 def test_nothing_else_is_served(port, target):
@@ -158,7 +119,7 @@ def test_nothing_else_is_served(port, target):
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "PATCH", "TRACE", "NONSENSE"])
 def test_other_methods_are_refused(port, method):
-    status, headers, _ = ask(port, ROOT, method, {"Content-Length": "0"})
+    status, headers, _ = ask(port, ROOT, method, Content_Length="0")
     assert status == 405 and set(headers["Allow"].split(", ")) == {"GET", "HEAD", "OPTIONS"}
 
 
@@ -204,7 +165,13 @@ def test_a_byte_now_and_then_does_not_buy_time(port):
     with socket.create_connection(("127.0.0.1", port), 10) as connection:
         connection.sendall(b"GET / HTTP/1.1\r\nHost: a\r\n")
         stop = threading.Event()
-        trickling = threading.Thread(target=_trickle, args=(connection, stop))
+
+        def trickle():
+            with contextlib.suppress(OSError):
+                while not stop.wait(PATIENCE_S / 8):
+                    connection.sendall(b"X: x\r\n")
+
+        trickling = threading.Thread(target=trickle)
         trickling.start()
         with contextlib.suppress(ConnectionError):
             assert connection.recv(1) == b""
@@ -212,68 +179,52 @@ def test_a_byte_now_and_then_does_not_buy_time(port):
         trickling.join()
 
 
-def _trickle(connection, stop):
-    while not stop.wait(PATIENCE_S / 8):
-        try:
-            connection.sendall(b"X: x\r\n")
-        except OSError:
-            return
-
-
 @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="the kernel does it")
-def test_a_client_that_takes_nothing_is_dropped(tmp_path):
-    package = shutil.copytree(PACKAGE, tmp_path / "big")
-    size = 32 << 20  # more than buffers hold
-    (package / "state/L0/1.m4s").write_bytes(bytes(size))
+def test_a_client_that_takes_nothing_is_dropped(big):
     with (
-        serving(package, settings=ServerSettings(patience_s=PATIENCE_S, grace_s=0.1)) as port,
+        serving(big, settings=ServerSettings(patience_s=PATIENCE_S, grace_s=0.1)) as port,
         socket.socket() as connection,
     ):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)
         connection.settimeout(10)
         connection.connect(("127.0.0.1", port))
-        connection.sendall(request("/big/state/L0/1.m4s"))
+        connection.sendall(request(f"/big/{STATE}"))
         threading.Event().wait(8 * PATIENCE_S)
         taken = 0
         with contextlib.suppress(ConnectionError):
             while part := connection.recv(1 << 20):
                 taken += len(part)
-        assert taken < size
+        assert taken < SIZE
 
 
 @pytest.mark.parametrize("truncated", [False, True])
-def test_nobody_is_given_parts_of_two_files_for_one(tmp_path, truncated):
+def test_nobody_is_given_parts_of_two_files_for_one(big, truncated):
     """A file that is replaced while it is sent comes as it was; of one that is cut the answer ends before its end."""
-    package = shutil.copytree(PACKAGE, tmp_path / "big")
-    path = package / "state/L0/1.m4s"
-    path.write_bytes(bytes(32 << 20))  # more than buffers hold
-    with serving(package) as port:
+    with serving(big) as port:
         connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
-        connection.request("GET", "/big/state/L0/1.m4s")
+        connection.request("GET", f"/big/{STATE}")
         response = connection.getresponse()
         if truncated:
-            os.truncate(path, 0)
+            os.truncate(big / STATE, 0)
             with pytest.raises(http.client.IncompleteRead):
                 response.read()
         else:
-            write_bytes(path, b"x" * (32 << 20))
-            assert response.read() == bytes(32 << 20)
+            Folder(big).write(STATE, b"x" * SIZE)
+            assert response.read() == bytes(SIZE)
         connection.close()
 
 
-def test_memory_does_not_grow_with_files_that_nobody_takes(tmp_path):
+def test_memory_does_not_grow_with_files_that_nobody_takes(big):
     """Clients that read nothing of a large file, and one that wants a byte of it, within 256 MiB in a child process."""
-    package = shutil.copytree(PACKAGE, tmp_path / "big")
-    with (package / "state/L0/1.m4s").open("r+b") as file:
-        file.truncate(100 << 20)
-    child = subprocess.run([sys.executable, "-c", STALLED, package], capture_output=True, text=True, timeout=100)
+    os.truncate(big / STATE, 100 << 20)
+    child = subprocess.run([sys.executable, "-c", STALLED, big], capture_output=True, text=True, timeout=100)
     assert (child.returncode, child.stdout) == (0, "206 1\n"), child.stderr
 
 
 STALLED = """
-import contextlib, http.client, re, resource, socket, sys
+import contextlib, re, resource, socket, sys
 from pathlib import Path
-from tests.support.servers import serving
+from tests.support.servers import ask, serving
 
 taken = 1024 * int(re.search(r"VmData:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 with serving(Path(sys.argv[1])) as port, contextlib.ExitStack() as stack:
@@ -283,10 +234,8 @@ with serving(Path(sys.argv[1])) as port, contextlib.ExitStack() as stack:
         reader = stack.enter_context(socket.create_connection(("127.0.0.1", port)))
         reader.sendall(b"GET /big/state/L0/1.m4s HTTP/1.1\\r\\nHost: a\\r\\n\\r\\n")
         assert reader.recv(12) == b"HTTP/1.1 200"
-    connection = http.client.HTTPConnection("127.0.0.1", port)
-    connection.request("GET", "/big/state/L0/1.m4s", headers={"Range": "bytes=77777-77777"})
-    response = connection.getresponse()
-    print(response.status, len(response.read()))
+    status, _, body = ask(port, "/big/state/L0/1.m4s", Range="bytes=77777-77777")
+    print(status, len(body))
 """
 
 
@@ -295,25 +244,14 @@ def test_a_growing_package_is_never_served_in_parts_of_two_versions(tmp_path):
     package = shutil.copytree(PACKAGE, tmp_path / "live")
     versions = {f'"{digest(data)}"': data for data in (b"%d" % i * 40_000 for i in range(10))}
     with serving(package) as port, ThreadPoolExecutor(8) as pool:
-        write_bytes(package / "airgs.json", next(iter(versions.values())))
+        Folder(package).write("airgs.json", next(iter(versions.values())))
         answers = [pool.submit(ask, port, "/live/airgs.json") for _ in range(100)]
         for data in versions.values():
-            write_bytes(package / "airgs.json", data)
+            Folder(package).write("airgs.json", data)
             assert ask(port, "/live/airgs.json")[2] == data
         for answer in answers:
             status, headers, body = answer.result()
             assert status == 200 and versions[headers["ETag"]] == body
-
-
-@pytest.mark.parametrize("serve", [serving, plainly_serving], ids=["airgs-serve", "http.server"])
-def test_the_player_reads_from_this_server_as_from_any_other(serve):
-    with serve(PACKAGE) as port:
-        files = {}
-        url = f"http://127.0.0.1:{port}" + (f"/{NAME}" if serve is serving else "")
-        with HttpDownloader(url, HttpSettings(as_fast=True), files.__setitem__) as downloader:
-            log = play(downloader.open(), downloader, "fixed:0", RULES)
-    assert not log.lost and log.shown and all(shown.rung == 0 for shown in log.shown)
-    assert files and all(data == (PACKAGE / path).read_bytes() for path, data in files.items())
 
 
 def test_answers_to_pipelined_requests_come_in_their_order(port):

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager
 from functools import partial
+from http.client import HTTPConnection, HTTPMessage
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.request import Request, urlopen
@@ -63,6 +64,18 @@ def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> Iterator[int]:
         server.shutdown()
         server.server_close()
         thread.join()
+
+
+def ask(
+    port: int, path: str, method: str = "GET", body: bytes | None = None, **headers: str
+) -> tuple[int, HTTPMessage, bytes]:
+    """Status, headers and body of an answer; `headers` of the request have _ in place of -."""
+    connection = HTTPConnection("127.0.0.1", port, timeout=100)
+    connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
+    response = connection.getresponse()
+    data = response.read()
+    connection.close()
+    return response.status, response.headers, data
 
 
 def say(port: int, data: bytes, wait_s: float = 10.0) -> bytes:
