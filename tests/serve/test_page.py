@@ -16,7 +16,7 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 import pytest
 
 from airgs_codec.serve.pages import describe, list_page
-from tests.faces import PAGE, ConfigError, FormatError, Packages, digest, media_type, open_package, pooled_quality
+from tests.faces import PAGE, ConfigError, Packages, digest, media_type, open_package, pooled_quality
 from tests.support.effort import few_calls
 from tests.support.mutations import apply, edit_text, link_file, read_files, remove_file, set_value, write_files
 from tests.support.page import FILES, INLINE, put_page
@@ -256,11 +256,6 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
     monkeypatch.setattr(os, "stat", refuse)
     names = Packages([holder]).now()
     assert "good" in names and "no mpd" not in names
-
-
-def test_a_table_that_is_too_long_is_not_read(holder):
-    with pytest.raises(FormatError, match="too_large"):
-        open_package(holder / "long").manifest.group_files(0)
 
 
 @pytest.mark.parametrize(
