@@ -7,40 +7,43 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.grouping import plan_groups
-from airgs_codec.coding.quantize import get_step, with_step
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Subject, balance, calibrate, solve_steps
+from airgs_codec.encoder.calibrate import STEPS, Subject, balance, calibrate, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
 from tests.faces import (
     USAGE_NAME,
     EncodeSettings,
+    GaussianSequence,
     GroupSpan,
     LevelSettings,
     SceneError,
     StepSettings,
     Usage,
     ViewPlan,
+    get_step,
     open_sequence,
     open_store,
+    orbit_views,
     pack,
     save_usage,
     survey_group,
     temporary_work,
+    with_step,
     write_ply,
-)
+)  # fmt: skip
 from tests.support.jobs import prepared_as_one_group
-from tests.support.paths import FOX
-from tests.support.scenes import moving_frames, random_gaussians, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_demo, write_sequence
 
 FAST = EncodeSettings(preset="veryfast", threads=2)
+LARGEST = math.sqrt(51)  # a factor on a step: every step has 2 % of all bytes and error at least
 
 
 @pytest.fixture(scope="module")
-def fox():
-    sequence = open_sequence(FOX)
+def fox(tmp_path_factory):
+    """A part of the embedded scene: its sequence, the survey of its only group, and its views."""
+    folder = write_demo(tmp_path_factory.mktemp("calibrate") / "fox", frames=4, rows=2500, scale=0.5)
+    sequence = open_sequence(folder)
     views = ViewPlan.of(sequence, 24)
-    span = GroupSpan(0, *plan_groups(sequence).spans[0])
-    return sequence, survey_group(sequence, span, views), views
+    return sequence, survey_group(sequence, GroupSpan(0, 0, 4), views), views
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +66,7 @@ def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibr
 
 
 def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_path):
-    frames = moving_frames(30, 6)
-    folder = write_sequence(tmp_path / "scene", frames)
+    folder = write_sequence(tmp_path / "scene", moving_frames(30, 6))
 
     def digest():
         sequence = open_sequence(folder)
@@ -130,46 +132,39 @@ def test_ladders_descend(calibration):
     assert (alone.steps, alone.levels, alone.key_factors) == (calibration.steps, FAST.levels, FAST.key_factors)
 
 
-def test_a_scene_that_stands_still_has_one_level(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300)]))
-    survey = survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24))
-    found = calibrate(sequence, survey, FAST)
+def test_a_scene_that_stands_still_has_one_level():
+    frame = random_gaussians(300)
+    sequence = GaussianSequence.from_arrays([frame], cameras=orbit_views(frame, count=4, size=64))
+    found = calibrate(sequence, survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24)), FAST)
     assert found.levels == (LevelSettings(0.0),) and found.key_factors == (1.0,)
     assert found.steps.state == StepSettings().state
 
 
-LARGEST = math.sqrt((1 + PRIOR) / PRIOR)
-
-
-def slopes(errors: list[float]) -> dict[str, tuple[float, float]]:
+def slopes(errors):
     return {name: (1.0, error) for name, error in zip(STEPS, errors, strict=False)}
 
 
-def test_equal_slopes_change_nothing() -> None:
+def test_steps_are_balanced_within_the_limit():
     factors, price = balance(slopes([3.0] * 6))
-    assert list(factors.values()) == pytest.approx([1.0] * 6)
+    assert list(factors.values()) == pytest.approx([1.0] * 6)  # equal slopes change nothing
     assert price == pytest.approx(2 * 3.0)
-
-
-def test_a_step_without_error_grows_to_the_limit_and_one_without_bytes_shrinks_to_it() -> None:
     factors, _ = balance({"state.means": (1.0, 0.0), "state.opacity": (0.0, 1.0)})
     assert factors == {"state.means": pytest.approx(LARGEST), "state.opacity": pytest.approx(1 / LARGEST)}
 
 
 @pytest.mark.parametrize("decades", [12, 300])
-def test_errors_over_many_decades_keep_within_the_limit_and_in_order(decades: int) -> None:
-    errors = [10.0 ** (-decades * i / 11) for i in range(12)]
-    factors = list(balance(slopes(errors))[0].values())
+def test_errors_over_many_decades_keep_within_the_limit_and_in_order(decades):
+    factors = list(balance(slopes([10.0 ** (-decades * i / 11) for i in range(12)]))[0].values())
     assert factors == sorted(factors)
     assert 1 / LARGEST <= factors[0] < 1 < factors[-1] <= LARGEST
 
 
 @pytest.mark.parametrize("given", [{"grid": (0.0, 1.0)}, {"grid": (1.0, 0.0)}, {"grid": (-1.0, -1.0)}, {}])
-def test_where_nothing_depends_on_steps_they_stay(given: dict[str, tuple[float, float]]) -> None:
+def test_where_nothing_depends_on_steps_they_stay(given):
     assert balance(given) == ({}, 0.0)
 
 
 @pytest.mark.parametrize("slope", [(math.nan, 1.0), (1.0, math.inf), (1.0, math.nan)])
-def test_slopes_that_are_not_finite_are_refused(slope: tuple[float, float]) -> None:
+def test_slopes_that_are_not_finite_are_refused(slope):
     with pytest.raises(SceneError, match=r"finite bytes and errors of grid, got"):
         balance({"state.means": (1.0, 1.0), "grid": slope})

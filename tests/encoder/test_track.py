@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from airgs_codec.analysis.flow import carry
-from airgs_codec.encoder.track import decide
+from airgs_codec.encoder import track
 from tests import faces
 from tests.faces import EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, open_store, render
 from tests.support.mutations import read_files
@@ -110,7 +110,9 @@ def test_rows_that_are_in_order_are_not_tracked_again(clean, tmp_path):
 
 
 def test_chunks_are_tracked_alike_whoever_does_them(few, tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.encoder.track.CHUNK", 2)
+    monkeypatch.setattr(track, "CHUNK", 2)
+    quick = replace(track.track_settings(few), key_iterations=30, frame_iterations=20)
+    monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
     encode(few, tmp_path / "alone.airgs", SETTINGS)
     with closing(faces.Processes(2)) as engine:
         encode(few, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), engine))
@@ -122,14 +124,14 @@ def test_chunks_are_tracked_alike_whoever_does_them(few, tmp_path, monkeypatch):
 
 def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path):
     auto = EncodeSettings()
-    settings, line = decide(given, auto)
+    settings, line = track.decide(given, auto)
     assert settings.track and "--no-track" in line
     assert re.search(r"tracked first: about \d+ to \d+ s, then about \d\.\d to \d\.\d kB a frame", line), line
     for left in (as_preview(auto), replace(auto, track=False), replace(auto, rows="match")):
-        settings, line = decide(given, left)
+        settings, line = track.decide(given, left)
         assert not settings.track and "coded one by one, about " in line and "--track" in line
     for rows in (clean, [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(clean)]):
-        settings, line = decide(GaussianSequence.from_arrays(rows), auto)
+        settings, line = track.decide(GaussianSequence.from_arrays(rows), auto)
         assert not settings.track and "track" not in line
 
 
