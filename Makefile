@@ -70,11 +70,7 @@ pytest: .venv/installed
 # What takes long: mutated files, killed encodes and trainings, full disks, a farm that fails, browsers that play on and
 # on. Hours in all.
 soak: .venv/installed
-	$(BIN)/python -m tests.long.fuzz
-	$(BIN)/python -m tests.long.faults
-	rm -rf build/lab/soak-farm
-	$(BIN)/python -m tools.lab soak-farm
-	$(BIN)/python -m tests.long.watch
+	$(BIN)/python -m tests.long
 
 # Changes rules that decide, one operator or constant at a time, and runs their tests: survivors are what no test asks.
 # About an hour.

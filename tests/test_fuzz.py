@@ -1,4 +1,4 @@
-"""A sample of mutants; `python -m tests.long.fuzz` tries a hundred thousand."""
+"""A sample of mutants; `python -m tests.long files` tries a hundred thousand."""
 
 from tests.long.fuzz import TARGETS, Tally
 

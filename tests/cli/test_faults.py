@@ -98,7 +98,7 @@ def test_absurd_counts_are_refused_with_little_memory(target, where, value):
 
 
 def test_a_kill_in_the_middle_leaves_the_old_package(target, tmp_path, capsys):
-    """`python -m tests.long.faults` does it many times."""
+    """`python -m tests.long` does it many times."""
     process = subprocess.Popen([*ENCODE, str(FOX), "-o", str(target)], stdout=subprocess.DEVNULL)
     while process.poll() is None and not list(tmp_path.glob(".out.airgs.airgs-*/new")):
         os.sched_yield()

@@ -1,1 +1,1 @@
-"""What the suite does in small, done for hours: run as `python -m tests.long.NAME`."""
+"""What the suite does in small, done for hours: run as `python -m tests.long`."""

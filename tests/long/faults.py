@@ -1,16 +1,13 @@
 """Faults beside the work: a disk that is full, SIGINT, kill -9, a clock that jumps, a store that fails.
 
-    python -m tests.long.faults [--rounds 20] [--seed 0]
-
 After each the command has said one line and ended with 2 (130 after SIGINT), or has done its work; what was there is
 whole, nothing half-written lies beside it, and the same command does its work when the fault is over. Trainings that
-are killed and resumed until they end have the frames and the record of an unbroken one. Prints a line a fault; exit 1
-if it was otherwise. A full disk is a small tmpfs, which only root can mount.
+are killed and resumed until they end have the frames and the record of an unbroken one. A full disk is a small tmpfs,
+which only root can mount. Each function takes how often, a seed and a folder, and gives what it did and what was wrong.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -18,34 +15,19 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import partial
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 from unittest.mock import patch
 
-from airgs_codec.encoder import live
-from airgs_codec.package import publish
-from airgs_codec.places.place import PLAIN, Place
-from airgs_codec.play import http, player
-from tests.faces import (
-    EncodeSettings,
-    Folder,
-    GrowingFolder,
-    SessionSettings,
-    Store,
-    TransportError,
-    Work,
-    encode,
-    open_sequence,
-    play,
-    validate,
-)
+from tests import faces
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
 from tests.support.mutations import Files, read_files
@@ -53,10 +35,11 @@ from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import moving_frames, write_sequence
 
 OPTIONS = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0"]
-SETTINGS = EncodeSettings(
+SETTINGS = faces.EncodeSettings(
     preset="ultrafast", calibrate="none", measure_pictures=0, decide_pictures=1, group_frames=2, threads=1
 )
 PLACES = ("target", "--work", "TMPDIR", "XDG_CACHE_HOME")  # what lies on the disk that is full
+Told = Iterator[tuple[str, str]]
 
 
 def begin(scene: Path, target: Path, *more: str, command: str = "encode", **environment: str) -> subprocess.Popen[str]:
@@ -71,19 +54,23 @@ def begin(scene: Path, target: Path, *more: str, command: str = "encode", **envi
 def judge(code: int, said: str, allowed: Iterable[int], target: Path, beside: Iterable[Path] = ()) -> str:
     wrong = [] if code in allowed else [f"exit code {code}"]
     wrong += [f"said {said!r}"] if code > 0 and said.count("\n") != 1 else []
-    wrong += [str(finding) for finding in (validate(target) if target.exists() else [])]
+    wrong += [str(finding) for finding in (faces.validate(target) if target.exists() else [])]
     wrong += [f"left {path.name}" for path in beside]
     return "; ".join(wrong)
 
 
-def fill_disks(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+def scene_in(folder: Path) -> Path:
+    return write_sequence(folder / "scene", moving_frames(500, 6))
+
+
+def fill_disks(times: int, seed: int, folder: Path) -> Told:
     """Encodes with the target, the store of work, temporary files or the cache on a disk of too few bytes."""
-    if os.geteuid():
-        return
-    for number in range(rounds):
-        disk, what = folder / "disk", PLACES[number % len(PLACES)]
+    chance, scene, disk = random.Random(seed), scene_in(folder), folder / "disk"
+    for number in range(0 if os.geteuid() else times):
+        what = PLACES[number % len(PLACES)]
         with mounted(disk):
-            (target := (disk if what == "target" else folder) / "out.airgs").parent.mkdir(exist_ok=True)
+            target = (disk if what == "target" else folder / "beside") / "out.airgs"
+            target.parent.mkdir(exist_ok=True)
             more = ["--work", str(disk / "work")] if what == "--work" else []
             environment = {what: str(disk)} if what.isupper() else {}
             assert begin(scene, target).wait() == 0
@@ -91,7 +78,7 @@ def fill_disks(rounds: int, chance: random.Random, scene: Path, folder: Path) ->
             resize(disk, f"{size}k")
             process = begin(scene, target, *more, "--quality", "high", **environment)
             said = process.communicate()[1]
-            beside = [path for path in target.parent.iterdir() if path not in (target, disk, disk / "work")]
+            beside = [path for path in target.parent.iterdir() if path not in (target, disk / "work")]
             wrong = judge(process.returncode, said, (0, 2), target, [] if what.isupper() else beside)
             resize(disk, "64m")
             if not wrong and begin(scene, target, *more, **environment).wait():
@@ -113,39 +100,38 @@ def resize(disk: Path, size: str) -> None:
     subprocess.run(["mount", "-o", f"remount,size={size}", disk], check=True)
 
 
-def interrupt(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+def interrupt(times: int, seed: int, folder: Path) -> Told:
     """SIGINT at any moment of an encode after its imports, in which Python ends with a traceback; kill -9 at any."""
-    target = folder / "interrupted" / "out.airgs"
+    chance, scene, target = random.Random(seed), scene_in(folder), folder / "out" / "out.airgs"
     target.parent.mkdir()
-    began = time.perf_counter()
-    assert begin(scene, target).wait() == 0
-    whole = time.perf_counter() - began
-    began = time.perf_counter()
-    assert begin(scene, target, "--quality", "none").wait() == 2  # after the imports
-    idle = time.perf_counter() - began
-    for number in range(2 * rounds):
+    took = []
+    for more, code in (([], 0), (["--quality", "none"], 2)):  # the whole encode, and its imports
+        began = time.perf_counter()
+        assert begin(scene, target, *more).wait() == code
+        took.append(time.perf_counter() - began)
+    for number in range(times):
         sent = (signal.SIGINT, signal.SIGKILL)[number % 2]
         into = target if number % 5 else target.with_name("fresh.airgs")
-        after = chance.uniform(idle if sent == signal.SIGINT else 0.1, 1.1 * whole)
+        after = chance.uniform(took[1] if sent == signal.SIGINT else 0.1, 1.1 * took[0])
         process = begin(scene, into, *(["--jobs", "2"] if number % 3 == 2 else []))
         time.sleep(after)
         process.send_signal(sent)
         said = process.communicate()[1]
         beside = [path for path in target.parent.iterdir() if path.suffix != ".airgs" and sent == signal.SIGINT]
         yield (
-            f"{sent.name} after {after:.2f} s of {whole:.2f}: {process.returncode}, {said.strip()[-100:]}",
+            f"{sent.name} after {after:.2f} s of {took[0]:.2f}: {process.returncode}, {said.strip()[-100:]}",
             judge(process.returncode, said, (0, 130, -sent), into, beside),
         )
         process = begin(scene, into)
         yield "once more", judge(process.wait(), process.communicate()[1], (0,), into)
 
 
-def kill_trainings(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
+def kill_trainings(times: int, seed: int, folder: Path) -> Told:
     """kill -9 at any moment of trainings of the embedded views, which are resumed until they end."""
-    began, kills, run = time.perf_counter(), 0, 0
+    chance, began, kills, run = random.Random(seed), time.perf_counter(), 0, 0
     assert begin(FOX_VIEWS, folder / "unbroken", command="train").wait() == 0
     whole, expected = time.perf_counter() - began, trained(folder / "unbroken")
-    while kills < rounds:
+    while kills < times:
         run, code = run + 1, -signal.SIGKILL
         while code == -signal.SIGKILL:
             process = begin(FOX_VIEWS, folder / f"run{run}", "--resume", command="train")
@@ -189,127 +175,88 @@ class Clock:
         return SimpleNamespace(time=self.time, monotonic=self.time, sleep=lambda seconds: None)
 
 
-def jump(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
-    for number in range(rounds):
+def jump(times: int, seed: int, folder: Path) -> Told:
+    """Publishers and players whose clocks jump."""
+    chance, scene = random.Random(seed), scene_in(folder)
+    for number in range(times):
         target, clock, wrong = folder / f"jumped{number}", Clock(chance, back=True), ""
         dates = SimpleNamespace(now=clock.now, fromtimestamp=datetime.fromtimestamp)
-        with patch.multiple(live, time=clock.module(), datetime=dates), patch.object(publish, "datetime", dates):
-            for _ in live.follow(GrowingFolder(scene), target, SETTINGS, more=lambda count: False):
+        clocks = {"live.time": clock.module(), "live.datetime": dates}
+        with replaced("encoder", clocks), replaced("package", {"publish.datetime": dates}):
+            for _ in publish(scene, target):
                 wrong = wrong or judge(0, "", (0,), target)
         yield f"publisher, {clock.jumped_s:.0f} s", wrong or judge(0, "", (0,), target)
         growing, clock = Growing(folder / f"growing{number}", *range(50, 66), 0), Clock(chance, back=False)
+        rules = faces.SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0)
+        settings = faces.HttpSettings(as_fast=True)
         with (
-            patch.object(http, "time", clock.module()),
-            patch.object(player, "POLL_S", 0.0),
+            replaced("play", {"http.time": clock.module(), "player.POLL_S": 0.0}),
             faultily_serving(growing.folder, Weather(0.0)) as port,
-            http.HttpDownloader(f"http://127.0.0.1:{port}", http.HttpSettings(as_fast=True), growing.received) as link,
+            faces.HttpDownloader(f"http://127.0.0.1:{port}", settings, growing.received) as link,
         ):
-            log = play(link.open(), link, "fixed:0", SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0))
+            log = faces.play(link.open(), link, "fixed:0", rules)
         shown = [s.segment for s in log.shown]
         lost = "" if shown and not log.lost and shown == sorted(shown) else f"showed {shown}, lost {log.lost}"
         yield f"player, {clock.jumped_s:.0f} s", lost
 
 
-@dataclass(eq=False)
-class Failing(Place):
-    """A place of which one call fails, and all that follow."""
-
-    inner: Place
-    calls: int  # until then
-    name: str = "store"
-
-    def _call(self) -> Place:
-        self.calls -= 1
-        if self.calls < 0:
-            raise TransportError("store: it does not answer")
-        return self.inner
-
-    def open(self, path: str) -> tuple[int, Callable[[], bytes]] | None:
-        """See `Place.open`."""
-        found = self._call().open(path)
-        if found is None:
-            return None
-        size, read = found
-
-        def read_it() -> bytes:
-            self._call()
-            return read()
-
-        return size, read_it
-
-    def sizes(self) -> dict[str, int]:
-        """See `Place.sizes`."""
-        return self._call().sizes()
-
-    def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """See `Place.write`."""
-        self._call().write(path, data, headers)
-
-    def delete(self, paths: Iterable[str]) -> None:
-        """See `Place.delete`."""
-        self._call().delete(paths)
+@contextmanager
+def replaced(part: str, values: dict[str, Any]) -> Iterator[None]:
+    """Other values of names of modules of a folder of airgs_codec."""
+    with ExitStack() as stack:
+        for name, value in values.items():
+            stack.enter_context(patch(f"airgs_codec.{part}.{name}", value))
+        yield
 
 
-def fail(rounds: int, chance: random.Random, scene: Path, folder: Path) -> Iterator[tuple[str, str]]:
-    """Encodes whose store, and a live publisher whose package, fails at any call."""
-    sequence, target = open_sequence(scene), folder / "failed" / "out.airgs"
-    encode(sequence, target, SETTINGS)
-    expected = read_files(target)
-    for number in range(rounds):
-        store, said = Failing(Folder(folder / f"store{number}"), chance.randrange(40)), "nothing failed"
+def publish(scene: Path, target: Path) -> Iterator[object]:
+    """Publish a sequence group after group, as if it grew."""
+    return faces.follow(faces.GrowingFolder(scene), target, SETTINGS, more=lambda count: False)
+
+
+@contextmanager
+def failing(folder: Path, calls: int) -> Iterator[list[str]]:
+    """A folder of which one call fails, behind so many others, and all that follow; gives what is said of it."""
+    done, said = count(), []
+
+    def wrapped(method: Callable[..., Any]) -> Callable[..., Any]:
+        def call(place: faces.Folder, *arguments: Any) -> Any:
+            if place.path == folder and next(done) >= calls:
+                raise faces.TransportError("store: it does not answer")
+            return method(place, *arguments)
+
+        return call
+
+    with ExitStack() as stack:
+        for name in ("open", "sizes", "write", "delete"):
+            stack.enter_context(patch.object(faces.Folder, name, wrapped(getattr(faces.Folder, name))))
         try:
-            encode(sequence, target, SETTINGS, work=Work(Store(store)))
-        except TransportError as error:
-            said = str(error)
+            yield said
+        except faces.TransportError as error:
+            said.append(str(error))
+
+
+def fail(times: int, seed: int, folder: Path) -> Told:
+    """Encodes whose store, and a live publisher whose package, fails at any call."""
+    chance, scene, target = random.Random(seed), scene_in(folder), folder / "failed" / "out.airgs"
+    sequence = faces.open_sequence(scene)
+    faces.encode(sequence, target, SETTINGS)
+    expected = read_files(target)
+    for number in range(times):
+        store, calls = folder / f"store{number}", chance.randrange(40)
+        work = faces.Work(faces.Store(faces.Folder(store)))
+        with failing(store, calls) as said:
+            faces.encode(sequence, target, SETTINGS, work=work)
         beside = [path for path in target.parent.iterdir() if path != target]
         wrong = judge(0, "", (0,), target, beside)
-        encode(sequence, folder / "again", SETTINGS, work=Work(Store(store.inner)))
+        faces.encode(sequence, folder / "again", SETTINGS, work=work)
         same = read_files(folder / "again") == read_files(target) == expected
-        yield f"store, {store.calls} calls left: {said}", wrong or ("" if same else "other bytes")
-        grown, said = folder / f"grown{number}", "nothing failed"
-        place = Failing(Folder(grown), chance.randrange(20))
-        with (
-            patch.object(live, "place_at", lambda path: Folder(path)),
-            patch.object(live, "GrowingPackage", growing_at(place)),
-        ):
-            try:
-                list(live.follow(GrowingFolder(scene), grown, SETTINGS, more=lambda count: False))
-            except TransportError as error:
-                said = str(error)
-        wrong = judge_growing(grown)
-        list(live.follow(GrowingFolder(scene), grown, SETTINGS, more=lambda count: False))
-        yield f"package that grows, {place.calls} calls left: {said}", wrong or judge(0, "", (0,), grown)
-
-
-def growing_at(place: Place) -> Callable[..., publish.GrowingPackage]:
-    """What makes a package that grows at a place, whatever place is asked for."""
-    return lambda files, *rest: publish.GrowingPackage(place, *rest)
-
-
-def judge_growing(target: Path) -> str:
-    """What is wrong with a package whose publisher could not write any more; manifest.mpd may be a group ahead."""
-    ahead = ("foreign_file", "mpd_mismatch")
-    return "; ".join(str(finding) for finding in validate(target) if finding.reason not in ahead)
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
-    args = parser.parse_args()
-    findings = 0
-    for faults in (fill_disks, interrupt, kill_trainings, jump, fail):
-        with tempfile.TemporaryDirectory() as name:
-            folder, chance = Path(name), random.Random(args.seed)
-            scene = write_sequence(folder / "scene", moving_frames(500, 6))
-            (folder / faults.__name__).mkdir()
-            with patch.dict(os.environ, {"XDG_CACHE_HOME": f"{name}/cache"}):
-                for what, wrong in faults(args.rounds, chance, scene, folder / faults.__name__):
-                    findings += bool(wrong)
-                    print(f"{what}{': ' * bool(wrong)}{wrong}", flush=True)
-    print(f"{findings} findings")
-    sys.exit(bool(findings))
-
-
-if __name__ == "__main__":
-    main()
+        yield f"store, after {calls} calls: {said}", wrong or ("" if same else "other bytes")
+        grown, calls = folder / f"grown{number}", chance.randrange(20)
+        with failing(grown, calls) as said:
+            list(publish(scene, grown))
+        found = faces.validate(grown) if grown.exists() else []
+        ahead = ("foreign_file", "mpd_mismatch")  # manifest.mpd may be a group ahead of what could be written
+        wrong = "; ".join(str(finding) for finding in found if finding.reason not in ahead)
+        list(publish(scene, grown))
+        yield f"package that grows, after {calls} calls: {said}", wrong or judge(0, "", (0,), grown)

@@ -1,16 +1,13 @@
 """Mutated files of every kind that others give us: each is read, or refused in one line that says why.
 
-    python -m tests.long.fuzz [--count 100000] [--seed 0] [--jobs 2] [--only TARGET]
-
 Anything else is a finding: another exception, other Gaussians than the files were made of, more than SECONDS, more than
-MEMORY. The number of a finding makes it again: `--seed NUMBER --count 1`. Workers that crash or hang are replaced.
-Packages are changed with their digests made anew, or not; one that is opened shows the same Gaussians as before, unless
-a table, a column or a checksum was changed.
+MEMORY. The number of a finding makes it again: `python -m tests.long files --seed NUMBER --times 1`. Workers that crash
+or hang are replaced. Packages are changed with their digests made anew, or not; one that is opened shows the same
+Gaussians as before, unless a table, a column or a checksum was changed.
 """
 
 from __future__ import annotations
 
-import argparse
 import faulthandler
 import hashlib
 import json
@@ -19,11 +16,10 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
@@ -35,47 +31,11 @@ from zlib import crc32
 import numpy as np
 
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns
-from airgs_codec.jobs.job import load
-from airgs_codec.media.h264 import Pictures
-from airgs_codec.media.mp4 import OWN, read_segment, with_own_box
-from airgs_codec.play.film import walk_through
-from airgs_codec.scene.beside import read_settings
+from airgs_codec.media import h264, mp4
 from airgs_codec.serve.pages import look_at
-from airgs_codec.trainer.record import VERSION
-from tests.faces import (
-    JSON_NAME,
-    MPD_NAME,
-    NAMES,
-    AirgsError,
-    EncodeSettings,
-    FileKind,
-    FormatError,
-    Memory,
-    SessionSettings,
-    Store,
-    Trace,
-    Usage,
-    Work,
-    check_mpd,
-    decode_canonical,
-    decode_segment,
-    encode,
-    file_kind,
-    format_summary,
-    load_usage,
-    open_files,
-    open_scene,
-    open_sequence,
-    read_cameras,
-    read_model,
-    read_region,
-    read_world,
-    save_usage,
-    simulate,
-    summarise,
-    validate_files,
-    write_ply,
-)
+from tests import faces
+from tests.faces import AirgsError
+from tests.long.faults import SETTINGS
 from tests.support.camera_files import FORMS, as_inria
 from tests.support.clip_files import numbered_4dgs, random_rows, splatv_bytes, write_spacetime_ply, write_splat4d
 from tests.support.layers import NUMBERS, mutate
@@ -119,20 +79,20 @@ def packages() -> list[Files]:
 
 def decode_all(files: Files) -> str:
     """Open, check and decode a package; the digest of all Gaussians. One in four is validated, too."""
-    place = Memory("mutant.airgs", files)
-    is_valid = crc32(files[JSON_NAME]) % 4 == 0 and validate_files(place) == []
+    place = faces.Memory("mutant.airgs", files)
+    is_valid = crc32(files[faces.JSON_NAME]) % 4 == 0 and faces.validate_files(place) == []
     digest = hashlib.sha256()
     try:
-        package = open_files(place)
+        package = faces.open_files(place)
         m = package.manifest
-        check_mpd(files[MPD_NAME], m)
+        faces.check_mpd(files[faces.MPD_NAME], m)
         for group in range(len(m.groups)):
-            bases = [decode_canonical(package, group, quality) for quality in range(len(m.qualities))]
+            bases = [faces.decode_canonical(package, group, quality) for quality in range(len(m.qualities))]
             shown = [base.to_gaussians() for base in bases]
             for index in m.segments_of(group):
                 frames = range(m.segments[index].stop - m.segments[index].start)
                 for level in range(len(m.levels)):
-                    shown += decode_segment(package, index, bases[0], level, frames)
+                    shown += faces.decode_segment(package, index, bases[0], level, frames)
             for gaussians in shown:
                 for attribute in fields(gaussians):
                     digest.update(getattr(gaussians, attribute.name).tobytes())
@@ -145,12 +105,12 @@ def decode_all(files: Files) -> str:
 
 def look_and_play(files: Files) -> str:
     """All that is told of a package, and a session over a link that is known."""
-    package = open_files(Memory("mutant.airgs", files))
-    m, policy = package.manifest, NAMES[crc32(files[JSON_NAME]) % len(NAMES)]
-    format_summary(summarise(m, package.manifest_bytes))
+    package = faces.open_files(faces.Memory("mutant.airgs", files))
+    m, policy = package.manifest, faces.NAMES[crc32(files[faces.JSON_NAME]) % len(faces.NAMES)]
+    faces.format_summary(faces.summarise(m, package.manifest_bytes))
     look_at(m, package.root_bytes)
-    walk_through(m.region, np.zeros(1))
-    assert simulate(package, Trace.open("const:1"), policy, SessionSettings(loops=2)).metrics
+    faces.walk_through(m.region, np.zeros(1))
+    assert faces.simulate(package, faces.Trace.open("const:1"), policy, faces.SessionSettings(loops=2)).metrics
     return ""
 
 
@@ -175,7 +135,7 @@ def change_package(chance: random.Random, seed: Files) -> tuple[Files, bool]:
     """One or two changes; lengths and digests are made anew from the files, from the tables up, or not at all."""
     files, columns = dict(seed), columns_of(next(i for i, p in enumerate(packages()) if p is seed))
     for _ in range(chance.choice((1, 1, 2))):
-        tables = [n for n in files if file_kind(n) is FileKind.MANIFESTS and n != MPD_NAME]
+        tables = [n for n in files if faces.file_kind(n) is faces.FileKind.MANIFESTS and n != faces.MPD_NAME]
         name, other = chance.choice(tables if chance.random() < 0.3 else list(files)), chance.choice(list(files))
         if chance.random() < 0.02:
             files[name], files[other] = files[other], files[name]
@@ -187,7 +147,7 @@ def change_package(chance: random.Random, seed: Files) -> tuple[Files, bool]:
         if name.endswith(".m4s") and chance.random() < 0.5:
             files[name] = _resealed(files[name])
     changed = [name for name in seed if files[name] != seed[name]]
-    tables = [n for n in changed if file_kind(n) is FileKind.MANIFESTS and n != MPD_NAME]
+    tables = [n for n in changed if faces.file_kind(n) is faces.FileKind.MANIFESTS and n != faces.MPD_NAME]
     anew = chance.choices((honest, reindexed, dict), (70, 15, 15))[0]
     own = [n for n in changed if n.endswith(".bin") or _own_box(files[n]) != _own_box(seed[n])]
     return anew(files), bool(tables or (anew is honest and own))
@@ -202,89 +162,90 @@ def _changed(chance: random.Random, columns: list[Column]) -> list[Column]:
 
 
 def _with_columns(data: bytes, columns: list[Column]) -> bytes:
-    if data[8:24] != OWN:
+    if data[8:24] != mp4.OWN:
         return encode_columns(columns)
-    return with_own_box(data[len(_own_box(data)) :], read_segment(data).checksums, encode_columns(columns))
+    return mp4.with_own_box(data[len(_own_box(data)) :], mp4.read_segment(data).checksums, encode_columns(columns))
 
 
 def _own_box(data: bytes) -> bytes:
-    return data[: int.from_bytes(data[:4], "big")] if data[8:24] == OWN else b""
+    return data[: int.from_bytes(data[:4], "big")] if data[8:24] == mp4.OWN else b""
 
 
 def _resealed(data: bytes) -> bytes:
     """A media segment with the checksums of the pictures that it decodes to, if it does."""
     with suppress(AirgsError):
-        segment = read_segment(data)
-        found = [crc32(picture.data) for picture in Pictures(segment.samples, "")]
+        segment = mp4.read_segment(data)
+        found = [crc32(picture.data) for picture in h264.Pictures(segment.samples, "")]
         checksums = (found + [0] * len(segment.samples))[: len(segment.samples)]
-        return with_own_box(data[len(_own_box(data)) :], checksums, segment.columns or b"")
+        return mp4.with_own_box(data[len(_own_box(data)) :], checksums, segment.columns or b"")
     return data
 
 
-def read_scene(files: Files) -> str:
-    """Open a file of frames and load one in its middle, of which all numbers must be finite."""
-    with tempfile.TemporaryDirectory() as folder:
-        sequence = open_sequence(write_files(Path(folder), files) / next(iter(files)))
-        (frame,) = sequence.load([len(sequence) // 2]).frames
-        assert len(frame) and all(np.isfinite(getattr(frame, f.name)).all() for f in fields(frame)), "not finite"
-    return ""
-
-
-def read_rig(files: Files) -> str:
-    with tempfile.TemporaryDirectory() as folder:
-        cameras = read_cameras(write_files(Path(folder), files))
-        assert all(np.isfinite(camera.world_to_camera).all() for camera in cameras), "not finite"
-        open_scene(Path(folder))
-    return ""
-
-
 def read_store(files: Files) -> str:
-    store = Store(Memory("store", dict(files)))
+    store = faces.Store(faces.Memory("store", dict(files)))
     for name in files:
-        load(store, name.rpartition("/")[2])
+        faces.load(store, name.rpartition("/")[2])
     return ""
 
 
-def read_beside(files: Files) -> str:
-    """Read a file that lies beside a scene or is given with it."""
-    with tempfile.TemporaryDirectory() as folder:
-        (name,) = files
-        path = write_files(Path(folder), files) / name
-        BESIDE[name](path)
-    return ""
+def on_disk(read: Callable[[Path], object]) -> Callable[[Files], str]:
+    """What writes files into a folder and reads that."""
+
+    def use(files: Files) -> str:
+        with tempfile.TemporaryDirectory() as folder:
+            read(write_files(Path(folder), files))
+        return ""
+
+    return use
 
 
-BESIDE: dict[str, Callable[[Path], object]] = {
-    "trace.csv": Trace.open,
-    "trace.json": Trace.open,
-    "trace.txt": Trace.open,
-    "region.json": read_region,
-    "world.json": read_world,
-    "sequence.json": lambda path: read_settings(path.parent, 10),
-    "usage.npz": lambda path: load_usage(path, 0, 5, 9),
-    "training.json": lambda path: read_model(path.parent),
+def read_scene(folder: Path) -> None:
+    """Open a file of frames and load one in its middle, of which all numbers must be finite."""
+    sequence = faces.open_sequence(next(folder.iterdir()))
+    (frame,) = sequence.load([len(sequence) // 2]).frames
+    assert len(frame) and all(np.isfinite(getattr(frame, f.name)).all() for f in fields(frame)), "not finite"
+
+
+def read_rig(folder: Path) -> None:
+    cameras = faces.read_cameras(folder)
+    assert all(np.isfinite(camera.world_to_camera).all() for camera in cameras), "not finite"
+    faces.open_scene(folder)
+
+
+def read_beside(folder: Path) -> None:
+    path = next(folder.iterdir())
+    BESIDE[path.name](path)
+
+
+BESIDE: dict[str, Callable[[Path], object]] = {  # files that lie beside a scene or are given with it
+    **dict.fromkeys(("trace.csv", "trace.json", "trace.txt"), faces.Trace.open),
+    "region.json": faces.read_region,
+    "world.json": faces.read_world,
+    "sequence.json": lambda path: faces.read_settings(path.parent, 10),
+    "usage.npz": lambda path: faces.load_usage(path, 0, 5, 9),
+    "training.json": lambda path: faces.read_model(path.parent),
 }
 
 
 def _beside() -> list[Files]:
     values = np.ones(9)
-    usage = {(0, 5): Usage(values, values, np.arange(9))}
+    usage = {(0, 5): faces.Usage(values, values, np.arange(9))}
     sabre = [{"duration_ms": 1000, "bandwidth_kbps": 800, "latency_ms": 20}] * 20
     numbers = dict.fromkeys(
         ("gaussians", "added", "psnr", "held_out_psnr", "held_out_matched", "held_out_ssim", "rejected_psnr"), 1
     )
     frame = numbers | {"frame": 0, "kind": "first", "seconds": 1}
-    record = {"version": VERSION, "scene": {}, "settings": {}, "total": 1, "fps": "30", "frames": [frame]}
+    record = {"version": faces.MODEL_VERSION, "scene": {}, "settings": {}, "total": 1, "fps": "30", "frames": [frame]}
     texts = {
         "trace.csv": (FOX / "trace.csv").read_text()[:3000],
         "trace.json": json.dumps(sabre),
         "trace.txt": "\n".join(map(str, range(0, 3000, 11))),
-        "region.json": json.dumps(json.loads(packages()[0][JSON_NAME])["region"]),
+        "region.json": json.dumps(json.loads(packages()[0][faces.JSON_NAME])["region"]),
         "world.json": json.dumps(np.eye(4).tolist()),
         "training.json": json.dumps(record),
         "sequence.json": (FOX / "sequence.json").read_text(),
     }
-    return [_written(save_usage, "usage.npz", usage), *({name: text.encode()} for name, text in texts.items())]
+    return [_written(faces.save_usage, "usage.npz", usage), *({name: text.encode()} for name, text in texts.items())]
 
 
 def _written(make: Callable[..., object], name: str, *more: object) -> Files:
@@ -295,11 +256,10 @@ def _written(make: Callable[..., object], name: str, *more: object) -> Files:
 
 
 def _stored() -> Files:
-    place = Memory("store")
-    settings = EncodeSettings(calibrate="none", measure_pictures=0, decide_pictures=1, preset="ultrafast", threads=1)
+    place = faces.Memory("store")
     with tempfile.TemporaryDirectory() as folder:
-        scene = open_sequence(write_sequence(Path(folder) / "scene", moving_frames(60, 3)))
-        encode(scene, Path(folder) / "out.airgs", settings, work=Work(Store(place)))
+        scene = faces.open_sequence(write_sequence(Path(folder) / "scene", moving_frames(60, 3)))
+        faces.encode(scene, Path(folder) / "out.airgs", SETTINGS, work=faces.Work(faces.Store(place)))
     return place.files
 
 
@@ -308,7 +268,7 @@ def _scenes(*suffixes: str) -> list[Files]:
 
 
 def _plys() -> list[Files]:
-    plain = [_written(write_ply, "a.ply", random_gaussians(30, degree)) for degree in (0, 2)]
+    plain = [_written(faces.write_ply, "a.ply", random_gaussians(30, degree)) for degree in (0, 2)]
     return [*plain, _written(write_spacetime_ply, "a.ply", random_rows(30)), *_scenes(".compressed.ply")]
 
 
@@ -323,17 +283,22 @@ def _numbered() -> list[Files]:
 TARGETS = (
     Target("package", 60, packages, decode_all, change_package),
     Target("tables", 10, packages, look_and_play, change_package),
-    Target(".ply", 6, _plys, read_scene),
-    Target(".splat", 2, lambda: _scenes(".splat"), read_scene),
-    Target(".glb", 6, lambda: _scenes(".glb"), read_scene),
-    Target(".splatv", 5, _splatvs, read_scene),
-    Target("cameras", 8, lambda: [_written(write, "", ring(3)) for write in FORMS.values()], read_rig),
-    Target("beside", 4, _beside, read_beside),
+    Target("cameras", 8, lambda: [_written(write, "", ring(3)) for write in FORMS.values()], on_disk(read_rig)),
+    Target("beside", 4, _beside, on_disk(read_beside)),
     Target("store", 2, lambda: [_stored()], read_store),
-    Target(".spz", 0.5, lambda: _scenes(".v2.spz", ".v3.spz", ".v4.spz"), read_scene),
-    Target(".sog", 0.5, lambda: _scenes(".sog"), read_scene),
-    Target(".4dgs", 0.3, _numbered, read_scene),
-    Target(".splat4d", 0.3, lambda: [_written(write_splat4d, "a.splat4d", moving_frames(40, 5), 24)], read_scene),
+    *(
+        Target(name, weight, make, on_disk(read_scene))
+        for name, weight, make in (
+            (".ply", 6, _plys),
+            (".splat", 2, lambda: _scenes(".splat")),
+            (".glb", 6, lambda: _scenes(".glb")),
+            (".splatv", 5, _splatvs),
+            (".spz", 0.5, lambda: _scenes(".v2.spz", ".v3.spz", ".v4.spz")),
+            (".sog", 0.5, lambda: _scenes(".sog")),
+            (".4dgs", 0.3, _numbered),
+            (".splat4d", 0.3, lambda: [_written(write_splat4d, "a.splat4d", moving_frames(40, 5), 24)]),
+        )
+    ),
 )
 
 
@@ -342,17 +307,17 @@ def expected(target: Target, seed: int) -> str:
     return target.use(seeds(target)[seed])
 
 
-def attempt(number: int, only: str = "") -> tuple[str, str, str]:
+def attempt(number: int) -> tuple[str, str, str]:
     """The target of a case; "read" or why it is refused; and what was found, if anything was."""
     chance = random.Random(number)
-    (target,) = chance.choices(TARGETS, [t.weight * (only in ("", t.name)) for t in TARGETS])
+    (target,) = chance.choices(TARGETS, [t.weight for t in TARGETS])
     seed = chance.randrange(len(seeds(target)))
     files, free = target.change(chance, seeds(target)[seed])
     outcome, finding, (before, children) = "read", "", _begin()
     try:
         found = target.use(files)
     except AirgsError as error:
-        found, outcome = None, error.reason if isinstance(error, FormatError) else type(error).__name__
+        found, outcome = None, error.reason if isinstance(error, faces.FormatError) else type(error).__name__
         if "\n" in str(error) or "\x1b" in str(error):
             finding = f"no plain line: {error!r}"
     except Exception as error:  # whatever it is, it is what we look for
@@ -385,11 +350,11 @@ def _memory(name: str) -> int:
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(name))
 
 
-def work(start: int, stop: int, only: str = "") -> None:
+def work(start: int, stop: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     warnings.simplefilter("ignore")
     for number in range(start, stop):
-        print(json.dumps(attempt(number, only)), flush=True)
+        print(json.dumps(attempt(number)), flush=True)
 
 
 @dataclass(slots=True)
@@ -397,54 +362,33 @@ class Tally:
     counts: dict[str, Counter[str]] = field(default_factory=dict)  # outcomes by target
     findings: dict[str, list[int]] = field(default_factory=dict)  # numbers of cases
 
-    def run(self, start: int, stop: int, only: str = "") -> None:
+    def run(self, start: int, stop: int) -> None:
         """Try cases in a process of its own, in another one after each that ends it."""
         while start < stop:
-            words = [sys.executable, "-m", "tests.long.fuzz", "--worker", str(start), str(stop), "--only", only]
+            words = [sys.executable, "-c", f"from tests.long.fuzz import work; work({start}, {stop})"]
             with tempfile.TemporaryFile("w+") as said:
                 with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=said, text=True, cwd=REPOSITORY) as worker:
                     for line in worker.stdout or ():
                         name, outcome, finding = json.loads(line)
                         self.counts.setdefault(name, Counter())[outcome] += not finding
                         if finding:
-                            self._add(f"{name}: {finding[:300]}", start)
+                            self.findings.setdefault(f"{name}: {finding[:300]}", []).append(start)
                         start += 1
                 if worker.returncode:
                     said.seek(0)
                     text = said.read()
                     place = text.partition("Timeout")[2].split("\n")[2:5] or text.splitlines()[-1:]
-                    self._add(f"the worker ended with {worker.returncode}: {' '.join(place)}", start)
+                    finding = f"the worker ended with {worker.returncode}: {' '.join(place)}"
+                    self.findings.setdefault(finding, []).append(start)
                     start += 1
 
-    def _add(self, finding: str, number: int) -> None:
-        if finding not in self.findings:
-            print(f"{number}: {finding}", flush=True)
-        self.findings.setdefault(finding, []).append(number)
 
-
-def main() -> None:
-    """Share out, collect, print; exit code 1 if there is a finding."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=100_000)
-    parser.add_argument("--seed", type=int, default=0, help="first number")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--only", default="", choices=["", *(target.name for target in TARGETS)])
-    parser.add_argument("--worker", type=int, nargs=2, help=argparse.SUPPRESS)
-    args = parser.parse_args()
-    if args.worker:
-        work(args.worker[0], args.worker[1], args.only)
-        return
-    began, tally = time.perf_counter(), Tally()
-    bounds = [args.seed + args.count * i // args.jobs for i in range(args.jobs + 1)]
-    with ThreadPoolExecutor(args.jobs) as pool:
-        list(pool.map(tally.run, bounds, bounds[1:], [args.only] * args.jobs))
-    print(f"{args.count} cases in {time.perf_counter() - began:.0f} s, {len(tally.findings)} findings")
+def mutate_files(times: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
+    """So many cases from the number `seed` on, in two processes; a line for each kind of files and each finding."""
+    tally, middle = Tally(), seed + times // 2
+    with ThreadPoolExecutor(2) as pool:
+        list(pool.map(tally.run, (seed, middle), (middle, seed + times)))
     for name, counts in tally.counts.items():
-        print(f"{counts.total():8d}  {name}: {', '.join(f'{count} {text}' for text, count in counts.most_common())}")
+        yield f"{name}, {counts.total()}: {', '.join(f'{count} {text}' for text, count in counts.most_common())}", ""
     for finding, numbers in tally.findings.items():
-        print(f"{len(numbers)} times, as in case {numbers[0]}: {finding}")
-    sys.exit(bool(tally.findings))
-
-
-if __name__ == "__main__":
-    main()
+        yield f"{len(numbers)} cases, as {numbers[0]}", finding

@@ -1,27 +1,24 @@
 """Somebody leaves a player on: a package that plays on and on in every browser, whose memory is looked at.
 
-python -m tests.long.watch [--minutes 30] [--package manifests/showcase/fox.airgs]
-
 All browsers play at once, in small pictures, so that drawing in software leaves time to the rest. The player compares
 the checksum of every picture that it decodes, and what it reports as a problem is counted here. Memory is the
-proportional set size of a browser's processes. Exit status 1 where a problem was reported, nothing was shown in some
+proportional set size of a browser's processes. It is wrong where a problem was reported, nothing was shown in some
 minute, or the median of the last third is more than GROWN times that of the middle third.
 """
 
-import argparse
 import json
 import os
-import sys
-import threading
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import Any
 
-from airgs_codec.serve.pages import PAGE
 from tests.support.browser import serve
 from tests.support.browsers import BROWSERS, Browser
-from tests.support.paths import REPOSITORY
+from tests.support.paths import CORPUS, PACKAGE
 
 GROWN = 1.1
 EVERY_S = 10
@@ -43,28 +40,15 @@ for (;;) {
 </script>""".replace("EVERY", str(EVERY_S))
 
 
-def main() -> int:
-    """Watch all browsers that are here; prints a line a minute for each, and whether all is well."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=30)
-    parser.add_argument("--package", type=Path, default=REPOSITORY / "manifests" / "showcase" / "fox.airgs")
-    options = parser.parse_args()
+def watch_browsers(times: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
+    """Watch all browsers that are here for so many minutes."""
     here = [browser for browser in BROWSERS if not browser.missing()]
-    failed: list[str] = []
-
-    def run(browser: Browser) -> None:
-        failed.extend(f"{browser.name}: {why}" for why in watch(browser, options.package, options.minutes))
-
-    threads = [threading.Thread(target=run, args=(browser,)) for browser in here]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    print("\n".join(failed) or f"{', '.join(browser.name for browser in here)}: memory is flat, no problem", flush=True)
-    return bool(failed)
+    with ThreadPoolExecutor(len(here) or 1) as pool:
+        for browser, found in zip(here, pool.map(partial(watch, minutes=times), here), strict=True):
+            yield browser.name, "; ".join(found)
 
 
-def watch(browser: Browser, package: Path, minutes: float) -> list[str]:
+def watch(browser: Browser, minutes: float) -> list[str]:
     reports: list[dict[str, Any]] = []
 
     def told(body: bytes) -> bytes:
@@ -73,7 +57,7 @@ def watch(browser: Browser, package: Path, minutes: float) -> list[str]:
 
     sizes: list[int] = []
     shown: list[int] = []
-    folders = {"page": PAGE, "package": package}
+    folders = {"page": PACKAGE / "serve" / "page", "package": CORPUS / "showcase" / "fox.airgs"}
     with (
         serve(folders, {"/watch.html": WATCH.encode}, told) as site,
         browser.start(site.url + "/watch.html") as process,
@@ -112,7 +96,3 @@ def memory(session: int) -> int:
             continue  # it has ended
         total += sum(1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:"))
     return total
-
-
-if __name__ == "__main__":
-    sys.exit(main())

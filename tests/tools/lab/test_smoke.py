@@ -11,8 +11,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from airgs_codec.trainer.record import TrainedFrame
-from tests.faces import AirgsError, FrameRecord, airgs_train, open_package, pack
+from tests.faces import AirgsError, FrameRecord, TrainedFrame, airgs_train, open_package, pack
 from tests.support.paths import FOX, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
