@@ -1,46 +1,37 @@
-"""The public names: each resolves, is documented, is seen by type checkers, and costs nothing until it is used."""
+"""The public names: each resolves, is documented, is typed and costs nothing until it is used; what they are given.
+
+A path opens what is at it; what is of no use is refused in one line; `progress=` takes a function or a class of bars.
+"""
 
 import ast
 import inspect
 import pickle
 import subprocess
 import sys
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from tqdm.auto import tqdm
 
 import airgs_codec as airgs
-from tests.faces import summarise
-from tests.support.paths import FOX, GOLDEN, PACKAGE
+from airgs_codec._settings import about, computed_setting, documented, setting
+from airgs_codec.progress import told
+from tests.faces import summarise, write_ply
+from tests.support.paths import FOX, GOLDEN
+from tests.support.paths import PACKAGE as CODE
 from tests.support.scenes import moving_frames, write_sequence
 
+PACKAGE = GOLDEN / "fox"  # of the embedded sequence
+SIMULATE = partial(airgs.simulate, PACKAGE, "const:5")
+FAST = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast")
 NAMES = {
-    "AirgsError",
-    "Camera",
-    "Decision",
-    "EncodeSettings",
-    "Gaussians",
-    "Goal",
-    "Package",
-    "PlayerState",
-    "Sequence",
-    "SessionSettings",
-    "Trace",
-    "TrainSettings",
-    "compare",
-    "decode",
-    "decode_frames",
-    "draw",
-    "encode",
-    "input_rows",
-    "open_package",
-    "open_sequence",
-    "read",
-    "simulate",
-    "train",
-    "validate",
-    "write",
-}
+    "AirgsError", "Camera", "Decision", "EncodeSettings", "Gaussians", "Goal", "Package", "PlayerState", "Sequence",
+    "SessionSettings", "Trace", "TrainSettings", "compare", "decode", "decode_frames", "draw", "encode", "input_rows",
+    "open_package", "open_sequence", "read", "simulate", "train", "validate", "write",
+}  # fmt: skip
 THERE = {"Sequence": "GaussianSequence"}  # names in their modules, where they are others
 MOST_NAMES = 25
 FUNCTIONS = sorted(name for name in NAMES if name[0].islower())
@@ -55,15 +46,11 @@ def test_the_names_are_these():
 
 
 @pytest.mark.parametrize("name", sorted(NAMES))
-def test_every_name_resolves_to_what_is_defined_under_it(name):
+def test_every_name_resolves_to_what_is_defined_under_it_and_is_documented(name):
     value = getattr(airgs, name)
     assert value.__name__ == THERE.get(name, name)
     assert value.__module__.startswith("airgs_codec.")
-
-
-@pytest.mark.parametrize("name", sorted(NAMES))
-def test_every_name_is_documented(name):
-    words = inspect.getdoc(getattr(airgs, name))
+    words = inspect.getdoc(value)
     assert words and words[0].isupper()
     assert "\n" in words or name[0].isupper(), "a function says more than one line"
 
@@ -91,17 +78,24 @@ def test_other_names_are_missing():
 
 
 def test_type_checkers_see_the_same_names_in_the_same_places():
-    tree = ast.parse((PACKAGE / "__init__.py").read_text())
+    tree = ast.parse((CODE / "__init__.py").read_text())
     block = next(node for node in tree.body if isinstance(node, ast.If))
     seen = {alias.asname or alias.name: node.module for node in block.body for alias in node.names}
     assert seen == {name: getattr(airgs, name).__module__ for name in NAMES}
-    assert (PACKAGE / "py.typed").is_file()
+    assert (CODE / "py.typed").is_file()
 
 
-def test_importing_the_package_loads_nothing_heavy():
-    code = f"import sys, airgs_codec; sys.exit(', '.join(n for n in {HEAVY} if n in sys.modules) or 0)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"loaded: {done.stderr}"
+LIGHT = f"""
+import sys, airgs_codec
+assert not [n for n in {HEAVY} if n in sys.modules], sys.modules
+from airgs_codec.cli.train import main
+assert main(["."]) == 2 and "torch" not in sys.modules, "a folder without pictures is refused before it is loaded"
+"""
+
+
+def test_nothing_heavy_is_loaded_before_it_is_used(tmp_path):
+    done = subprocess.run([sys.executable, "-c", LIGHT], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "expected multi-view pictures" in done.stderr, done.stderr
 
 
 OTHERS = """
@@ -123,7 +117,7 @@ if __name__ == "__main__":
 
 def test_other_processes_draw_however_they_are_started_after_this_one_has_drawn(tmp_path):
     (tmp_path / "others.py").write_text(OTHERS)
-    command = [sys.executable, str(tmp_path / "others.py"), str(GOLDEN / "fox")]
+    command = [sys.executable, str(tmp_path / "others.py"), str(PACKAGE)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
 
@@ -141,7 +135,7 @@ def test_a_frame_of_a_loader_is_drawn_in_its_workers():
 @pytest.fixture(scope="module")
 def public():
     """One of everything that public functions return."""
-    package, sequence = airgs.open_package(GOLDEN / "fox"), airgs.open_sequence(FOX)
+    package, sequence = airgs.open_package(PACKAGE), airgs.open_sequence(FOX)
     frame = next(airgs.decode_frames(package, 0, 1))
     camera, log = package.cameras[0], airgs.simulate(package, "const:5")
     picture = airgs.draw(frame.gaussians, camera)
@@ -182,17 +176,54 @@ def test_a_sequence_is_like_a_list(public):
     assert [g.means[0, 0] for g in sequence[7:2:-2]] == firsts[7:2:-2]
 
 
-def test_a_sequence_is_encoded_with_its_attribution_and_decoded_by_names_or_numbers(tmp_path):
-    scene = write_sequence(tmp_path / "scene", moving_frames(60, 2))
+class Bars(tqdm):
+    made: ClassVar = []
+
+    def __init__(self, *arguments, **named):
+        super().__init__(*arguments, **named)
+        Bars.made.append(self)
+
+
+def test_a_class_of_bars_shows_one_for_each_stage_whose_end_may_move(capsys):
+    Bars.made.clear()
+    progress = told(Bars)
+    for stage, done, total in [("a", 1, 4), ("a", 2, 4), ("b", 0, 3), ("b", 1, 5), ("b", 5, 5), ("b", 1, 2)]:
+        progress(stage, done, total)
+    assert [(bar.desc.strip(": "), bar.n, bar.total) for bar in Bars.made] == [("a", 2, 4), ("b", 5, 5), ("b", 1, 2)]
+    assert [bar.disable for bar in Bars.made] == [True, True, False]  # tqdm's mark of a closed bar
+    progress.close()
+
+
+def test_a_path_is_encoded_repaired_with_its_attribution_and_decoded_by_names_or_numbers(tmp_path, capsys):
+    Bars.made.clear()
+    frames, told_of = moving_frames(60, 2), []
+    scene = write_sequence(tmp_path / "scene", frames)
     (scene / "ATTRIBUTION.txt").write_text("points by nobody\n")
-    settings = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast")
-    airgs.encode(airgs.open_sequence(str(scene)), str(tmp_path / "scene.airgs"), settings)
-    package = airgs.open_package(str(tmp_path / "scene.airgs"))
-    assert package.manifest.attribution == "points by nobody"
-    assert airgs.validate(str(package.files.path)) == []
+    quaternions, means = frames[1].quaternions.copy(), frames[1].means.copy()
+    quaternions[3], means[4] = 0, np.nan
+    write_ply(scene / "000001.ply", replace(frames[1], quaternions=quaternions, means=means))
+    airgs.encode(str(scene), str(tmp_path / "a.airgs"), FAST, progress=Bars)
+    package = airgs.open_package(str(tmp_path / "a.airgs"))
+    assert package.manifest.attribution == "points by nobody" and airgs.validate(tmp_path / "a.airgs") == []
+    repaired = " ".join(package.manifest.groups[0].repairs)
+    assert "1 Gaussians that are not finite" in repaired and "1 Gaussians with zero quaternions" in repaired
     by_name, by_number = (airgs.decode(package, 1, level=j, key_quality=q) for j, q in (("L2", "Q1"), (2, 1)))
-    assert isinstance(by_name, airgs.Gaussians)
-    assert (by_name.means == by_number.means).all()
+    assert isinstance(by_name, airgs.Gaussians) and (by_name.means == by_number.means).all()
+    seen = airgs.Sequence.from_arrays(frames, cameras=[airgs.Camera.look_at((0, 0, -4), (0, 0, 0), size=(64, 48))])
+    airgs.compare(seen, package, progress=lambda *told: told_of.append(told))
+    assert Bars.made and all(bar.n == bar.total for bar in Bars.made)
+    assert told_of[-1] == ("comparing", 2, 2)
+
+
+def test_encoding_is_one_stage_that_ends_where_it_was_said_to(tmp_path):
+    told_of = []
+    sequence = airgs.Sequence.from_arrays(moving_frames(60, 4))
+    settings = replace(FAST, measure_pictures=1, decide_pictures=2, group_frames=2)
+    airgs.encode(sequence, tmp_path / "a.airgs", settings, progress=lambda *words: told_of.append(words))
+    encoding = [words for words in told_of if words[0].startswith("encoding")]
+    assert {name for name, _, _ in encoding} >= {"encoding: states, 1 of 2", "encoding: quality, 2 of 2", "encoding"}
+    done, totals = zip(*[words[1:] for words in encoding], strict=True)
+    assert list(done) == sorted(done) and list(totals) == sorted(totals) and done[-1] == totals[-1]
 
 
 WITHOUT_EXTRAS = """
@@ -219,3 +250,123 @@ def test_all_but_training_and_pictures_works_without_the_extras(tmp_path):
     assert done.returncode == 0, done.stderr
     said = [line for line in done.stderr.splitlines() if "pip install" in line]
     assert [("plot" in line, "train" in line) for line in said] == [(True, False), (True, False), (False, True)]
+
+
+def smallest(state):
+    return airgs.Decision(min(state.options, key=lambda o: o.size_bytes).index)
+
+
+@pytest.mark.parametrize("of", [str, lambda path: path])
+def test_a_path_opens_what_is_expected(of):
+    opened = airgs.decode(airgs.open_package(PACKAGE), 1)
+    assert (airgs.decode(of(PACKAGE), 1).means == opened.means).all()
+    same = airgs.simulate(airgs.open_package(PACKAGE), airgs.Trace.open("const:5"), "bola")
+    assert airgs.simulate(of(PACKAGE), "const:5", "bola").metrics == same.metrics
+
+
+def test_a_function_is_a_policy():
+    log = SIMULATE(smallest)
+    assert log.policy == "smallest" and log.metrics.frames
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        *(lambda sequence, n=n: sequence[n] for n in (99, -99, "0")),
+        *(lambda sequence, n=n: sequence.read(n) for n in (99, -1)),
+        *(lambda sequence, n=n: sequence.load(n) for n in ([0, 99], [], 3)),
+        *(lambda sequence, n=n: airgs.decode(PACKAGE, n) for n in (99, -1)),
+        lambda sequence: sequence[:2][2],
+        lambda sequence: list(airgs.decode_frames(PACKAGE, 0, 99)),
+    ],
+)
+def test_a_frame_that_is_not_there_is_named_alike_everywhere(call):
+    with pytest.raises(airgs.AirgsError, match=r"^frames?: expected") as caught:
+        call(airgs.open_sequence(FOX))
+    assert isinstance(caught.value, IndexError) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("call", "line"),
+    [
+        (partial(airgs.decode, 3, 0), "package: expected an open package or the path of one, got int 3"),
+        (partial(airgs.decode, PACKAGE, "0"), r"frame: expected 0\.\.\d+, got '0'"),
+        (partial(airgs.decode, PACKAGE, 0, level=None), "level: expected one of L0.*, got None"),
+        (partial(airgs.encode, None, "x.airgs"), "sequence: expected an open sequence or the path of one, got None"),
+        (partial(airgs.encode, FOX, "x.airgs", {"quality": 1}), "settings: expected EncodeSettings, got dict"),
+        (partial(airgs.encode, FOX, "x.airgs", goal=40), "goal: expected a Goal, got int 40"),
+        (partial(airgs.encode, FOX, 3), "path: expected a path or an address, got int 3"),
+        (partial(airgs.open_package, None), "path: expected a path or an address, got None"),
+        (partial(airgs.open_sequence, [1, 2]), r"folder: expected a path or an address, got list \[1, 2\]"),
+        (partial(airgs.Trace.open, 5), "trace: expected a path or an address, got int 5"),
+        (partial(airgs.validate, None), "path: expected a path or an address, got None"),
+        (partial(airgs.simulate, [], "const:5"), r"package: expected an open package or .* of one, got list \[\]"),
+        (partial(airgs.simulate, PACKAGE, 5.0), r"trace: expected a trace, or its path or name, got float 5\.0"),
+        (partial(SIMULATE, "best"), "^policy: expected paper.* got 'best'"),
+        (partial(airgs.draw, None, None, "tpu"), "^device: expected auto, cpu, cuda, got 'tpu'"),
+        (partial(airgs.EncodeSettings, quality="high"), "^quality: expected a number, got str 'high'"),
+        (partial(airgs.EncodeSettings, quality=1e-320), "step factors"),
+        (partial(airgs.EncodeSettings, group_frames=2.5), "^group_frames: expected a whole number, got float 2.5"),
+        (partial(airgs.EncodeSettings, tiers=1), "^tiers: expected a tuple, got int 1"),
+        (partial(airgs.EncodeSettings, margin=True), "^margin: expected a number or None, got bool True"),
+        (partial(airgs.SessionSettings, loops=10**99), "^loops: expected a whole number or None, got int 1000"),
+        (partial(airgs.TrainSettings, seed="1"), "^seed: expected a whole number, got str '1'"),
+        (partial(airgs.Goal, "psnr", 40), "^metric: expected a metric, as of Goal.psnr"),
+        (partial(airgs.Goal.size, "12"), "^target: expected a number, got str '12'"),
+        (partial(SIMULATE, 3), "policy: expected a name, a function .* got int 3"),
+        (partial(SIMULATE, settings=3), "settings: expected SessionSettings, got int 3"),
+        (partial(SIMULATE, lambda state: state.options[0]), "policy <lambda>: expected a Decision, got Option"),
+        (partial(SIMULATE, lambda state: airgs.Decision(99)), "expected the index of one of .* got 99"),
+    ],
+)
+def test_what_is_of_no_use_is_refused_in_one_line(call, line):
+    with pytest.raises(airgs.AirgsError, match=line) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+ARRAYS = {"means": (5, 3), "quaternions": (5, 4), "log_scales": (5, 3), "opacity_logits": (5,)}
+ARRAYS |= {"sh_dc": (5, 3), "sh_rest": (5, 8, 3)}
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "line"),
+    [
+        ("means", np.zeros((5, 4)), r"means: expected an array of shape \(N, 3\), got \(5, 4\)"),
+        ("means", np.zeros(()), r"means: expected .*, got \(\)"),
+        ("quaternions", np.zeros((4, 4)), r"quaternions: expected an array of shape \(5, 4\), got \(4, 4\)"),
+        ("opacity_logits", np.zeros((5, 1)), r"opacity_logits: expected an array of shape \(5,\), got \(5, 1\)"),
+        ("sh_rest", np.zeros((5, 4, 3)), r"sh_rest: expected .* \(5, K, 3\) with K of 0, 3, 8 or 15, got \(5, 4, 3\)"),
+        ("sh_dc", [[0, 0, 0]], "sh_dc: expected an array .*, got list"),
+    ],
+)
+def test_gaussians_of_odd_shapes_are_refused(name, value, line):
+    arrays = {key: np.zeros(shape, np.float32) for key, shape in ARRAYS.items()}
+    assert len(airgs.Gaussians(**arrays)) == 5
+    with pytest.raises(airgs.AirgsError, match=line):
+        airgs.Gaussians(**arrays | {name: value})
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class Example:
+    """Two things."""
+
+    size: int = setting(3, "how many, in pixels")
+    names: list[str] = computed_setting(list, "what they are called")
+
+
+def test_a_field_has_its_default_its_meaning_and_a_line_in_the_docstring():
+    assert Example() == Example(3, [])
+    assert Example().names is not Example().names
+    assert about(Example, "size") == "how many, in pixels"
+    assert Example.__doc__ == "Two things.\n\nsize = 3: how many, in pixels.\nnames: what they are called."
+    with pytest.raises(KeyError):
+        about(Example, "colour")
+
+
+@pytest.mark.parametrize("settings", [airgs.EncodeSettings, airgs.SessionSettings, airgs.TrainSettings])
+def test_every_field_of_the_settings_is_explained(settings):
+    for field in fields(settings):
+        assert f"\n{field.name}" in settings.__doc__
+        assert about(settings, field.name)
