@@ -1,6 +1,7 @@
 """`--preset paper` against the equations of the paper, in every iteration of every kind of fit. U rows stay."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,17 +17,11 @@ SIX = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest
 LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 
 
-@dataclass
-class Seen:
-    losses: list[float] = field(default_factory=list)
-    gaussians: list[dict[str, torch.Tensor]] = field(default_factory=list)
-    cameras: list[str] = field(default_factory=list)
-    shrinks: list[dict[str, torch.Tensor] | None] = field(default_factory=list)  # of Adam: weights of |D|
-
-
 @pytest.fixture
 def seen(monkeypatch):
-    seen, draw, add, step = Seen(), optimise.render_views, optimise.Losses.add, parameters.Adam.step
+    """What every iteration of a fit draws, from where, its loss, and the weights of |D| that Adam gets."""
+    seen = SimpleNamespace(gaussians=[], cameras=[], losses=[], shrinks=[])
+    draw, add, step = optimise.render_views, optimise.Losses.add, parameters.Adam.step
 
     def look(p, cameras, *rest):
         seen.gaussians.append({name: value.detach().clone() for name, value in p.items()})

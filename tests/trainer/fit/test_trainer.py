@@ -88,11 +88,6 @@ def test_a_keyframe_builds_what_appeared_and_keeps_old_rows_in_place(ball):
     assert np.median(np.linalg.norm(added - BALL, axis=1)) < 0.5
 
 
-def test_a_keyframe_never_passes_the_capacity(ball):
-    t = trainer(budget=150, capacity=170, max_growth=0.9, key_iterations=60)
-    assert len(keyed(t, ball)) <= 170
-
-
 def test_inflation_removes_added_gaussians(ball):
     def added(weight: float) -> float:
         t = trainer(max_growth=0.4, inflation=weight, key_iterations=120)
