@@ -130,8 +130,8 @@ def test_an_answer_that_trickles_is_broken_off_and_one_that_is_slow_is_not(part)
     head = f"HTTP/1.0 200 OK\r\nX: {'x' * 99}\r\nContent-Length: {len(body)}\r\n\r\n".encode()
 
     def answer(handler, step):
-        start = 0 if part == "head" else len(head)
-        stop = min(len(head), 25 * step) if part == "head" else start + 25 * step
+        start, size = 0 if part == "head" else len(head), (40 if step == 1 else 25) * step
+        stop = min(len(head), size) if part == "head" else start + size
         with contextlib.suppress(OSError):
             handler.wfile.write((head + body)[:start])
             for at in range(start, stop, step):

@@ -6,7 +6,7 @@ nothing grows but the package.
 
 import gzip
 import shutil
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from itertools import pairwise
@@ -240,16 +240,15 @@ class Publisher:
             self.package.close()
 
 
-@dataclass
 class Link:
-    """Brings every batch in a tenth of a second."""
+    """Brings every batch in a tenth of a second, and counts tables as an HTTP server sends them: with headers, packed,
+    and not again where nothing has changed.
+    """
 
-    publisher: Publisher
-    tables: RemoteTables = field(default_factory=RemoteTables)
-    table_bytes: int = 0  # as an HTTP server sends them, headers and answers that nothing has changed included
-    root: bytes = b""
-    rtt_s: float = 0.1
-    pipelines: bool = False
+    rtt_s, pipelines = 0.1, False
+
+    def __init__(self, publisher):
+        self.publisher, self.tables, self.table_bytes, self.root = publisher, RemoteTables(), 0, b""
 
     def bring(self, path):
         data = self.publisher.files.read(path)

@@ -203,12 +203,9 @@ def test_key_quality_and_level_are_chosen_together_from_the_first_choice_on(rate
 @pytest.mark.parametrize(
     ("m", "options", "words"),
     [
-        (TINY, {"buffer_s": 0.0}, "buffer"),
-        (TINY, {"buffer_s": float("nan")}, "buffer"),
-        (TINY, {"decode_frame_s": -1.0}, "decoding"),
-        (TINY, {"decode_frame_s": float("inf")}, "decoding"),
-        (TINY, {"loops": 0}, "loops"),
-        (TINY, {"loops": -1}, "loops"),
+        *((TINY, {"buffer_s": value}, "buffer") for value in (0.0, float("nan"))),
+        *((TINY, {"decode_frame_s": value}, "decoding") for value in (-1.0, float("inf"))),
+        *((TINY, {"loops": value}, "loops") for value in (0, -1)),
         (TINY, {"policy": "fixed:3"}, "policy"),
         (TINY, {"startup_s": -1.0}, "start-up"),
         (TINY, {"resume_s": float("inf")}, "resume"),

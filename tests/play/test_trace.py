@@ -147,28 +147,21 @@ def test_the_embedded_trace_is_read():
     [
         ("\n\n", "empty"),
         (b"\xff\xfe\x00garbage", "cannot read"),
-        ("hello\nworld\n", "expected Raca CSV"),
-        ("[1, 2]", "expected Raca CSV"),
-        ('[{"duration_ms": 500}]', "bandwidth_kbps"),
-        ("[]", "expected Raca CSV"),
-        ("[{", "expected Raca CSV"),
-        ("time_s,mbps\n", "no rows"),
-        ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
-        ("0,1\n1,fast\n", "expected Raca CSV"),
-        ("0,1\n0,2\n", "ascend"),
-        ("0,-1\n1,2\n", "0 or more"),
-        ("0,nan\n1,2\n", "finite"),
-        ("nan,1\n1,2\n", "ascend"),
-        ("0,0\n1,0\n", "zero all the time"),
-        ("5\n3\n", "ascend"),
-        ("99999999999999999\n", "more than a day"),
-        ("Timestamp,DL_bitrate\n", "no DL_bitrate"),
-        ("Timestamp,DL_bitrate\n2017.12.04_15.24.12,-\n", "no DL_bitrate"),
+        *((text, "expected Raca CSV") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
         ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"),
+        *((f"Timestamp,DL_bitrate\n{row}", "no DL_bitrate") for row in ("", "2017.12.04_15.24.12,-\n")),
         ("DL_bitrate\n5\n", "Timestamp"),
         ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"),
+        ('[{"duration_ms": 500}]', "bandwidth_kbps"),
         ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
         ("[" * 100_000, "recursion"),
+        ("time_s,mbps\n", "no rows"),
+        ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
+        *((text, "ascend") for text in ("0,1\n0,2\n", "nan,1\n1,2\n", "5\n3\n")),
+        ("0,-1\n1,2\n", "0 or more"),
+        ("0,nan\n1,2\n", "finite"),
+        ("0,0\n1,0\n", "zero all the time"),
+        ("99999999999999999\n", "more than a day"),
     ],
 )
 def test_bad_files_get_one_line(tmp_path, content, words):
@@ -177,10 +170,10 @@ def test_bad_files_get_one_line(tmp_path, content, words):
     assert "\n" not in str(error.value)
 
 
-def test_missing_files_and_folders(tmp_path):
-    for path in (tmp_path / "none.csv", tmp_path):
-        with pytest.raises(TransportError, match="cannot read"):
-            Trace.open(path)
+@pytest.mark.parametrize("name", ["none.csv", "."])
+def test_missing_files_and_folders_are_not_read(tmp_path, name):
+    with pytest.raises(TransportError, match="cannot read"):
+        Trace.open(tmp_path / name)
 
 
 def test_constant_and_synthetic_traces():

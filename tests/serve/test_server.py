@@ -3,6 +3,7 @@
 import contextlib
 import gzip
 import http.client
+import json
 import os
 import re
 import resource
@@ -62,6 +63,12 @@ def test_every_file_is_served_whole(port):
         assert headers["Access-Control-Allow-Origin"] == "*" and headers["X-Content-Type-Options"] == "nosniff"
         status, headers, body = ask(port, f"/{NAME}/{path}", "HEAD")
         assert (status, body, headers["Content-Length"]) == (200, b"", str(len(data)))
+
+
+def test_packages_are_listed_in_the_order_of_their_names(port):
+    listed, page = json.loads(ask(port, "/", Accept="application/json")[2]), ask(port, "/")[2].decode()
+    assert [entry["name"] for entry in listed] == ["moving", NAME]
+    assert 0 < page.index(listed[0]["mpd"]) < page.index(listed[1]["mpd"])
 
 
 def test_conditions_and_ranges(port):
