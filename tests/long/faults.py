@@ -217,7 +217,8 @@ def publish(scene: Path, target: Path) -> Iterator[object]:
 @contextmanager
 def failing(folder: Path, calls: int) -> Iterator[list[str]]:
     """A folder of which one call fails, behind so many others, and all that follow; gives what is said of it."""
-    done, said = count(), []
+    done = count()
+    said: list[str] = []
 
     def wrapped(method: Callable[..., Any]) -> Callable[..., Any]:
         def call(place: faces.Folder, *arguments: Any) -> Any:

@@ -13,6 +13,7 @@ import hashlib
 import json
 import random
 import resource
+import signal
 import subprocess
 import sys
 import tempfile
@@ -45,7 +46,7 @@ from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.splat_files import splat_bytes
 from tests.support.views import ring
 
-SECONDS = 10.0  # for a case
+SECONDS, WAIT = 10.0, 200.0  # for a case: of CPU time, and by the clock
 MEMORY = 1 << 30  # that a case may take beyond what its worker has
 _ADDRESSES = 8 << 30  # of a worker in all, of which threads and libraries take much that they never use
 
@@ -323,6 +324,7 @@ def attempt(number: int) -> tuple[str, str, str]:
     except Exception as error:  # whatever it is, it is what we look for
         found, place = None, traceback.extract_tb(error.__traceback__)[-1]
         finding = f"{type(error).__name__} at {Path(place.filename).name}:{place.lineno}: {error}"
+    signal.setitimer(signal.ITIMER_PROF, 0)
     faulthandler.cancel_dump_traceback_later()
     most = max(_memory("VmHWM") - before, _children() if _children() > children else 0)
     if most > MEMORY:
@@ -334,7 +336,8 @@ def attempt(number: int) -> tuple[str, str, str]:
 
 def _begin() -> tuple[int, int]:
     """Start the clock, which ends this process, and the count of memory; bytes in use, and the peak of a child."""
-    faulthandler.dump_traceback_later(SECONDS, exit=True)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    faulthandler.dump_traceback_later(WAIT, exit=True)
     Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
     return _memory("VmRSS"), _children()
 
@@ -353,6 +356,7 @@ def _memory(name: str) -> int:
 def work(start: int, stop: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (_ADDRESSES, _ADDRESSES))
     warnings.simplefilter("ignore")
+    faulthandler.register(signal.SIGPROF, chain=True)
     for number in range(start, stop):
         print(json.dumps(attempt(number)), flush=True)
 
@@ -377,7 +381,7 @@ class Tally:
                 if worker.returncode:
                     said.seek(0)
                     text = said.read()
-                    place = text.partition("Timeout")[2].split("\n")[2:5] or text.splitlines()[-1:]
+                    place = text.partition("most recent call first")[2].split("\n")[1:4] or text.splitlines()[-1:]
                     finding = f"the worker ended with {worker.returncode}: {' '.join(place)}"
                     self.findings.setdefault(finding, []).append(start)
                     start += 1
