@@ -32,8 +32,10 @@ from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
 from airgs_codec.places.results import Store, open_store, pack, seal, unpack, unseal
 
 # Deciding and encoding
-from airgs_codec.analysis.rows import Restored
-from airgs_codec.analysis.grouping import plan_groups
+from airgs_codec.analysis.rows import Restored, outlook, restore_rows
+from airgs_codec.analysis.grouping import closed_groups, plan_groups
+from airgs_codec.analysis.viewpoints import find_viewpoints
+from airgs_codec.analysis.region import region_around
 from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_in_paper, as_preview
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
 from airgs_codec.encoder.plan import keep_rows, lay_out
@@ -71,6 +73,7 @@ from airgs_codec.package.dash_check import check_mpd
 from airgs_codec.package.index import GroupIndex
 from airgs_codec.inspect.validate import exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
+from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import format_summary, summarise
 from airgs_codec.inspect.sides import left_out, open_side, rung_streams
 from airgs_codec.inspect.compare import compare_streams

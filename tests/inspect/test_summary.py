@@ -5,9 +5,8 @@ import json
 
 import pytest
 
-from airgs_codec.inspect.plot import plot_ladder
 from airgs_codec.inspect.summary import bytes_by_kind, describe_left_out, format_ladder, segment_rates
-from tests.faces import LeftOut, format_summary, open_package, pooled_quality, read_picture, summarise
+from tests.faces import LeftOut, format_summary, open_package, plot_ladder, pooled_quality, read_picture, summarise
 from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.regions import arc

@@ -75,12 +75,6 @@ def test_every_level_and_key_quality_is_decoded_and_its_columns_are_read(relativ
     assert [(f.reason, f.where) for f in found] == [(reason, relative)]
 
 
-@pytest.mark.parametrize("coarser", [0, 2, 3])
-def test_cells_that_the_files_do_not_have_are_refused(coarser):
-    assert OPENED.manifest.qualities[1].coarser == 1
-    assert "bad_sidecar" in reasons(apply(MOVING, set_value(("qualities", 1, "coarser"), coarser)))
-
-
 def media_of(gop: ClosedGop, size: tuple[int, int], columns: bytes) -> bytes:
     """A media segment of pictures, with the checksums that they have."""
     codec = key_codec("veryfast")
@@ -97,12 +91,6 @@ def test_luma_outside_the_limited_range_is_refused():
     assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
 
 
-def test_more_pictures_than_promised_are_refused():
-    columns = read_segment(MOVING["key/T0/Q0/1.m4s"]).columns or b""
-    more = with_columns(MOVING["state/L0/1.m4s"], columns)
-    assert "bad_picture" in reasons(with_file(MOVING, "key/T0/Q0/1.m4s", more))
-
-
 def test_fewer_pictures_than_frames_are_refused():
     atlas, path = OPENED.manifest.groups[0].levels[0], "state/L0/1.m4s"
     grey = ClosedGop([np.full((atlas.height, atlas.width), 128, np.uint8)], 0, 1000)
@@ -112,29 +100,6 @@ def test_fewer_pictures_than_frames_are_refused():
         list(faces.decode_segment(package, 0, faces.decode_canonical(package, 0, 0), 0, range(4)))
 
 
-def test_frames_of_more_bytes_than_their_file_are_refused():
-    place, file = ("segments", 0, "levels", 0, "frame_bytes"), OPENED.manifest.segments[0].levels[0].file
-    for more in (1, 10**9):
-        sizes = [1, 1, 1, file.bytes - 3 + more]
-        assert reasons(apply(MOVING, set_value(place, sizes, TABLE), reindexed)) == {"size_mismatch"}
-
-
-def test_steps_that_decode_to_no_finite_number_are_refused():
-    steps = {("key_steps", "log_scales"): 1e30, ("key_steps", "quaternions"): 1e30}
-    factors = [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)]
-    coarse = [set_value(place, value, TABLE) for place, value in steps.items()]
-    assert reasons(apply(MOVING, *coarse, *factors, set_value(("key_gain",), 1e-3), reindexed)) == {"bad_value"}
-
-
-def test_a_group_without_keys_is_refused():
-    def forget(table):
-        for tier in table["tiers"]:
-            for entry in (tier["sidecar"], *tier["pictures"]):
-                entry.update(bytes=0, sha256="")
-
-    assert reasons(apply(MOVING, mutations.edit_tables(forget, TABLE), reindexed)) == {"missing_entry"}
-
-
 def test_one_broken_quality_does_not_hide_another_group():
     files, paths = base_files("two-groups-sh1"), ["key/T0/1.bin", "key/T0/2.bin"]
     for relative in paths:
@@ -142,13 +107,48 @@ def test_one_broken_quality_does_not_hide_another_group():
     assert {f.where for f in findings(files)} == set(paths)
 
 
-def test_depths_that_disagree_with_a_level_are_counted():
+def forget_keys(table):
+    for tier in table["tiers"]:
+        for entry in (tier["sidecar"], *tier["pictures"]):
+            entry.update(bytes=0, sha256="")
+
+
+def more_pictures(files: Files) -> Files:
+    columns = read_segment(files["key/T0/Q0/1.m4s"]).columns or b""
+    return with_file(files, "key/T0/Q0/1.m4s", with_columns(files["state/L0/1.m4s"], columns))
+
+
+def lower_depths(files: Files) -> Files:
+    """Depths that disagree with a level, whose updates are counted."""
     group, coarsest = OPENED.manifest.groups[0], OPENED.manifest.qualities[-1].coarser
-    sidecar = unpack_key_sidecar(MOVING["key/T0/1.bin"], group.tiers[0].count, group.grid, coarsest, "")
+    sidecar = unpack_key_sidecar(files["key/T0/1.bin"], group.tiers[0].count, group.grid, coarsest, "")
     lower = dataclasses.replace(sidecar, depths=np.minimum(sidecar.depths, 0))
-    assert reasons(with_file(MOVING, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))) == {
-        "count_mismatch"
-    }
+    return with_file(files, "key/T0/1.bin", pack_key_sidecar(lower, group.grid, coarsest))
+
+
+def frame_bytes(more: int) -> mutations.Mutation:
+    sizes = [1, 1, 1, OPENED.manifest.segments[0].levels[0].file.bytes - 3 + more]
+    return set_value(("segments", 0, "levels", 0, "frame_bytes"), sizes, TABLE)
+
+
+ENDLESS = [set_value(("key_steps", name), 1e30, TABLE) for name in ("log_scales", "quaternions")]
+ENDLESS += [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)] + [set_value(("key_gain",), 1e-3)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        *[([set_value(("qualities", 1, "coarser"), cells)], "bad_sidecar") for cells in (0, 2, 3)],  # it was 1
+        *[([frame_bytes(more), reindexed], "size_mismatch") for more in (1, 10**9)],  # than the file has
+        ([*ENDLESS, reindexed], "bad_value"),  # steps that decode to no finite number
+        ([mutations.edit_tables(forget_keys, TABLE), reindexed], "missing_entry"),
+        ([more_pictures], "bad_picture"),
+        ([lower_depths], "count_mismatch"),
+    ],
+)
+def test_tables_and_files_that_do_not_fit_each_other_are_refused(changes, reason):
+    assert OPENED.manifest.qualities[1].coarser == 1
+    assert reasons(apply(MOVING, *changes)) == {reason}
 
 
 def resampled(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
