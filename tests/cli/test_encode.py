@@ -84,7 +84,7 @@ def asked(tmp_path, monkeypatch):
 
     def publish(sequence, target, settings, *, goal, work):
         calls.append(SimpleNamespace(sequence=sequence, target=target, settings=settings, goal=goal))
-        done = replace(m, groups=groups, world=settings.world)
+        done = replace(m, groups=groups, world=settings.world, decisions=["up is guessed to be -y", "others"])
         return faces.EncodeReport(done, 700, rows, 0.1, 2.0, 3.0, 0.0, 6.0, 0.04, cached=True)
 
     monkeypatch.setattr("airgs_codec.cli.encode.publish", publish)
@@ -154,9 +154,9 @@ def test_the_package_is_beside_the_scene_unless_it_is_told_where(asked, tmp_path
 def test_figures_are_said_in_words_in_all_tables_or_as_json(asked, capsys):
     for words in ([], ["--verbose"]):
         assert faces.airgs_encode(["scene", "-o", "out", *words]) == 0
-        said = capsys.readouterr().out
+        said, warned = capsys.readouterr()
         assert ("quality against the original" in said) == bool(words)
-        assert "repaired: mended" in said and "Q0 + L0" in said
+        assert "repaired: mended" in said and "Q0 + L0" in said and warned == "up is guessed to be -y\n"
         assert said.endswith(
             "\nout: 20 frames, 2.00 s, 0.02 MB with all rungs; 11 s (order of rows 0.1, "
             "views and lengths of groups 2.0, calibration 3.0, encoding 6.0; calibration stored before)\n"
