@@ -10,7 +10,7 @@ import shutil
 import socket
 import subprocess
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -63,7 +63,7 @@ class Answer:
     dropped: bool = False  # nothing comes at all: the connection ends
 
 
-Maker = Callable[[], bytes | Answer | None]  # None: the file as it is
+Made = bytes | Answer | Callable[[], bytes | Answer | None]  # made anew for each request; None: the file as it is
 
 
 class _Server(ThreadingHTTPServer):
@@ -73,14 +73,14 @@ class _Server(ThreadingHTTPServer):
 @contextmanager
 def serve(
     folders: Mapping[str, Path],
-    made: Mapping[str, Maker] | None = None,
+    made: Mapping[str, Made] | None = None,
     told: Callable[[bytes], bytes] | None = None,
     locked: Mapping[str, str] | None = None,
 ) -> Iterator[Site]:
     """Python's own static server.
 
-    `folders` are the first parts of paths, and what lies below them; `made` are paths whose answers are made anew for
-    each request; `told` takes what is posted, and answers; `locked` are queries without which a folder is forbidden.
+    `folders` are the first parts of paths, and what lies below them; `made` are the answers of paths; `told` takes what
+    is posted, and answers; `locked` are queries without which a folder is forbidden.
     """
     answers: list[tuple[str, int]] = []
     ended = threading.Event()
@@ -89,9 +89,9 @@ def serve(
         extensions_map = SimpleHTTPRequestHandler.extensions_map | TYPES
 
         def do_GET(self) -> None:
-            make = (made or {}).get(urlsplit(self.path).path)
+            given = (made or {}).get(urlsplit(self.path).path)
             key = (locked or {}).get(self.path.split("/")[1], "")
-            answer = Answer(status=403) if not self.path.endswith(key) else make() if make else None
+            answer = Answer(status=403) if not self.path.endswith(key) else given() if callable(given) else given
             if answer is None:
                 super().do_GET()
             else:
@@ -139,16 +139,16 @@ def serve(
 
 
 @cache
-def build_pages() -> None:
-    """Bundle the scripts of web/test/pages into web/out/pages; processes that want it at the same time take turns."""
-    folder = WEB / "out" / "pages"
+def build_pages(which: str = "pages") -> None:
+    """Bundle what web/scripts/WHICH.mjs does into web/out/WHICH; processes that want it at the same time take turns."""
+    folder = WEB / "out" / which
     folder.mkdir(parents=True, exist_ok=True)
     with (WEB / "out" / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        sources = [path for part in ("src", "test", "scripts") for path in (WEB / part).rglob("*.*")]
-        built = [path.stat().st_mtime for path in folder.glob("*.js")]
+        sources = [path for part in ("src", "test", "scripts", "examples") for path in (WEB / part).rglob("*.*")]
+        built = [path.stat().st_mtime for path in folder.rglob("*.js")]
         if not built or min(built) < max(path.stat().st_mtime for path in sources):
-            subprocess.run(["node", "scripts/pages.mjs"], cwd=WEB, check=True)
+            subprocess.run(["node", f"scripts/{which}.mjs"], cwd=WEB, check=True)
 
 
 @dataclass(frozen=True)
@@ -164,21 +164,27 @@ class Visit:
 
 
 class _Browser:
-    """Chromium at work: pages are opened one after another, each without anything of those before it."""
+    """Chromium at work: some pages are open at once, each without anything of the others."""
 
     def __init__(self) -> None:
         environment = os.environ | {"CHROMIUM": str(_chromium())}
         command = ["node", str(WEB / "test" / "open.mjs")]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
 
-    def visit(self, url: str, script: str) -> Visit:
+    def visit(self, pages: Sequence[tuple[str, str]]) -> list[Visit]:
         process = self._process
         assert process.stdin and process.stdout
-        process.stdin.write(json.dumps({"url": url, "script": script or None}).encode() + b"\n")
+        for number, (url, script) in enumerate(pages):
+            process.stdin.write(json.dumps({"number": number, "url": url, "script": script or None}).encode() + b"\n")
         process.stdin.flush()
-        line = process.stdout.readline()  # it gives up by itself where a page does not report
-        assert line, f"the browser ended with status {process.wait()}"
-        return Visit(**json.loads(line))
+        seen: dict[int, Visit] = {}
+        while len(seen) < len(pages):
+            line = process.stdout.readline()  # it gives up by itself where a page does not report
+            assert line, f"the browser ended with status {process.wait()}"
+            came = json.loads(line)
+            number = came.pop("number")
+            seen[number] = Visit(**came)
+        return [seen[number] for number in range(len(pages))]
 
     def close(self) -> None:
         assert self._process.stdin and self._process.stdout
@@ -190,14 +196,18 @@ class _Browser:
 _browser: _Browser | None = None
 
 
-def visit(url: str, script: str = "") -> Visit:
-    """Open a page, with a script that runs on it before its own where one is given, and wait for its report.
+def visit_all(pages: Sequence[tuple[str, str]]) -> list[Visit]:
+    """Open pages, some at once, each with a script that runs before its own ("": none), and wait for their reports.
 
-    All pages of a process are opened by one browser, which the first one starts and `close_browser` ends.
+    All pages of a process are opened by one browser, which the first ones start and `close_browser` ends.
     """
     global _browser
     _browser = _browser or _Browser()
-    return _browser.visit(url, script)
+    return _browser.visit(pages)
+
+
+def visit(url: str, script: str = "") -> Visit:
+    return visit_all([(url, script)])[0]
 
 
 def close_browser() -> None:

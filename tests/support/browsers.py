@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from tests.support.browser import CHROMIUMS, Maker, serve
+from tests.support.browser import CHROMIUMS, Made, serve
 
 TIMEOUT_S = 60  # for a page
 REPORT = """<script type="module">
@@ -128,7 +128,7 @@ BROWSERS = (
 
 
 def play(
-    browser: Browser, pages: Sequence[str], folders: Mapping[str, Path], made: Mapping[str, Maker]
+    browser: Browser, pages: Sequence[str], folders: Mapping[str, Path], made: Mapping[str, Made]
 ) -> tuple[list[Any], list[list[str]]]:
     """What pages report, which a browser opens one after another, and the paths that each asked for.
 

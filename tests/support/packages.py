@@ -72,6 +72,12 @@ def sound(folder: Path) -> None:
         shutil.copytree(write_chirping(Path(root), 39, NTSC, 13), folder)
 
 
+def chirping(folder: Path) -> None:
+    """Six groups of a second that move, 25 frames each, with a chirp as long as they."""
+    with TemporaryDirectory() as root:
+        shutil.copytree(write_chirping(Path(root), 150, Fraction(25), 25), folder)
+
+
 def silent(folder: Path) -> None:
     """The same without sound."""
     with TemporaryDirectory() as root:
@@ -171,6 +177,13 @@ def swaying() -> list[list[Gaussians]]:
     return [frames[i : i + 30] for i in range(0, 300, 30)]
 
 
+def harmonic_frames() -> list[list[Gaussians]]:
+    """Rows with all SH bands that move on evenly, every fifth one far."""
+    first, rng = random_gaussians(700, degree=3), np.random.default_rng(0)
+    way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
+    return [[frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]]
+
+
 KEPT_KEYS = replace(QUICK, decide_pictures=4, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1)))
 PAPER = as_in_paper(
     EncodeSettings(preset="ultrafast", threads=1, measure_pictures=1, decide_pictures=4, region=SEEN, quality=2.0)
@@ -178,6 +191,7 @@ PAPER = as_in_paper(
 PACKAGES: dict[str, Callable[[Path], object]] = {
     "fox": fox,
     "sound": sound,
+    "chirping": chirping,
     "silent": silent,
     "keys": Encoded(kept_groups, KEPT_KEYS, fps=GROUP),
     "rows": Encoded(pruned_groups, replace(KEPT_KEYS, keep_all=False), fps=GROUP),
@@ -190,5 +204,6 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     "wide": Encoded(wide_groups, replace(PLAIN, levels=TWO_LEVELS), cameras=True),
     "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
+    "harmonics": Encoded(harmonic_frames, replace(QUICK, segment_s=1.0, levels=TWO_LEVELS), fps=4, cameras=True),
     "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=APART, levels=TIERED_LEVELS)),
 }

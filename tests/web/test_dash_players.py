@@ -10,28 +10,19 @@ from urllib.parse import urlencode, urlsplit
 import numpy as np
 import pytest
 
-from tests.faces import (
-    INIT_NAME,
-    MPD_NAME,
-    LevelSettings,
-    LiveClock,
-    encode,
-    open_package,
-    open_sequence,
-    still_files,
-    write_mpd,
-)
-from tests.support.browser import WEB, missing, serve, visit
+from tests.faces import INIT_NAME, MPD_NAME, LevelSettings, LiveClock, open_package, still_files, write_mpd
+from tests.support.browser import WEB, missing, serve, visit_all
+from tests.support.packages import Encoded
 from tests.support.paths import GOLDEN
 from tests.support.regions import QUICK
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.scenes import moving_frames
 
 PLAYERS = ("dashjs", "shaka")
 KNOWN = (
     "internal Manifest structure is NOT covered",  # shaka says so to everybody who looks at what it parsed
     "Dropped frame ratio", "No alternate stream found",  # and so where the machine is slow
 )  # fmt: skip
-GROUPS = 5  # of a growing package, a second each
+GROUPS = 4  # of a growing package, a second each
 JOINED = 2  # groups that are there when a player comes
 TIGHT_S = 1e-5  # players take the MPD's decimals and float ticks
 GREY = 2  # largest difference of two channels of 8 bits
@@ -39,113 +30,14 @@ GREY = 2  # largest difference of two channels of 8 bits
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
-@pytest.fixture(scope="module", params=["fox", "fox-fine"])
-def package(request):
-    """Two groups each; in the second one of fox-fine nothing moves, so that its state ends early."""
-    return open_package(GOLDEN / request.param)
-
-
-def look(folder, player, mpd=None, **query):
-    """What a player that finds every file reports of the MPD in a folder, or of what `mpd` makes at each request."""
-    path = f"/package/{MPD_NAME}"
-    with serve({"web": WEB, "package": folder}, {path: mpd} if mpd else {}) as site:
-        seen = visit(f"{site.url}/web/test/{player}.html?{urlencode({'mpd': path, **query})}")
-    assert seen.complaints(KNOWN) == []
-    assert seen.report["errors"] == []
-    assert [answer for answer in site.answers if answer[1] >= 400] == []
-    return seen.report
-
-
-def expected(m):
-    """Representation -> its files with the seconds when they begin and end, from the tables."""
-    streams = defaultdict(list)
-    for number, segment in enumerate(m.segments):
-        for j in range(len(m.levels)):
-            still = f"state/L{j}/{number + 1}.m4s"
-            files = m.state_files(number, j) or [still for path, _ in still_files(m) if path == still]
-            streams[f"L{j}"] += [(segment, path) for path in files]
-    for number, group in enumerate(m.groups):
-        for k, q in np.ndindex(m.tiers, len(m.qualities)):
-            streams[f"T{k}/Q{q}"] += [(group, path) for path in m.key_files(number, k, q)[1:]]
-    return {
-        name: [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files]
-        for name, files in streams.items()
-        if files
-    }
-
-
-def paths(urls):
-    return [urlsplit(url).path.removeprefix("/package/") for url in urls]
-
-
-def test_shaka_finds_what_the_tables_say(package):
-    report = look(package.files.path, "shaka")
-    streams = expected(package.manifest)
-    assert not report["live"]
-    assert report["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
-    assert {r["id"] for r in report["representations"]} == set(streams)
-    sets = defaultdict(list)
-    for r in report["representations"]:
-        files = streams[r["id"]]
-        assert [paths(s["urls"]) for s in r["segments"]] == [[path] for *_, path in files]
-        assert [s["start"] for s in r["segments"]] == pytest.approx([start for start, *_ in files], abs=TIGHT_S)
-        assert {path for s in r["segments"] for path in paths(s["init"])} == {INIT_NAME}
-        sets[r["set"]].append(r["id"])
-    assert sorted(map(sorted, sets.values())) == sorted(sets_of(streams).values())
-    assert all((package.files.path / files[0][2]).is_file() for files in streams.values())
-
-
-def sets_of(streams):
-    """Representations by what their AdaptationSet says of them: the state, or a tier of the key."""
-    kinds = defaultdict(list)
-    for name in sorted(streams):
-        tier = re.match(r"T(\d+)/", name)
-        kinds[f"key;tier={tier[1]}" if tier else "state"].append(name)
-    return kinds
-
-
-def test_dashjs_finds_the_sets_and_plays_the_state(package):
-    report = look(package.files.path, "dashjs")
-    sets = sets_of(expected(package.manifest))
-    assert sorted((s["role"], sorted(s["representations"])) for s in report["sets"]) == sorted(
-        ([role], names) for role, names in sets.items()
-    )
-    assert {f["id"] for f in report["fragments"]} <= {*sets["state"]}
-    assert not report["live"]
-
-
-@pytest.mark.parametrize("player", PLAYERS)
-@pytest.mark.parametrize("name", ["L0", "T0/Q0"])
-def test_a_representation_plays_as_grey_video_to_its_end(package, player, name):
-    m = package.manifest
-    report = look(package.files.path, player, only=name)
-    files = expected(m)[name]
-    played = report["played"]
-    frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if name[0] == "L" else len(files)
-    assert played["frames"] == frames or (played["seeks"] and played["frames"] > frames)
-    assert played["corrupted"] == 0
-    assert played["stopped"] == pytest.approx(played["duration"], abs=TIGHT_S)
-    assert played["colour"] <= GREY
-    still = files[-1][2] in {path for path, _ in still_files(m)}
-    assert played["brightest"] == played["darkest"] if still else played["brightest"] - played["darkest"] > 50
-    if player == "dashjs":
-        fragments = report["fragments"]
-        media = [f for f in fragments if f["type"] == "MediaSegment"]
-        assert paths(f["url"] for f in media) == [path for *_, path in files]
-        times = [(f["start"], f["end"]) for f in media]
-        assert np.array(times) == pytest.approx(np.array([span[:2] for span in files]), abs=TIGHT_S)
-        assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {INIT_NAME}
-
-
-@pytest.fixture(scope="module")
-def growing(tmp_path_factory):
-    """A package of GROUPS groups, all that will ever be there."""
-    folder = tmp_path_factory.mktemp("growing")
-    keyframes = [*range(0, 2 * GROUPS, 2)]
-    scene = write_sequence(folder / "scene", moving_frames(200, 2 * GROUPS), fps=2, keyframes=keyframes)
-    settings = replace(QUICK, levels=(LevelSettings(0.0),))
-    encode(open_sequence(scene), folder / "growing.airgs", settings)
-    return open_package(folder / "growing.airgs")
+PACKAGES = {  # two groups each; in the second one of fox-fine nothing moves, so that its state ends early
+    name: open_package(GOLDEN / name) for name in ("fox", "fox-fine")
+}
+ONLY = ("L0", "T0/Q0")
+VISITS = [
+    *(("growing", player, "L0") for player in PLAYERS),
+    *((package, player, only) for package in PACKAGES for player in PLAYERS for only in ("", *ONLY)),
+]
 
 
 class Growth:
@@ -169,12 +61,126 @@ class Growth:
         return text.replace(run, f' r="{groups - 1}"').encode()
 
 
+@pytest.fixture(scope="module")
+def visits(tmp_path_factory):
+    """What came of visits with a player of every package or of one Representation; and answers that were no files."""
+    growing = tmp_path_factory.mktemp("growing") / "package"
+    frames = moving_frames(200, 2 * GROUPS)
+    groups = [frames[at : at + 2] for at in range(0, 2 * GROUPS, 2)]
+    Encoded(lambda: groups, replace(QUICK, levels=(LevelSettings(0.0),)), fps=2, cameras=True)(growing)
+    folders = {"web": WEB} | {name: package.files.path for name, package in PACKAGES.items()}
+    folders |= {f"growing-{player}": growing for player in PLAYERS}
+    made = {f"/growing-{player}/{MPD_NAME}": Growth(open_package(growing)).mpd for player in PLAYERS}
+    pages = []
+    with serve(folders, made) as site:
+        for package, player, only in VISITS:
+            folder = f"growing-{player}" if package == "growing" else package
+            query = {"mpd": f"/{folder}/{MPD_NAME}"} | ({"only": only} if only else {})
+            pages.append((f"{site.url}/web/test/{player}.html?{urlencode(query)}", ""))
+        seen = dict(zip(VISITS, visit_all(pages), strict=True))
+    assert [answer for answer in site.answers if answer[1] >= 400] == []
+    return seen
+
+
+@pytest.fixture
+def report(visits):
+    """A function from a visit to what the player reports, which found every file."""
+
+    def get(package, player, only=""):
+        seen = visits[package, player, only]
+        assert seen.complaints(KNOWN) == []
+        assert seen.report["errors"] == []
+        return seen.report
+
+    return get
+
+
+def expected(m):
+    """Representation -> its files with the seconds when they begin and end, from the tables."""
+    streams = defaultdict(list)
+    for number, segment in enumerate(m.segments):
+        for j in range(len(m.levels)):
+            still = f"state/L{j}/{number + 1}.m4s"
+            files = m.state_files(number, j) or [still for path, _ in still_files(m) if path == still]
+            streams[f"L{j}"] += [(segment, path) for path in files]
+    for number, group in enumerate(m.groups):
+        for k, q in np.ndindex(m.tiers, len(m.qualities)):
+            streams[f"T{k}/Q{q}"] += [(group, path) for path in m.key_files(number, k, q)[1:]]
+    return {
+        name: [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files]
+        for name, files in streams.items()
+        if files
+    }
+
+
+def paths(urls):
+    return [urlsplit(url).path.split("/", 2)[2] for url in urls]
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_shaka_finds_what_the_tables_say(report, name):
+    seen, package = report(name, "shaka"), PACKAGES[name]
+    streams = expected(package.manifest)
+    assert not seen["live"]
+    assert seen["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
+    assert {r["id"] for r in seen["representations"]} == set(streams)
+    sets = defaultdict(list)
+    for r in seen["representations"]:
+        files = streams[r["id"]]
+        assert [paths(s["urls"]) for s in r["segments"]] == [[path] for *_, path in files]
+        assert [s["start"] for s in r["segments"]] == pytest.approx([start for start, *_ in files], abs=TIGHT_S)
+        assert {path for s in r["segments"] for path in paths(s["init"])} == {INIT_NAME}
+        sets[r["set"]].append(r["id"])
+    assert sorted(map(sorted, sets.values())) == sorted(sets_of(streams).values())
+    assert all((package.files.path / files[0][2]).is_file() for files in streams.values())
+
+
+def sets_of(streams):
+    """Representations by what their AdaptationSet says of them: the state, or a tier of the key."""
+    kinds = defaultdict(list)
+    for name in sorted(streams):
+        tier = re.match(r"T(\d+)/", name)
+        kinds[f"key;tier={tier[1]}" if tier else "state"].append(name)
+    return kinds
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_dashjs_finds_the_sets_and_plays_the_state(report, name):
+    seen, sets = report(name, "dashjs"), sets_of(expected(PACKAGES[name].manifest))
+    found = [(s["role"], sorted(s["representations"])) for s in seen["sets"]]
+    assert sorted(found) == sorted(([role], names) for role, names in sets.items())
+    assert {f["id"] for f in seen["fragments"]} <= {*sets["state"]}
+    assert not seen["live"]
+
+
 @pytest.mark.parametrize("player", PLAYERS)
-def test_a_growing_package_is_joined_late_and_plays_on_to_its_end(growing, player):
-    report = look(growing.files.path, player, Growth(growing).mpd, only="L0")
-    assert report["live"]
-    assert report["played"]["stopped"] == report["played"]["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
-    assert report["played"]["colour"] <= GREY
+@pytest.mark.parametrize("only", ONLY)
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_representation_plays_as_grey_video_to_its_end(report, name, player, only):
+    m, seen = PACKAGES[name].manifest, report(name, player, only)
+    files, played = expected(m)[only], seen["played"]
+    frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if only[0] == "L" else len(files)
+    assert played["frames"] == frames or (played["seeks"] and played["frames"] > frames)
+    assert played["corrupted"] == 0
+    assert played["stopped"] == pytest.approx(played["duration"], abs=TIGHT_S)
+    assert played["colour"] <= GREY
+    still = files[-1][2] in {path for path, _ in still_files(m)}
+    assert played["brightest"] == played["darkest"] if still else played["brightest"] - played["darkest"] > 50
     if player == "dashjs":
-        media = [f["url"] for f in report["fragments"] if f["type"] == "MediaSegment"]
+        fragments = seen["fragments"]
+        media = [f for f in fragments if f["type"] == "MediaSegment"]
+        assert paths(f["url"] for f in media) == [path for *_, path in files]
+        times = [(f["start"], f["end"]) for f in media]
+        assert np.array(times) == pytest.approx(np.array([span[:2] for span in files]), abs=TIGHT_S)
+        assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {INIT_NAME}
+
+
+@pytest.mark.parametrize("player", PLAYERS)
+def test_a_growing_package_is_joined_late_and_plays_on_to_its_end(report, player):
+    seen = report("growing", player, "L0")
+    assert seen["live"]
+    assert seen["played"]["stopped"] == seen["played"]["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
+    assert seen["played"]["colour"] <= GREY
+    if player == "dashjs":
+        media = [f["url"] for f in seen["fragments"] if f["type"] == "MediaSegment"]
         assert paths(media)[-1] == f"state/L0/{GROUPS}.m4s"

@@ -3,7 +3,6 @@
 import gzip
 from dataclasses import replace
 from functools import partial
-from hashlib import sha256
 from itertools import pairwise
 
 import numpy as np
@@ -12,29 +11,21 @@ import pytest
 from airgs_codec.coding.atlas import picture_size
 from airgs_codec.coding.channels import colours
 from airgs_codec.encoder import representation
-from airgs_codec.media.h264 import open_segment
-from tests.faces import REPR_DIGEST, decode_frames, encode, open_package, open_sequence, repr_digest
+from tests.faces import REPR_DIGEST, decode_frames, open_package, repr_digest
 from tests.support.browser import Answer, missing
-from tests.support.digests import lined_files
 from tests.support.growing import Growing
-from tests.support.media_page import FOLDERS, look
+from tests.support.packages import Encoded
+from tests.support.page import PACKAGES as FOLDERS
+from tests.support.page import do_tasks
 from tests.support.paths import GOLDEN, VALID
 from tests.support.refusals import cases as cases_of_refusals
 from tests.support.regions import QUICK
 from tests.support.rooms import room_frames
-from tests.support.scenes import moving_frames, write_sequence
-from tests.support.vectors import cases
+from tests.support.scenes import moving_frames
 
 PACKAGES = (
-    "golden/fox",
-    "golden/fox-fine",
-    "golden/room",
-    "valid/kept",
-    "valid/lined",
-    "valid/moving",
-    "valid/one-gaussian",
-    "valid/paged",
-    "valid/two-groups-sh1",
+    *("golden/fox", "golden/fox-fine", "golden/room", "valid/kept", "valid/lined", "valid/moving"),
+    *("valid/one-gaussian", "valid/paged", "valid/two-groups-sh1"),
 )
 FOX = open_package(GOLDEN / "fox")
 
@@ -43,17 +34,12 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 
 @pytest.fixture(scope="module")
 def encoded(tmp_path_factory):
-    """Folder of packages: `pages`, whose atlases are all cut into pages, `long`, a segment of many frames, and
-    `still`, two groups alike."""
-    folder = tmp_path_factory.mktemp("encoded")
-    settings = replace(QUICK, segment_s=0.2)
+    """Folder of packages: `pages`, whose atlases are all cut into pages, and `still`, two groups alike."""
+    folder, settings = tmp_path_factory.mktemp("encoded"), replace(QUICK, segment_s=0.2)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
-        encode(open_sequence(write_sequence(folder / "paged", moving_frames(600, 7))), folder / "pages", settings)
-    settings = replace(settings, segment_s=1.0)
-    encode(open_sequence(write_sequence(folder / "scene", moving_frames(100, 20))), folder / "long", settings)
-    still = write_sequence(folder / "still-frames", room_frames(600, 1, 1) * 4, fps=4, keyframes=[0, 2])
-    encode(open_sequence(still), folder / "still", settings)
+        Encoded(lambda: [moving_frames(600, 7)], settings, cameras=True)(folder / "pages")
+    Encoded(lambda: [room_frames(600, 1, 1) * 2] * 2, settings, fps=4, cameras=True)(folder / "still")
     return folder
 
 
@@ -87,78 +73,24 @@ RUNGS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def luma():
-    return look({name: ("luma", {"url": name}) for name in PACKAGES})[0]
+ENCODED = {"pages": {"key_quality": 0, "level": 0, "tiers": 1}, "still": {"key_quality": 1, "level": 0, "tiers": 2}}
+READ = "golden/room"
 
 
 @pytest.fixture(scope="module")
 def frames(encoded):
     steps, made = {}, {}
-    for number, (name, rung) in enumerate(RUNGS):
-        expected = f"/expected/{number}"
-        made |= {f"{expected}/{i}": lambda data=data: data for i, data in enumerate(frames_of(package(name), rung))}
+    wanted = {f"{number}": (name, package(name), rung) for number, (name, rung) in enumerate(RUNGS)}
+    wanted |= {name: (f"encoded/{name}", open_package(encoded / name), rung) for name, rung in ENCODED.items()}
+    for name, (url, of, rung) in wanted.items():
+        expected = f"/expected/{name}"
+        made |= {f"{expected}/{i}": data for i, data in enumerate(frames_of(of, rung))}
         asked = {"quality": rung["key_quality"], "level": rung["level"], "tiers": rung["tiers"]}
-        steps[f"{number}"] = ("frames", {"url": name, "expected": expected} | asked)
-    for number, data in enumerate(frames_of(open_package(encoded / "pages"), PAGED)):
-        made[f"/expected/pages/{number}"] = lambda data=data: data
-    asked = {"quality": 0, "level": 0, "tiers": PAGED["tiers"], "expected": "/expected/pages"}
-    steps["pages"] = "frames", {"url": "encoded/pages"} | asked
-    for number, data in enumerate(frames_of(open_package(encoded / "still"), STILL)):
-        made[f"/expected/still/{number}"] = lambda data=data: data
-    steps["still"] = (
-        "frames",
-        {"url": "encoded/still", "quality": 1, "level": 0, "tiers": 2, "expected": "/expected/still"},
-    )
+        steps[name] = "frames", {"url": url, "expected": expected} | asked
     best = RUNGS.index((READ, {"key_quality": 0, "level": 0, "tiers": 2}))
     read = {"rung": "Q0+L0", "frames": [3, 1, 0, 2], "expected": f"/expected/{best}"}
     steps["reader"] = "reading", {"url": READ} | read
-    return look(steps, made, {"encoded": encoded})[0]
-
-
-READ = "golden/room"
-STILL = {"key_quality": 1, "level": 0, "tiers": 2}
-PAGED = {"key_quality": 0, "level": 0, "tiers": 1}
-
-
-def test_atlases_in_pages_are_put_together(frames, encoded):
-    m = open_package(encoded / "pages").manifest
-    assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
-    assert frames["pages"]["frames"] == m.frames
-    assert all(error <= 1e-6 for error in frames["pages"]["worst"].values()), frames["pages"]
-
-
-def test_a_group_may_have_no_key_pictures(frames, encoded):
-    """The second group differs by nothing."""
-    _, second = open_package(encoded / "still").manifest.groups
-    assert second.keeps == 1 and not any(file.bytes for tier in second.tiers for file in tier.pictures)
-    assert frames["still"].get("frames") == 4, frames["still"]
-    assert all(error <= 1e-6 for error in frames["still"]["worst"].values()), frames["still"]
-
-
-def test_frames_are_read_in_any_order_from_a_group_that_keeps_rows(frames):
-    report = frames["reader"]
-    assert len(report) == 6 and all(error <= 1e-6 for error in report.values()), report
-
-
-@pytest.mark.parametrize("name", PACKAGES)
-def test_luma_of_every_picture_is_exact(luma, name):
-    report = luma[name]
-    assert report.get("luma") == "exact", report
-    p = package(name)
-    paths = [path for g in range(len(p.manifest.groups)) for path in p.manifest.group_files(g)]
-    assert set(report["found"]) == {path for path in paths if path.endswith(".m4s")}
-    lined = lined_files(p.manifest)
-    assert bool(lined) == (name in ("valid/lined", "valid/moving"))
-    for path, digests in report["found"].items():
-        _, pictures = open_segment(p.read(path), path)
-        assert digests == [sha(picture) for picture in pictures][path in lined :], path  # slopes are no frame
-
-
-def test_luma_is_that_of_the_vectors(luma):
-    for case in cases("packages", "units"):
-        name = case["package"].removeprefix("tests/").removeprefix("manifests/")
-        assert luma[name]["found"][case["path"]] == case["luma"]
+    return do_tasks(steps, made, {"encoded": encoded})
 
 
 @pytest.mark.parametrize("number", range(len(RUNGS)), ids=[f"{name} {rung}" for name, rung in RUNGS])
@@ -168,18 +100,25 @@ def test_every_frame_is_the_decoders(frames, number):
     assert all(error <= 1e-6 for error in report["worst"].values()), report
 
 
-def sha(picture):
-    return sha256(picture.tobytes()).hexdigest()
+def test_atlases_in_pages_are_put_together_and_a_group_may_have_no_key_pictures(frames, encoded):
+    """The second group of `still` differs by nothing."""
+    m, (_, second) = (open_package(encoded / "pages").manifest, open_package(encoded / "still").manifest.groups)
+    assert all(atlas.pages > 1 for atlas in (m.groups[0].tiers[0].qualities[0], m.groups[0].levels[0]))
+    assert second.keeps == 1 and not any(file.bytes for tier in second.tiers for file in tier.pictures)
+    assert [frames[name].get("frames") for name in ENCODED] == [m.frames, second.stop], frames["still"]
+    assert all(error <= 1e-6 for name in ENCODED for error in frames[name]["worst"].values()), frames
+
+
+def test_frames_are_read_in_any_order_from_a_group_that_keeps_rows(frames):
+    report = frames["reader"]
+    assert len(report) == 6 and all(error <= 1e-6 for error in report.values()), report
 
 
 def test_a_flipped_bit_of_a_coded_picture_shows_no_other_values():
     """Digests aside, as if they had been made anew: the checksums of decoded luma refuse what the decoder lets pass."""
     arguments = {"url": "/golden/room/", "level": 0, "seed": 3, "count": 60, "seconds": 30}
-    came = look({"flips": ("flips", arguments)})[0]["flips"]
+    came = do_tasks({"flips": ("flips", arguments)})["flips"]
     assert came["tried"] > 0 and came["other"] == 0 and came["refused"] > came["same"]
-
-
-# Refusals
 
 
 # Every refusal is tested in Node (web/test/unit/packages.test.ts): here those of files that are no tables, and how one
@@ -193,20 +132,15 @@ REFUSED = {
 }
 
 
-def answer(data):
-    return Answer(b"", 404) if data is None else Answer(data)
-
-
 @pytest.fixture(scope="module")
 def refusals():
-    made = {
-        f"/{name}/{path}": partial(answer, files.get(path))
-        for name, case in REFUSED.items()
-        for files in [case.package()]
-        for path in case.files
-    }
+    made = {}
+    for name, case in REFUSED.items():
+        files = case.package()
+        for path in case.files:
+            made[f"/{name}/{path}"] = Answer(status=404) if files.get(path) is None else Answer(files[path])
     folders = {name: VALID / case.base for name, case in REFUSED.items()}
-    return look({name: ("luma", {"url": name}) for name in REFUSED}, made, folders)[0]
+    return do_tasks({name: ("luma", {"url": name}) for name in REFUSED}, made, folders)
 
 
 @pytest.mark.parametrize("name", REFUSED)
@@ -236,7 +170,13 @@ TABLE_BYTES = FOX.files.path.joinpath(TABLE).read_bytes()
 KEY = "key/T0/Q0/1.m4s"
 OTHER = TABLE_BYTES[:-1] + bytes([TABLE_BYTES[-1] ^ 1])
 ROOT = FOX.files.path.joinpath("airgs.json").read_bytes()
-WRONG_ROOT = {REPR_DIGEST: repr_digest(b"another")}
+ROOTS = {
+    "right": Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)}),
+    "wrong": Answer(ROOT, headers={REPR_DIGEST: repr_digest(b"another")}),
+    "busy": Answer(status=503),
+    "away": Answer(dropped=True),
+    "missing": Answer(status=404),
+}
 HEADERS = 350  # bytes of each answer, which pages are not told
 
 FAULTS = {  # answers for the table of the first group -> (answers that were not taken, why it cannot be had)
@@ -260,8 +200,8 @@ ATTEMPTS = 2  # of files that stay wrong, or of a server that is away more often
 
 
 @pytest.fixture(scope="module")
-def faults(encoded, tmp_path_factory):
-    steps, made, folders = {}, {}, {"encoded": encoded}
+def faults(package_of, tmp_path_factory):
+    steps, made, folders = {}, {}, {"long": package_of("chirping")}
 
     def add(name, task, answers, **arguments):
         folder = f"at{len(folders)}"
@@ -272,30 +212,22 @@ def faults(encoded, tmp_path_factory):
     for name, (answers, *_) in FAULTS.items():
         attempts = {"attempts": ATTEMPTS} if name.startswith(("always", "away")) else {}
         add(name, "fetching", {f"{TABLE}": Flaky(*answers)}, paths=[TABLE], **attempts)
-    add(
-        "slow",
-        "fetching",
-        {TABLE: Flaky(Answer(TABLE_BYTES, wait_s=20))},
-        paths=[TABLE, "group/2.json.gz"],
-        abortMs=700,
-    )
-    keep = {"Cache-Control": "max-age=3600"}
-    add("kept", "fetching", {TABLE: lambda: Answer(TABLE_BYTES, headers=keep)}, paths=[TABLE], times=2)
-    fresh = {"Cache-Control": "no-store"}
-    add("kept here", "fetching", {TABLE: lambda: Answer(TABLE_BYTES, headers=fresh)}, paths=[TABLE, KEY], times=3)
-    add("root right", "opening", {"airgs.json": lambda: Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)})})
-    add("root wrong", "opening", {"airgs.json": lambda: Answer(ROOT, headers=WRONG_ROOT)})
-    add("root busy", "opening", {"airgs.json": lambda: Answer(b"", 503)})
-    add("root away", "opening", {"airgs.json": lambda: Answer(dropped=True)})
-    add("root missing", "opening", {"airgs.json": lambda: Answer(b"", 404)})
-    steps["ahead"] = "ahead", {"url": "encoded/long"}
+    late = Flaky(Answer(TABLE_BYTES, wait_s=20))
+    add("slow", "fetching", {TABLE: late}, paths=[TABLE, "group/2.json.gz"], abortMs=700)
+    keep = Answer(TABLE_BYTES, headers={"Cache-Control": "max-age=3600"})
+    add("kept", "fetching", {TABLE: keep}, paths=[TABLE], times=2)
+    fresh = Answer(TABLE_BYTES, headers={"Cache-Control": "no-store"})
+    add("kept here", "fetching", {TABLE: fresh}, paths=[TABLE, KEY], times=3)
+    for name, root in ROOTS.items():
+        add(f"root {name}", "opening", {"airgs.json": root})
+    steps["ahead"] = "ahead", {"url": "long"}
     add("mistakes", "mistakes", {})
     folder = tmp_path_factory.mktemp("growing") / "package"
     growth = Growing(folder, 1, 2, 65, 0)
     folders["growing"] = folder
     made["/growing/airgs.json"] = lambda: (folder.joinpath("airgs.json").read_bytes(), growth.publish())[0]
     steps["growing"] = "growing", {"url": "growing"}
-    return look(steps, made, folders)[0]
+    return do_tasks(steps, made, folders)
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -347,9 +279,9 @@ def test_a_server_that_is_not_there_is_named_at_once(faults):
     assert faults["root missing"]["error"]["reason"] == "missing_file"
 
 
-def test_decoding_waits_for_the_screen(faults, encoded):
+def test_decoding_waits_for_the_screen(faults, package_of):
     """Nothing but what the decoder holds, and one frame, comes before frames are taken."""
-    report, frames = faults["ahead"], open_package(encoded / "long").manifest.segments[0].stop
+    report, frames = faults["ahead"], open_package(package_of("chirping")).manifest.segments[0].stop
     first, *later = report["counts"]
     assert first <= frames // 2 and frames >= 16
     assert all(before <= after for before, after in pairwise(report["counts"]))

@@ -1,11 +1,18 @@
-"""The tree of web/src tells the path: imports go back in the order of folders, never against it nor in circles."""
+"""The sources of the browser player: their checks and unit tests, their order, their builds, and what npm installs."""
 
+import gzip
+import json
 import re
+import subprocess
+import tomllib
 from graphlib import TopologicalSorter
 
 import pytest
 
-from tests.support.browser import WEB
+from airgs_codec.serve.pages import PAGE_TYPES, is_built
+from tests.support.browser import WEB, missing
+from tests.support.page import SHIPPED
+from tests.support.paths import PACKAGE, REPOSITORY
 
 SOURCES = WEB / "src"
 ROOT = "the root"
@@ -15,6 +22,38 @@ IMPORT = re.compile(r'\b(?:from|import) "(?:worker:)?(\.[^"]+\.ts)"')
 MODULES = {
     path.relative_to(SOURCES).as_posix(): path for path in sorted(SOURCES.rglob("*.ts")) if path.suffixes == [".ts"]
 }
+MOST_BYTES = {
+    "airgs.js": 46_200,
+    "airgs-frames.js": 23_500,
+    "airgs-player.js": 58_100,
+    "airgs-vr.js": 2_000,
+    "airgs-more.js": 15_700,
+    "airgs-sound.js": 3_700,
+}  # as gzip
+PERMISSIVE = {"0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "ISC", "MIT", "PSF-2.0", "Python-2.0"}
+LOCK = json.loads((WEB / "package-lock.json").read_text())["packages"]
+LACKING = [what for what in missing() if what != "chromium"]
+
+in_node = pytest.mark.skipif(bool(LACKING), reason=f"not here: {', '.join(LACKING)}")
+
+
+def run(*command):
+    done = subprocess.run(command, cwd=WEB, capture_output=True, text=True, encoding="utf-8", timeout=600, check=False)
+    failed = [line for line in done.stdout.splitlines() if line.lstrip().startswith("not ok")]
+    assert done.returncode == 0, "\n".join([*(failed or [done.stdout]), done.stderr[-2000:]])
+
+
+@in_node
+def test_unit_tests_pass():
+    run("node", "scripts/unit.mjs")
+
+
+@in_node
+def test_types_and_lint_are_clean():
+    run("npm", "run", "--silent", "check")
+
+
+# The tree of web/src tells the path: imports go back in the order of folders, never against it nor in circles.
 
 
 def modules_of(module):
@@ -34,6 +73,7 @@ def test_every_folder_has_its_place_in_the_order_and_every_import_leads_to_a_mod
     assert set().union(*used.values()) <= set(MODULES)
     assert used["play/player.ts"] >= {"play/playback.ts", "format/region.ts", "generated/constants.ts"}
     assert "media/worker.ts" in used["media/client.ts"] and "play/player.ts" in used["airgs.ts"]
+    TopologicalSorter(used).prepare()  # raises where imports go round in circles
 
 
 @pytest.mark.parametrize("folder", ORDER)
@@ -45,5 +85,44 @@ def test_a_folder_imports_only_from_those_before_it(folder):
             assert not {other for other in used if (folder, other) in BESIDE}, module
 
 
-def test_no_imports_go_round_in_circles():
-    TopologicalSorter({module: modules_of(module) for module in MODULES}).prepare()
+# The player that is committed is what the sources build, and small, and a wheel brings it along.
+
+
+@in_node
+def test_the_player_is_what_the_sources_build(tmp_path):
+    run("node", "scripts/main.mjs", str(tmp_path))
+    old = [path.name for path in tmp_path.iterdir() if path.read_bytes() != (SHIPPED / path.name).read_bytes()]
+    assert not old, f"{', '.join(sorted(old))}: older than web/src; run make page and commit"
+
+
+@pytest.mark.parametrize("name", MOST_BYTES)
+def test_it_is_small(name):
+    assert len(gzip.compress((SHIPPED / name).read_bytes())) <= MOST_BYTES[name]
+
+
+def test_a_wheel_brings_it_along():
+    """setuptools takes what these patterns match."""
+    assert is_built() and {path.name for path in SHIPPED.iterdir()} == set(PAGE_TYPES)
+    settings = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"]["setuptools"]
+    packed = {path for pattern in settings["package-data"]["airgs_codec"] for path in PACKAGE.glob(pattern)}
+    assert {SHIPPED / name for name in PAGE_TYPES} <= packed
+
+
+# What npm installs for the tests in a browser is pinned, and free for all uses.
+
+
+def test_versions_are_exact_and_those_of_the_lock_file():
+    package = json.loads((WEB / "package.json").read_text())
+    assert "dependencies" not in package
+    versions = package["devDependencies"]
+    assert all(re.fullmatch(r"\d+\.\d+\.\d+", version) for version in versions.values())
+    assert versions == LOCK[""]["devDependencies"]
+    assert versions == {name: LOCK[f"node_modules/{name}"]["version"] for name in versions}
+
+
+def test_every_package_has_a_permissive_licence_and_a_digest():
+    packages = {path: entry for path, entry in LOCK.items() if path}
+    assert packages
+    choices = [set(entry["license"].strip("()").split(" OR ")) for entry in packages.values()]
+    assert all(choice & PERMISSIVE for choice in choices)
+    assert all(entry["integrity"].startswith("sha512-") and entry["dev"] for entry in packages.values())

@@ -1,34 +1,55 @@
 """<airgs-player> with a player that pretends, driven by a mouse, fingers and keys (web/test/support/ui-cases.ts)."""
 
-import json
 from math import degrees
 from urllib.parse import urlencode
 
 import numpy as np
 import pytest
 
-from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
+from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit, visit_all
+from tests.support.page import look, script_page
 
-PAGE = b'<!doctype html><link rel="icon" href="data:,"><body><script type="module" src="/web/out/pages/ui.js"></script>'
 FIRST = np.array([0, -0.6, -4])  # of the pretended region, which looks at 0
 REACH = 1.2
 GIVES = 0.15 * np.linalg.norm(FIRST)  # the most that the wall does
+
+CASES = (
+    *(
+        "drag",
+        "keys",
+        "address",
+        "wall",
+        "touch",
+        "wheel",
+        "split",
+        "trouble",
+        "path",
+        "hide",
+    ),  # the longest ones first
+    *("menu", "sound", "scrub", "life", "names", "live"),
+)
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
 @pytest.fixture(scope="module")
-def report():
-    """A function from the name of a case to what came of it; the page must not have complained."""
+def visits():
+    """What came of every case of web/test/support/ui-cases.ts."""
     build_pages()
-    with serve({"web": WEB}, {"/ui.html": lambda: PAGE}) as site:
+    with serve({"web": WEB}, {"/ui.html": script_page("ui")}) as site:
+        pages = [(f"{site.url}/ui.html?{urlencode({'case': case})}", "") for case in CASES]
+        return dict(zip(CASES, visit_all(pages), strict=True))
 
-        def run(case):
-            seen = visit(f"{site.url}/ui.html?{urlencode({'case': case})}")
-            assert seen.complaints() == []
-            return seen.report
 
-        yield run
+@pytest.fixture
+def report(visits):
+    """A function from the name of a case to what came of it; the page must not have complained."""
+
+    def get(case):
+        assert visits[case].complaints() == []
+        return visits[case].report
+
+    return get
 
 
 def azimuth(camera):
@@ -76,10 +97,8 @@ def test_another_rung_is_shown_beside_the_one_that_plays(report):
 
 
 def test_what_cannot_be_loaded_later_is_said_and_the_scene_plays():
-    build_pages()
-    lost = {"/ui.html": lambda: PAGE, "/web/out/pages/airgs-more.js": lambda: Answer(status=404)}
-    with serve({"web": WEB}, lost) as site:
-        seen = visit(f"{site.url}/ui.html?case=parts").report
+    lost = {"/web/out/pages/airgs-more.js": Answer(status=404)}
+    seen, _ = look("ui", {}, lost, ("Failed to load resource",), case="parts")
     assert "cannot be fetched now" in seen["note"] and seen["time"] > 0 and not seen["menu"]
 
 
@@ -215,11 +234,11 @@ def test_a_page_without_a_package_asks_for_one():
     """player.html asks nothing of other servers, whatever folder it is in."""
     page = (WEB / "src" / "player.html").read_bytes()
     script = b"export {}; window.report = Promise.resolve([document.title, !!document.querySelector('airgs-player')]);"
-    made = {"/a/b/player.html": lambda: page, "/a/b/airgs-player.js": lambda: script}
+    made = {"/a/b/player.html": page, "/a/b/airgs-player.js": script}
     with serve({}, made) as site:
         empty = visit(f"{site.url}/a/b/player.html")
         scene = visit(f"{site.url}/a/b/player.html?src=../fox.airgs/")
-    assert json.dumps([empty.failed, scene.failed]) == "[[], []]"
+    assert (empty.failed, scene.failed) == ([], [])
     assert {path for path, _ in site.answers} == set(made)
     assert empty.report == ["airgs player", False]
     assert scene.report == ["airgs player", False]  # asked for before the page's own script ran

@@ -1,10 +1,11 @@
-// Opens pages in headless Chromium, which it starts once: each in a context of its own, which shares nothing with others.
+// Opens pages in headless Chromium, which it starts once: some at a time, each in a context of its own, which shares
+// nothing with others.
 //
 //     node open.mjs
 //
-// For every line of its input, {url, script} as JSON, it prints a line {report, messages, failed}: what the page's promise
-// `window.report` gave (or null), what it logged, and its errors. It ends with its input. A script, null for none, runs on
-// the page before those of the page.
+// For every line of its input, {number, url, script} as JSON, it prints a line {number, report, messages, failed} when the
+// page has reported: what its promise `window.report` gave (or null), what it logged, and its errors. It ends with its
+// input. A script, null for none, runs on the page before those of the page.
 //
 // A page can ask for input as people give it: `await window.drive("keyboard.press", "a")` calls that method of Playwright's
 // Page; `mouse.…`, `touchscreen.…`, `setViewportSize`, `emulateMedia` and `screenshot` are there as well, and `cdp.…`
@@ -17,6 +18,7 @@ import { setTimeout } from "node:timers/promises";
 import { chromium } from "playwright-core";
 
 const TIMEOUT_MS = 180_000;
+const AT_ONCE = 4; // pages
 /** Of a request that the page itself ended: what a seek or another level made needless. */
 const GIVEN_UP = "net::ERR_ABORTED";
 const FLAGS = [
@@ -65,7 +67,12 @@ async function visit(browser, { url, script }) {
 }
 
 const browser = await chromium.launch({ executablePath: process.env.CHROMIUM, args: FLAGS });
-for await (const line of createInterface({ input: process.stdin })) {
-  console.log(JSON.stringify(await visit(browser, JSON.parse(line))));
+const lines = createInterface({ input: process.stdin })[Symbol.asyncIterator]();
+async function work() {
+  for (let next = await lines.next(); !next.done; next = await lines.next()) {
+    const { number, ...page } = JSON.parse(next.value);
+    console.log(JSON.stringify({ number, ...(await visit(browser, page)) }));
+  }
 }
+await Promise.all(Array.from({ length: AT_ONCE }, work));
 await browser.close();

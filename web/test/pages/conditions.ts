@@ -26,32 +26,7 @@ Worker.prototype.terminate = function (this: Worker) {
 /** Something that the test does when it is told to. */
 const tell = (what: string) => fetch(`/${what}`).then((response) => response.text());
 
-/** What is on the screen, and what is at hand, at a moment. */
-interface Look {
-  /** Since the player was made, seconds. */
-  atS: number;
-  time: number;
-  rung: number | null;
-  bufferS: number;
-  buffered: Player["buffered"];
-}
-
-/** Looks at a player ten times a second until a condition holds. */
-async function watch(log: Log, what: string, condition: () => boolean, seconds = 50): Promise<Look[]> {
-  const looks: Look[] = [];
-  const beginS = performance.now() / 1e3;
-  const { player } = log;
-  const look = () => {
-    const { currentTime: time, rung, buffered, stats } = player;
-    looks.push({ atS: performance.now() / 1e3 - beginS, time, rung, bufferS: stats.bufferS, buffered });
-  };
-  const timer = setInterval(look, 100);
-  await until(what, condition, seconds);
-  clearInterval(timer);
-  return looks;
-}
-
-const report = (log: Log) => ({ ...log.report(), unhandled, given, rungInfo: log.player.rungs });
+const report = (log: Log) => ({ ...log.report(), unhandled, given });
 
 /** A player that shows the first picture. */
 async function started(options = {}): Promise<Log> {
@@ -66,23 +41,29 @@ const passes = async (log: Log, seconds: number) => {
 };
 
 const checks: Record<string, () => Promise<unknown>> = {
-  /** Plays once, to the end, watched. */
+  /** Plays once, to the end. */
   async once() {
     const log = await start({ loop: false, bufferS: number("buffer", 4) });
-    const looks = await watch(log, "the end", () => log.player.ended);
-    return { ...report(log), looks };
+    await until("the end", () => log.player.ended, 50);
+    return report(log);
   },
 
-  /** Pauses so that much is buffered, then plays to the end; watched. */
-  async fill() {
-    const log = await started({ loop: false, bufferS: number("buffer", 6) });
+  /** Plays once, to the end; when the best rung is shown the link falls, and rises again when another one is. */
+  async link() {
+    const log = await start({ loop: false, bufferS: 3 });
     const { player } = log;
-    player.pause();
-    const full = () => player.stats.bufferS >= number("until", 4);
-    const before = await watch(log, "a buffer", full);
-    player.play();
-    const looks = await watch(log, "the end", () => player.ended);
-    return { ...report(log), looks: [...before, ...looks] };
+    const isBest = () => {
+      const best = Math.max(...player.rungs.map(({ psnr }) => psnr ?? 0));
+      return player.rung !== null && player.rungs[player.rung].psnr === best;
+    };
+    await until("the best rung", isBest);
+    await tell("end");
+    await until("another rung", () => !isBest());
+    const fell = log.rungs.at(-1);
+    await tell("begin");
+    await until("the best rung again", isBest);
+    await until("the end", () => player.ended);
+    return { ...report(log), fell };
   },
 
   /** After a second of play the server goes, for so many seconds; then the rest is played. */
@@ -93,7 +74,6 @@ const checks: Record<string, () => Promise<unknown>> = {
     await sleep(1e3 * number("seconds", 3));
     await tell("begin");
     const beganS = performance.now() / 1e3;
-    if (query.get("online")) dispatchEvent(new Event("online"));
     const before = log.player.currentTime;
     await until("play after it is back", () => log.player.currentTime > before + 0.4);
     const backS = performance.now() / 1e3 - beganS;
@@ -106,6 +86,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     const log = await started({ loop: false, bufferS: 4 });
     const { player } = log;
     const joined = { time: player.currentTime, duration: player.duration, live: player.live };
+    await tell("begin");
     await until("growth", () => player.duration > joined.duration + 1);
     const times = [];
     player.pause();

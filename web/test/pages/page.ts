@@ -114,6 +114,7 @@ async function phone() {
 
 async function run(): Promise<object> {
   await window.drive("setViewportSize", { width: 720, height: 405 });
+  await until("the element", () => !!find(".poster"));
   const named = find(".poster")?.textContent;
   await until("a picture", () => player().stats.framesShown > 0, 60);
   const poster = () => getComputedStyle(find(".poster") as HTMLElement).opacity;

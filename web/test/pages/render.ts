@@ -1,11 +1,19 @@
-// Pictures of the renderer against those of the CPU renderer. Query: data, check, target, every.
+// Pictures of the renderer against those of the CPU renderer: /plan.json lists checks, `window.report` is what came of each.
 import type { Camera } from "../../src/format/types.ts";
 import { Renderer, type RendererOptions, type Scene } from "../../src/render/renderer.ts";
 import { Sorter } from "../../src/render/sorter.ts";
 import { readBytes, readFloat } from "../support/read-pixels.ts";
 import { Decoded, type Frame, type Rung } from "./decoded.ts";
 
-const query = new URLSearchParams(location.search);
+interface Step {
+  name: string;
+  check: string;
+  data: string;
+  target: "rgba16f" | "rgb10_a2";
+  /** One of so many frames is shown, the others are dropped. */
+  every: number;
+}
+
 const canvas = document.createElement("canvas");
 document.body.append(canvas);
 
@@ -39,8 +47,6 @@ class Stage {
   readonly renderer: Renderer;
   readonly sorter = new Sorter();
   readonly errors: string[] = [];
-  /** The first picture, as the address of a PNG. */
-  shot = "";
   readonly #gl: WebGL2RenderingContext;
 
   constructor(options: RendererOptions = {}) {
@@ -92,7 +98,6 @@ async function play(stage: Stage, data: Decoded, rung: Rung, number: number, eve
         for (const [n, camera] of shown ? data.cameras.entries() : []) {
           await stage.order(scene, frame.means, camera);
           stage.draw(scene, camera);
-          stage.shot ||= canvas.toDataURL();
           pictures.push({ rung: number, frame: count - 1, camera: n, ...compare(stage.renderer, frame.pictures[n]) });
         }
       }
@@ -103,13 +108,12 @@ async function play(stage: Stage, data: Decoded, rung: Rung, number: number, eve
   return pictures;
 }
 
-async function pictures(data: Decoded) {
-  const stage = new Stage({ target: query.get("target") === "rgb10_a2" ? "rgb10_a2" : "rgba16f" });
+async function pictures(data: Decoded, { target, every }: Step) {
+  const stage = new Stage({ target });
   const found: Picture[] = [];
-  for (const [n, rung] of data.rungs.entries()) {
-    found.push(...(await play(stage, data, rung, n, Number(query.get("every") ?? 1))));
-  }
-  return { target: stage.renderer.target, pictures: found, errors: stage.errors, shot: stage.shot };
+  for (const [n, rung] of data.rungs.entries()) found.push(...(await play(stage, data, rung, n, every)));
+  stage.renderer.dispose();
+  return { target: stage.renderer.target, pictures: found, errors: stage.errors };
 }
 
 /** All rungs over one scene, switching in the middle of segments, as a session does that changes its mind. */
@@ -266,7 +270,8 @@ async function refusals(data: Decoded) {
   return { messages, errors: stage.errors };
 }
 
-const CHECKS: Record<string, (data: Decoded) => Promise<object>> = { pictures, levels, change, lost, sizes, refusals };
+type Check = (data: Decoded, step: Step) => Promise<object>;
+const CHECKS: Record<string, Check> = { pictures, levels, change, lost, sizes, refusals };
 
 declare global {
   interface Window {
@@ -274,4 +279,11 @@ declare global {
   }
 }
 
-window.report = Decoded.fetch(query.get("data")!).then(CHECKS[query.get("check")!]);
+async function run(): Promise<Record<string, object>> {
+  const plan: Step[] = await (await fetch("/plan.json")).json();
+  const report: Record<string, object> = {};
+  for (const step of plan) report[step.name] = await CHECKS[step.check](await Decoded.fetch(step.data), step);
+  return report;
+}
+
+window.report = run();

@@ -89,11 +89,14 @@ async function seamOf(player: Player, count: number): Promise<{ ends: Heard[]; b
 }
 
 const checks: Record<string, () => Promise<unknown>> = {
-  /** Plays for some seconds, then from a moment that is sought, and from the end of the loop into the next one. */
+  /** Plays for `looks` before 3 s, else for eight, then from a moment that is sought, and from the end of the loop into the next one. */
   async beside() {
     const { log, player, heard } = await sounding();
-    await until("pictures and sound", () => heard.length >= Number(query.get("looks") ?? 8), 90);
-    const played = heard.splice(0);
+    const early = () => heard.filter(({ picture }) => picture < 3);
+    await until("pictures and sound", () => early().length >= Number(query.get("looks") ?? 8), 90);
+    const played = early();
+    heard.splice(0);
+    if (query.has("looks")) return { ...log.report(), played };
     await player.seek(4);
     await until("pictures and sound after a seek", () => heard.length >= 4);
     const sought = heard.splice(0);
@@ -109,7 +112,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     return { ...log.report(), played, sought, seam, paused, muted, isMuted: player.muted };
   },
 
-  /** Plays past a file that comes late. */
+  /** Plays past a file that the server withholds until it is told, when there is a stall. */
   async stall() {
     const { log, player, heard } = await sounding();
     const first = () => log.events.indexOf("firstpicture");
@@ -117,6 +120,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     await sleep(300);
     const waiting = { loud: listen().loud, stalled: log.events.at(-1) === "stall", picture: player.currentTime };
     const before = heard.splice(0);
+    await fetch("/go");
     await until("the end of it", () => player.currentTime > 3.2 && heard.length >= 4);
     return { ...log.report(), waiting, before, after: heard.splice(0) };
   },
