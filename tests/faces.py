@@ -43,6 +43,7 @@ from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
+from airgs_codec.encoder.track import tracked
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
 from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, with_step
 

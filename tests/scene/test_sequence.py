@@ -108,11 +108,16 @@ def test_a_frame_of_another_scene_is_told_before_and_to_those_who_encode(tmp_pat
     frames[4] = frames[4].placed(np.zeros(3), 100)
     folder = write_sequence(tmp_path / "scene", frames)
     lone, strange = "000002.ply: 50 Gaussians, frames beside it have 60", "frames 4-5: Gaussians lie elsewhere"
-    assert faces.airgs_encode([str(folder), "--audio", str(tmp_path / "none.wav")]) == 2
-    assert lone in capsys.readouterr().err
+    (tmp_path / "notes.txt").write_text("of somebody")
+    assert faces.airgs_encode([str(folder), "-o", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert lone in told and "rows: the first 3 frames do not share them; tracked first: about" in told
+    assert "expected a new folder or an existing package, got a folder with other files" in told
     settings = faces.EncodeSettings(calibrate="none", measure_pictures=0)
     with faces.temporary_work() as work:
         notes = faces.prepare(faces.order_rows(open_sequence(folder), settings, work), settings, work, None).notes
+        with faces.tracked(open_sequence(folder), settings, work) as found:
+            assert found.notes[0].startswith("not tracked: 17.6 dB is all that a frame shows of the next one")
     assert [sum(line.startswith(words) for line in notes) for words in (lone, strange)] == [1, 1]
 
 
