@@ -10,11 +10,10 @@ import pytest
 from dask.distributed import default_client
 
 from airgs_codec.jobs import dask_engine
-from airgs_codec.jobs.dask_engine import DaskEngine
 from tests.faces import FormatError, InProcess, Job, Processes, Work, WorkError, open_store
 from tests.support.jobs import calls, die, die_once, refuse, square, total
 
-ENGINES = {"here": InProcess, "processes": partial(Processes, 2), "dask": partial(DaskEngine.local, 2)}
+ENGINES = {"here": InProcess, "processes": partial(Processes, 2), "dask": partial(dask_engine.DaskEngine.local, 2)}
 
 
 @pytest.fixture(scope="module", params=ENGINES)
@@ -111,7 +110,7 @@ def test_jobs_go_to_workers_that_have_what_they_need(tmp_path, work, monkeypatch
     """Workers that others run are asked for it, and those of an engine of its own have all of this machine."""
     monkeypatch.setattr(dask_engine, "WORKER_S", 0.5)
     on_gpu, on_fpga = (Job("square", "", n * 20, square, (3, str(tmp_path)), needs={n: 1}) for n in ("GPU", "FPGA"))
-    shared = DaskEngine.at(default_client().scheduler.address)
+    shared = dask_engine.DaskEngine.at(default_client().scheduler.address)
     try:
         theirs = replace(work, engine=shared)
         theirs.run([on_gpu])
@@ -127,11 +126,11 @@ def test_jobs_go_to_workers_that_have_what_they_need(tmp_path, work, monkeypatch
 def test_a_scheduler_that_nobody_runs_is_one_line(monkeypatch):
     monkeypatch.setattr(dask_engine, "CONNECT_S", 1)
     with pytest.raises(WorkError, match=r"--executor dask:tcp://127\.0\.0\.1:9"):
-        DaskEngine.at("tcp://127.0.0.1:9")
+        dask_engine.DaskEngine.at("tcp://127.0.0.1:9")
 
 
 def test_a_cluster_that_ends_says_nothing(capfd):
     """The nanny of a process that is slow to end has to kill it, and would say so."""
     nanny = SimpleNamespace(close=lambda: logging.getLogger("distributed.nanny").warning("still alive, killing"))
-    DaskEngine(SimpleNamespace(close=lambda: None), nanny).close()
+    dask_engine.DaskEngine(SimpleNamespace(close=lambda: None), nanny).close()
     assert capfd.readouterr().err == ""

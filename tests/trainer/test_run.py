@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import airgs_codec as airgs
-from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.trainer.frames import is_known
 from airgs_codec.trainer.report import frames_to_show, training_answer
 from airgs_codec.trainer.settings import settings_from_table
@@ -46,7 +45,7 @@ def test_a_keyframe_is_found_where_something_appears(run):
 def test_usage_is_of_all_frames_and_the_encoder_takes_it(run):
     sequence = faces.open_sequence(run.folder)
     training = [c for c in sequence.cameras if c.split == "train"]
-    (start, stop) = plan_groups(sequence).spans[0]
+    start, stop = 0, APPEARS
     saved = sequence.usage(start, stop)
     measured = measure_usage([sequence.read(t) for t in range(start, stop)], training)
     np.testing.assert_allclose(saved.total, measured.total)

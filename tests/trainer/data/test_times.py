@@ -13,8 +13,7 @@ from PIL import Image
 
 from airgs_codec.cli.train import match_cameras
 from airgs_codec.jobs.job import digest
-from airgs_codec.trainer.data import multiview
-from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets
+from airgs_codec.trainer.data import multiview, sync
 from tests import faces
 from tests.faces import Capture, MultiviewScene, Pictures, SceneError, Shot, TrainSettings, Work, open_scene, rested
 from tests.support.multiview_files import plain, write_filmed
@@ -124,10 +123,10 @@ def test_a_rig_with_holes_has_plates_and_offsets_and_says_what_it_lacks(tmp_path
     capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
     assert set(capture.plates) == {"a", "b"}
     assert [len(capture.target(t, t - 1).moving) for t in (1, 2, 3)] == [2, 1, 2]
-    late = in_step(scene, {"a": 2.25})  # a begins to be behind, with what both have
+    late = sync.in_step(scene, {"a": 2.25})  # a begins to be behind, with what both have
     assert [len(shots) for shots in late.frames] == [2, 2, 1, 2, 2, 1]
     with pytest.raises(SceneError, match="pictures of all cameras at frame 2, where training begins"):
-        in_step(scene, {}, (2, None))
+        sync.in_step(scene, {}, (2, None))
     with pytest.raises(SceneError, match="expected training views of frame 2, got none"):
         faces.open_run(faces.with_held_out(scene, ["a"]), tmp_path / "m", TrainSettings())
 
@@ -247,7 +246,7 @@ def balls(late, frames=FRAMES, still=False):
     ],
 )
 def test_offsets_are_found_to_a_quarter_of_a_frame(late, more, found):
-    assert find_offsets(balls(late, **more)) == pytest.approx(found, abs=0.25)
+    assert sync.find_offsets(balls(late, **more)) == pytest.approx(found, abs=0.25)
 
 
 def test_cameras_that_move_are_not_looked_at():
@@ -256,26 +255,27 @@ def test_cameras_that_move_are_not_looked_at():
     frames = list(scene.frames)
     frames[3] = (replace(frames[3][0], camera=turned), *frames[3][1:])
     moving = replace(scene, frames=tuple(frames))
-    assert find_offsets(moving) == {}
+    assert sync.find_offsets(moving) == {}
     with pytest.raises(SceneError, match="stand still"):
-        in_step(moving, {"cam01": 2.0})
+        sync.in_step(moving, {"cam01": 2.0})
 
 
 def test_a_scene_in_step_shows_each_camera_at_its_own_time():
     late = {"cam01": 2.0, "cam02": -1.0}
     scene = balls(late)
-    matched = in_step(scene, late)
+    matched = sync.in_step(scene, late)
     assert len(matched) == FRAMES - 3 and matched.offsets == late
-    few = in_step(scene, late, (0, 4))
-    assert few.frames == matched.frames[:4]  # as many as are wanted, from the first that all cameras have
-    assert len(in_step(scene, late, (FRAMES - 6, None))) == 4 and in_step(scene, {}, (2, 5)).frames == scene.frames[2:5]
+    # As many as are wanted, from the first that all cameras have.
+    assert sync.in_step(scene, late, (0, 4)).frames == matched.frames[:4]
+    assert len(sync.in_step(scene, late, (FRAMES - 6, None))) == 4
+    assert sync.in_step(scene, {}, (2, 5)).frames == scene.frames[2:5]
     with pytest.raises(SceneError, match="frames inside"):
-        in_step(scene, late, (3, FRAMES + 1))
+        sync.in_step(scene, late, (3, FRAMES + 1))
     assert matched.frames[0][0] is scene.frames[1][0]  # frame 0 of the first camera would be frame -1 of cam02
     assert matched.frames[0][1] is scene.frames[3][1] and matched.frames[0][2] is scene.frames[0][2]
     assert matched.frames[-1][1] is scene.frames[-1][1]
-    assert find_offsets(matched) == {}
-    assert in_step(scene, {"cam01": 0.0}).frames == scene.frames
+    assert sync.find_offsets(matched) == {}
+    assert sync.in_step(scene, {"cam01": 0.0}).frames == scene.frames
 
 
 def files(folder):
@@ -296,19 +296,20 @@ def files(folder):
 def test_a_fraction_of_a_frame_takes_the_nearest_picture_and_says_when_it_was_taken(tmp_path):
     scene = files(tmp_path)
     for offset, nearest, after in ((0.75, 2, 0.25), (0.25, 1, -0.25), (0.5, 1, -0.5), (-0.5, 0, -0.5), (-1.0, 0, 0.0)):
-        matched = in_step(scene, {"cam01": offset}, (0, 5))
+        matched = sync.in_step(scene, {"cam01": offset}, (0, 5))
         first = math.ceil(max(0.0, -offset))
         shot = matched.frames[1 - first][1]
         assert (shot.source.path.name, shot.after) == (f"cam01-{nearest}.png", after)
         assert shot.mask == tmp_path / f"mask-cam01-{nearest}.png" and matched.frames[0][0].after == 0.0
         assert Pictures(matched).view(1 - first, 1).after == after
-    other = in_step(scene, {"cam01": 0.625})  # the same files, and masks
     contents = faces.read_contents(scene, Work(faces.open_store(tmp_path / "work")))
-    assert faces.content_of(in_step(scene, {"cam01": 0.75}), contents)[2][1] != faces.content_of(other, contents)[2][1]
+    pair = (sync.in_step(scene, {"cam01": offset}) for offset in (0.75, 0.625))  # the same files, and masks
+    one, other = (faces.content_of(matched, contents)[2][1] for matched in pair)
+    assert one != other
 
 
 def test_a_first_frame_is_fitted_to_both_pictures_of_a_camera_that_was_early(tmp_path):
-    capture = Capture.of(in_step(files(tmp_path), {"cam01": 0.25}), TrainSettings(), "cpu")
+    capture = Capture.of(sync.in_step(files(tmp_path), {"cam01": 0.25}), TrainSettings(), "cpu")
     target = capture.first()
     assert [view.after for view in target.views] == [0.0, -0.25]
     assert [(view.camera.name, view.after) for view in target.later] == [("cam01", 0.75)]
@@ -317,7 +318,7 @@ def test_a_first_frame_is_fitted_to_both_pictures_of_a_camera_that_was_early(tmp
 
 
 def test_a_frame_that_begins_a_group_shows_nothing_from_before_it(tmp_path):
-    matched = in_step(files(tmp_path), {"cam01": 0.25})
+    matched = sync.in_step(files(tmp_path), {"cam01": 0.25})
     capture = rested(Capture.of(matched, TrainSettings(), "cpu"))
     for frame, seen in ((1, [("cam00", 0.0), ("cam01", 0.75)]), (len(matched) - 1, [("cam00", 0.0)])):
         target = capture.key(capture.target(frame, frame - 1))
@@ -330,11 +331,11 @@ def test_a_frame_that_begins_a_group_shows_nothing_from_before_it(tmp_path):
 def test_offsets_that_cannot_be(tmp_path):
     for offsets, message in (({"cam09": 1}, "no camera cam09"), ({"cam01": 5}, "leave a frame of 5 to all cameras")):
         with pytest.raises(SceneError, match=message):
-            in_step(files(tmp_path), offsets)
+            sync.in_step(files(tmp_path), offsets)
     path = tmp_path / "offsets.json"
     for text in ("[1]", '{"cam01": "2"}', '{"cam01": NaN}', '{"cam01": true}', "{"):
         path.write_text(text)
         with pytest.raises(SceneError, match=r"offsets\.json"):
-            read_offsets(path)
+            sync.read_offsets(path)
     path.write_text('{"cam01": -2}')
-    assert read_offsets(path) == {"cam01": -2.0}
+    assert sync.read_offsets(path) == {"cam01": -2.0}

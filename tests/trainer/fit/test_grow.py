@@ -8,10 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import cpu
-from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.trainer.fit import grow, losses, parameters
-from airgs_codec.trainer.fit.active import Resting, find_active
+from airgs_codec.render import cpu, cuda
+from airgs_codec.trainer.fit import active, grow, losses, parameters
 from tests import faces
 from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
@@ -41,7 +39,7 @@ def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
         densifier = grow.Densifier(grow.growth_of_3dgs(budget, pictures=1), 5, rng())
         keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.5)
         assert added is None and keep.all()  # before a gradient was seen
-        densifier.collect(AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
+        densifier.collect(cuda.AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
         keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.2)
         assert keep.all() and all(torch.equal(added[name], value[parents]) for name, value in p.items())
 
@@ -73,12 +71,12 @@ def test_what_is_faint_goes_but_for_kept_rows():
 
 def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
     with pytest.raises(RuntimeError, match="backward"):
-        AbsGrad().read()
+        cuda.AbsGrad().read()
     g = coloured_cloud()
     views = views_of(moved(g, slice(0, 1), (0.0, 0.0, 0.3)), ring(4))
     total = torch.zeros(len(g))
     for view in views:
-        absgrad = AbsGrad()
+        absgrad = cuda.AbsGrad()
         p = {n: t.requires_grad_() for n, t in from_gaussians(g).items()}
         losses.photometric(parameters.render(p, view.camera, 0, absgrad)[0], view.target).backward()
         gradients, seen = absgrad.read()
@@ -115,19 +113,19 @@ def moving():
 
 
 def test_active_rows_are_those_that_make_what_moves(moving):
-    active = find_active(*moving)
-    assert np.isin(np.arange(20), active.rows).mean() > 0.9
-    assert len(active.rows) < 100
+    rows = active.find_active(*moving).rows
+    assert np.isin(np.arange(20), rows).mean() > 0.9
+    assert len(rows) < 100
 
 
 def test_tiles_hold_all_that_moves_and_views_without_any_are_left_out(moving):
     g, views, masks = moving
-    still = np.zeros_like(masks[0])
-    [shown] = (v for v in find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == views[1].camera.name)
+    still, name = np.zeros_like(masks[0]), views[1].camera.name
+    [shown] = (v for v in active.find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
     pixels = np.repeat(np.repeat(shown.redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
     assert pixels[masks[1]].all() and not shown.redraw.tiles.all()
     assert (shown.redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
-    nothing = find_active(g, views, [still] * len(views))
+    nothing = active.find_active(g, views, [still] * len(views))
     assert not len(nothing.rows) and not nothing.views
 
 
@@ -142,7 +140,7 @@ def test_weights_are_those_of_the_contribution(moving):
 
 def test_rows_are_joined_and_picked_again():
     rows = random_parameters(10)
-    resting = Resting(rows, torch.tensor([2, 5, 7]))
+    resting = active.Resting(rows, torch.tensor([2, 5, 7]))
     fitted = {name: value[:5] + 1 for name, value in random_parameters(5, seed=1).items()}
     for name, value in resting.joined(fitted).items():
         assert len(value) == 12

@@ -8,8 +8,7 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.trainer.fit import losses, parameters
-from airgs_codec.trainer.fit.optimise import Deck, Losses, Schedule, can_be_halved, drawn, halve, optimise
+from airgs_codec.trainer.fit import losses, optimise, parameters
 from airgs_codec.trainer.fit.variables import HIDDEN, PerGaussian
 from tests import faces
 from tests.faces import ATTRIBUTES, Adam, Gaussians, InMotion, Target, TrainingError, View, from_gaussians, open_scene
@@ -17,11 +16,11 @@ from tests.support.scenes import random_gaussians
 from tests.support.views import coloured_cloud, moved, random_parameters, ring, views_of
 
 
-def fit(g, views, iterations, **more):
+def fit(g, shown, iterations, **more):
     """What so many iterations make of some Gaussians."""
-    variables = PerGaussian(from_gaussians(g), 5.0)
-    optimise(variables, views, Schedule("fit", iterations, lambda done: 0, **more), np.random.default_rng(0))
-    return variables.detached()
+    fitted, schedule = PerGaussian(from_gaussians(g), 5.0), optimise.Schedule("fit", iterations, lambda _: 0, **more)
+    optimise.optimise(fitted, shown, schedule, np.random.default_rng(0))
+    return fitted.detached()
 
 
 def test_a_loss_that_is_not_finite_ends_the_fit_with_the_view():
@@ -40,7 +39,7 @@ def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
 
 
 def test_a_deck_deals_every_view_before_any_comes_again():
-    deck = Deck(7, np.random.default_rng(0))
+    deck = optimise.Deck(7, np.random.default_rng(0))
     dealt = []
     for _ in range(14):
         dealt += deck.take(3)
@@ -48,7 +47,7 @@ def test_a_deck_deals_every_view_before_any_comes_again():
 
 
 def test_losses_that_are_looked_at_seldom_still_name_the_first_fault():
-    views, early, late = views_of(coloured_cloud(5), ring(2)), Losses(50), Losses(50)
+    views, early, late = views_of(coloured_cloud(5), ring(2)), optimise.Losses(50), optimise.Losses(50)
     for iteration in range(1, 50):
         early.add(iteration, views, torch.tensor(math.nan if iteration in (7, 30) else 1.0), last=False)
     with pytest.raises(TrainingError, match="iteration 7 in view cam00, cam01"):
@@ -72,11 +71,11 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
 def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
     g, motion = coloured_cloud(30), np.full((30, 3), 0.1, np.float32)
     views = [replace(v, after=after) for v, after in zip(views_of(g, ring(3)), (0.0, -0.5, 0.25), strict=True)]
-    pictures = drawn(PerGaussian(parameters.with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
+    pictures = optimise.drawn(PerGaussian(parameters.with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
     for view, (rgb, _) in zip(views, pictures, strict=True):
         shown = parameters.render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
         torch.testing.assert_close(rgb, shown, atol=1e-5, rtol=0)
-    assert halve(views[1]).after == -0.5
+    assert optimise.halve(views[1]).after == -0.5
 
 
 UP = np.array([0.0, 1.0, 0.0])
@@ -86,7 +85,7 @@ SCENE = replace(coloured_cloud(60), log_scales=np.full((60, 3), np.log(0.25), np
 
 def test_a_halved_camera_sees_what_its_halved_picture_shows():
     seen = cpu.render(SCENE, CAMERA).rgb
-    half = halve(View(CAMERA, Target(seen, np.zeros(seen.shape[:2], np.float32))))
+    half = optimise.halve(View(CAMERA, Target(seen, np.zeros(seen.shape[:2], np.float32))))
     assert half.target.rgb.shape == (38, 38, 3)
     assert half.target.clear is not None and half.target.clear.shape == (38, 38)
     drawn = cpu.render(SCENE, half.camera).rgb
@@ -97,7 +96,7 @@ def test_a_halved_camera_sees_what_its_halved_picture_shows():
 def test_pictures_that_are_small_on_either_side_are_not_halved():
     target = Target(np.zeros((1, 1, 3), np.float32))
     views = [View(faces.with_pixels(CAMERA, *size), target) for size in ((160, 200), (159, 400))]
-    assert can_be_halved(views[:1]) and not can_be_halved(views)
+    assert optimise.can_be_halved(views[:1]) and not optimise.can_be_halved(views)
 
 
 def test_tiles_are_drawn_again_where_one_of_four_was():
@@ -105,7 +104,7 @@ def test_tiles_are_drawn_again_where_one_of_four_was():
     tiles = np.zeros((5, 5), np.bool_)
     tiles[1, 4] = tiles[4, 0] = True
     redraw = faces.Redraw(tiles, lambda: whole, np.ones(len(SCENE), np.bool_))
-    half = halve(View(CAMERA, Target(whole.rgb), redraw)).redraw
+    half = optimise.halve(View(CAMERA, Target(whole.rgb), redraw)).redraw
     assert half is not None
     assert np.argwhere(half.tiles).tolist() == [[0, 2], [2, 0]]
     assert half.rest().rgb.shape == (38, 38, 3) and half.rest().transmittance.shape == (38, 38)

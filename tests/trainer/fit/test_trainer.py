@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.trainer.fit import first
-from airgs_codec.trainer.fit.losses import mean_psnr
+from airgs_codec.trainer.fit import first, losses
 from tests.faces import FrameViews, InMotion, Points, Temporal, Trainer, TrainSettings, fit_first, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, ring, views_of
 
@@ -46,7 +45,7 @@ def ball():
 def test_a_first_frame_approaches_its_pictures_within_the_budget():
     views = views_of(TRUTH, CAMERAS)
     found = fit_first(trainer(), FrameViews(0, views), POINTS)
-    assert mean_psnr(found.gaussians, views) > 26
+    assert losses.mean_psnr(found.gaussians, views) > 26
     assert len(found.gaussians) <= 400
     assert np.exp(found.gaussians.log_scales).max() <= scene_extent(ring()) * 1.001
     assert found.velocity is None and found.at(-0.5) is found.gaussians  # a rig in step has no motion to fit
@@ -55,7 +54,7 @@ def test_a_first_frame_approaches_its_pictures_within_the_budget():
 def test_frames_move_what_moved_and_leave_the_rest_exactly_alone():
     _, views = shifted(0.05)
     g = fitted(trainer(frame_iterations=120, temporal=Temporal(weight=3e-4)), views)
-    assert mean_psnr(g, views) > mean_psnr(TRUTH, views) + 6
+    assert losses.mean_psnr(g, views) > losses.mean_psnr(TRUTH, views) + 6
     assert (g.means[20:] == TRUTH.means[20:]).all(axis=1).mean() > 0.5
     assert all((getattr(g, name) == getattr(TRUTH, name))[20:].mean() > 0.5 for name in ("sh_dc", "opacity_logits"))
 
@@ -65,7 +64,7 @@ def test_velocity_starts_a_frame_where_motion_leads_but_is_not_taken_where_it_le
     velocity[:20, 0] = 0.05
     _, views = shifted(0.05)
     t = trainer(frame_iterations=1)
-    assert mean_psnr(fitted(t, views, velocity), views) > mean_psnr(fitted(t, views), views) + 3
+    assert losses.mean_psnr(fitted(t, views, velocity), views) > losses.mean_psnr(fitted(t, views), views) + 3
     _, views = shifted(-0.02)
     t = trainer(frame_iterations=10)
     assert (fitted(t, views, 2 * velocity).means == fitted(t, views).means).all()
@@ -75,13 +74,13 @@ def test_velocity_starts_a_frame_where_motion_leads_but_is_not_taken_where_it_le
 def test_networks_learn_a_motion(deltas):
     _, views = shifted(0.04, slice(None))
     g = fitted(trainer(deltas=deltas, frame_iterations=120), views)
-    assert mean_psnr(g, views) > mean_psnr(TRUTH, views) + 4
+    assert losses.mean_psnr(g, views) > losses.mean_psnr(TRUTH, views) + 4
 
 
 def test_a_keyframe_builds_what_appeared_and_keeps_old_rows_in_place(ball):
     g, rows = keyed(trainer(max_growth=0.4), ball), len(TRUTH)
     assert rows < len(g) <= round(1.4 * rows)
-    assert mean_psnr(g, ball) > mean_psnr(TRUTH, ball) + 10
+    assert losses.mean_psnr(g, ball) > losses.mean_psnr(TRUTH, ball) + 10
     stayed = np.linalg.norm(g.means[:rows] - TRUTH.means, axis=1) < 0.1  # row n is still that Gaussian
     assert stayed.mean() > 0.9
     added = g.means[rows:][g.opacities()[rows:] > 0.1]
@@ -107,7 +106,7 @@ def test_rows_that_rest_are_no_variables(key):
     g = (keyed if key else fitted)(trainer(temporal=FREE, max_growth=0.4), views, moving=moving)
     same = (g.means[:150] == TRUTH.means).all(axis=1)
     assert same[20:].mean() > 0.4 and not same[:20].all()
-    assert mean_psnr(g, views) > mean_psnr(TRUTH, views) + (8 if key else 1)
+    assert losses.mean_psnr(g, views) > losses.mean_psnr(TRUTH, views) + (8 if key else 1)
 
 
 def test_a_keyframe_adds_nothing_where_pictures_rest(ball):
@@ -125,7 +124,7 @@ def test_a_frame_where_nothing_moves_is_the_frame_before():
 def test_a_fit_that_shows_less_than_the_frame_before_is_not_taken():
     _, views = shifted(1e-6)  # less than 8 bits show
     kept, taken = (fitted(trainer(frame_iterations=10, temporal=FREE, keep_better=k), views) for k in (True, False))
-    assert kept is TRUTH and mean_psnr(taken, views) < mean_psnr(TRUTH, views) - 3
+    assert kept is TRUTH and losses.mean_psnr(taken, views) < losses.mean_psnr(TRUTH, views) - 3
 
 
 def half_early(truth):
@@ -143,8 +142,8 @@ def test_a_first_frame_of_cameras_out_of_step_is_as_sharp_as_in_step():
     target = FrameViews(0, early, later=[replace(view, after=0.5) for view in later])
     found = fit_first(t, target, POINTS)
     alone = fit_first(t, FrameViews(0, [replace(view, after=0.0) for view in early]), POINTS)
-    assert mean_psnr(found.gaussians, in_step) > mean_psnr(alone.gaussians, in_step) + 3
-    assert mean_psnr(found, early[1::2]) > mean_psnr(found.gaussians, early[1::2]) + 3
+    assert losses.mean_psnr(found.gaussians, in_step) > losses.mean_psnr(alone.gaussians, in_step) + 3
+    assert losses.mean_psnr(found, early[1::2]) > losses.mean_psnr(found.gaussians, early[1::2]) + 3
     assert np.median(found.velocity[:, 0]) > 0.3 * STEP[0]
 
 
@@ -154,7 +153,7 @@ def test_a_frame_of_cameras_out_of_step_is_as_sharp_as_in_step(deltas):
     after, in_step = shifted(STEP[0], slice(None))
     early = half_early(after)
     late = [replace(view, after=0.0) for view in early]
-    quality, expected, wrong = (mean_psnr(fitted(t, views), in_step) for views in (early, in_step, late))
+    quality, expected, wrong = (losses.mean_psnr(fitted(t, views), in_step) for views in (early, in_step, late))
     assert quality > expected - 2 and quality > wrong + 3
 
 
