@@ -1,16 +1,67 @@
 """Every extreme sequence comes back within its bound, or is refused for its reason; nothing is silently not finite."""
 
 from dataclasses import replace
+from itertools import pairwise
 
+import numpy as np
 import pytest
 
+from tests import faces
+from tests.support.regions import region
+from tests.support.scenes import write_sequence
 from tools.lab.numerics.extremes import LINES, page, row
-from tools.lab.numerics.sequences import CASES, Outcome, measure_case
+from tools.lab.numerics.sequences import CASES, PLAIN, Outcome, measure_case
 from tools.lab.published import read_figures
 
+LONG = "1000 frames"  # of which here are as many as a byte does not count
+QUICK = replace(PLAIN, levels=PLAIN.levels[::3], keys=faces.APART, region=region(), decide_pictures=2)
+ONE_RUNG = {"levels": PLAIN.levels[:1], "key_factors": (1.0,)}
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+
+def bands(case):
+    return case.frames()[0].sh_degree
+
+
+def is_plain(case):
+    """Whether it needs nothing of its own, so that it may be a group of one package with others."""
+    return case.settings == PLAIN and not case.search and not case.refused and case.name != LONG
+
+
+PLAIN_CASES = [case for case in CASES if is_plain(case) and "rows are not those" not in case.repaired]
+OTHERS = [case for case in CASES if case not in PLAIN_CASES]
+
+
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_extremes_that_share_a_package(degree, tmp_path):
+    """Each is a group that is coded by itself."""
+    cases = [case for case in PLAIN_CASES if bands(case) == degree]
+    groups = [case.frames() for case in cases]
+    starts = np.cumsum([0, *map(len, groups)]).tolist()
+    frames = [frame for group in groups for frame in group]
+    sequence = faces.open_sequence(write_sequence(tmp_path / "scene", frames, keyframes=starts[:-1]))
+    faces.encode(sequence, tmp_path / "out", QUICK)
+    assert faces.validate(tmp_path / "out") == []
+    package = faces.open_package(tmp_path / "out")
+    assert [(group.start, group.stop) for group in package.manifest.groups] == list(pairwise(starts))
+    for frame in faces.decode_frames(package, 0, len(frames)):
+        assert all(np.isfinite(getattr(frame.gaussians, name)).all() for name in frame.gaussians.__slots__)
+    measured = list(faces.measure_errors(package, sequence))
+    for number, (case, group) in enumerate(zip(cases, package.manifest.groups, strict=True)):
+        own = [one for one in measured if one.where.split()[:2] == ["group", str(number)]]
+        assert own and sum(one.rows for one in own) > 0, case.name
+        assert [one for one in own if one.error > one.bound] == [], case.name
+        assert case.repaired in "; ".join(group.repairs), case.name
+
+
+@pytest.mark.parametrize("case", OTHERS, ids=lambda case: case.name)
 def test_extreme(case, tmp_path):
+    if case.name == LONG:
+        quick = replace(PLAIN, **ONE_RUNG, region=region(), decide_pictures=2)
+        case = replace(case, settings=quick, frames=lambda every=case.frames: every()[:260])
+    if len(case.settings.tiers) > len(PLAIN.tiers):
+        case = replace(case, settings=replace(case.settings, **ONE_RUNG))
+    if case.search:
+        case = replace(case, settings=replace(case.settings, levels=QUICK.levels))
     outcome = measure_case(case, tmp_path)
     assert case.refused in outcome.refusal and bool(case.refused) == bool(outcome.refusal), outcome
     assert case.repaired in outcome.repairs, outcome
