@@ -49,6 +49,7 @@ def facts(log):
     return told | {"frame times": log.frame_times[::10]} | log.metrics.as_dict()
 
 
+SEGMENTED, COARSE_THEN_FINE = segmented(tiny_manifest(groups=(30,))), ("Q1+L2", "Q1+L2", "Q0+L2")
 HAND = {  # name -> package, link, policy or rungs by turns, rules, and what comes of it
     # 10,000 B/s: 1000 B of airgs.json, then for each group 100 of table, and 4000 key + 2100 state + 200 sidecars.
     "a session": (TINY, link([8e4]), "fixed:0", {}, {
@@ -136,6 +137,19 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     "a patient player waits longer for it": (
         TINY, link([8e4, 4e3, 8e4], [0, 0.44, 1], 100), ("Q0+L0", "Q1+L2"), {},
         {"sizes": [1000, 100, 6300, 100, 2300], "startup_s": 1.272, "abandoned": 0, "waste": [0] * 5},
+    ),
+    # The third segment, there at 0.88 s, brings the finest keys, also for the second, which begins at 1.34 s: but not
+    # on half the link with 0.1 s to decode, at 1.86 s for 1.78 s, nor for another group or the loop before.
+    "better keys serve what is buffered of their group": (
+        SEGMENTED, link([8e4]), COARSE_THEN_FINE, {}, {"rungs shown": ["Q1+L2", "Q0+L2", "Q0+L2"]},
+    ),
+    "where they are decoded in time": (
+        SEGMENTED, link([4e4]), COARSE_THEN_FINE, {"decode_frame_s": 0.1}, {"rungs shown": [*COARSE_THEN_FINE]},
+    ),
+    "of no other group": (ALIKE, link([8e4]), COARSE_THEN_FINE, {}, {"rungs shown": [*COARSE_THEN_FINE]}),
+    "of no other loop": (
+        SEGMENTED, link([8e4]), ("Q1+L2", *COARSE_THEN_FINE), {"loops": 2},
+        {"rungs shown": ["Q1+L2"] * 3 + ["Q0+L2"] * 3},
     ),
     "a group without its key is lost, and the last picture stands for its time": (
         TINY, link([8e6]), "paper-no-cliff", {"faults": missing("key/T0/1.bin")},
@@ -288,7 +302,7 @@ policies = st.sampled_from(
     bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"]),
 )
 def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, ahead, bad):
-    m = segmented(tiny_manifest(groups=(30,))) if split else TINY
+    m = SEGMENTED if split else TINY
     faults = missing(bad) if bad in list(m.files()) else {}
     again, give_up, wait = extras
     options = SessionSettings(buffer_s, wait, wait, 0.01, again, give_up, ahead, loops=3)
