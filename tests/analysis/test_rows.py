@@ -1,13 +1,16 @@
-"""Sequences whose rows lost their order: matched, split where they cannot be, and said."""
+"""Rows that a writer put into another order are found again; where they cannot be, groups begin, and it is said."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from airgs_codec.analysis.grouping import closed_groups, plan_groups
-from airgs_codec.analysis.rows import outlook, restore_rows
-from tests.faces import Gaussians, GaussianSequence, join_rows, open_sequence
+from airgs_codec.analysis import matching
+from airgs_codec.analysis.matching import compare_order, match_rows
+from tests import faces
+from tests.faces import Gaussians, GaussianSequence, closed_groups, join_rows, open_sequence, plan_groups, restore_rows
 from tests.support.paths import FOX
 from tests.support.scenes import moving_frames, predicted, random_gaussians, write_sequence
 
@@ -17,47 +20,69 @@ def shuffled(frames, which):
     return [g.take(np.random.default_rng(t).permutation(len(g))) if t in which else g for t, g in enumerate(frames)]
 
 
-def noisy(frames):
-    return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
+def thinned(frames, share=0.1):
+    """Frames, each in an order of its own and without a share of its rows, and which rows are left, in that order."""
+    kept = [np.random.default_rng(t).permutation(len(g))[: round((1 - share) * len(g))] for t, g in enumerate(frames)]
+    return [g.take(rows) for g, rows in zip(frames, kept, strict=True)], kept
+
+
+def in_memory(frames, **changes):
+    return replace(GaussianSequence.from_arrays(frames, fps=24), **changes)
 
 
 def means(sequence):
     return [sequence.read(frame).means for frame in range(len(sequence))]
 
 
-def test_shuffled_frames_come_back_in_the_order_of_the_first(tmp_path):
-    frames = moving_frames(300, 5)
-    sequence = open_sequence(write_sequence(tmp_path, shuffled(frames, {1, 2, 4})))
-    restored = restore_rows(sequence)
-    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
-    assert restored.matched == (1, 2, 3, 4) and restored.unmatched == () and restored.sure == 1.0
-    assert restored.notes == ["frames 1-4: rows were out of order; matched again, 100.0% of them with confidence"]
-    assert plan_groups(restored.sequence).spans == [(0, 5)]
+def lattice():
+    """Equal rows that move faster and faster, in the end by more than they are apart."""
+    places = np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
+    one = random_gaussians(1)
+    looks = [getattr(one, name).repeat(len(places), 0) for name in one.__slots__[1:]]
+    moves = np.cumsum([0, *(0.3 * 1.3**t for t in range(6))])
+    return [Gaussians(np.add(places, [move, 0, 0]).astype(np.float32), *looks) for move in moves]
 
 
-def test_frames_that_keep_a_new_order_are_matched_once(tmp_path):
-    frames = moving_frames(300, 6)
-    order = np.random.default_rng(0).permutation(300)
-    sequence = open_sequence(write_sequence(tmp_path, [*frames[:3], *(g.take(order) for g in frames[3:])]))
-    restored = restore_rows(sequence)
-    assert restored.matched == (3,) and sorted(restored.sequence.orders) == [3, 4, 5]
-    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
+MOVING, LATTICE = moving_frames(300, 6), lattice()
+TURNED = [*MOVING[:3], *(g.take(np.random.default_rng(0).permutation(300)) for g in MOVING[3:])]
 
 
 @pytest.mark.parametrize(
-    ("frames", "keyframes", "mode"),
+    ("frames", "given", "mode", "matched", "orders"),
     [
-        (moving_frames(200, 4), None, "auto"),
-        (moving_frames(200, 4), None, "match"),
-        (moving_frames(50, 1), None, "auto"),
-        (moving_frames(50, 2), None, "auto"),
-        (moving_frames(90, 2) + moving_frames(120, 2), None, "auto"),
-        (moving_frames(300, 2) + moving_frames(300, 2, seed=1), [0, 2], "auto"),
+        (MOVING[:5], shuffled(MOVING[:5], {1, 2, 4}), "auto", (1, 2, 3, 4), [1, 2, 4]),
+        (MOVING, TURNED, "auto", (3,), [3, 4, 5]),  # an order that stays is matched once
+        (MOVING[:4], shuffled(MOVING[:4], {2}), "match", (2, 3), [2]),  # nothing was put into another order than it had
+        (LATTICE, shuffled(LATTICE, {2, 5, 6}), "match", (2, 3, 5, 6), [2, 5, 6]),  # they are where they would go on to
+    ],
+    ids=["shuffled", "turned", "match", "lattice"],
+)
+def test_rows_come_back_in_the_order_of_the_first_frame(frames, given, mode, matched, orders):
+    restored = restore_rows(in_memory(given), mode)
+    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
+    assert (restored.matched, sorted(restored.sequence.orders), restored.unmatched) == (matched, orders, ())
+
+
+def test_it_is_said_how_surely_rows_were_matched():
+    restored = restore_rows(in_memory(shuffled(MOVING[:5], {1, 2, 4})))
+    assert restored.sure == 1.0 and plan_groups(restored.sequence).spans == [(0, 5)]
+    assert restored.notes == ["frames 1-4: rows were out of order; matched again, 100.0% of them with confidence"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "changes", "mode"),
+    [
+        (MOVING[:4], {}, "auto"),
+        (MOVING[:4], {}, "match"),
+        (MOVING[:1], {}, "auto"),
+        (MOVING[:2], {}, "auto"),
+        (moving_frames(90, 2) + moving_frames(120, 2), {}, "auto"),
+        (MOVING[:2] + moving_frames(300, 2, seed=1), {"keyframes": (0, 2)}, "auto"),
     ],
     ids=["tracked", "matched", "one frame", "two frames", "grown", "another scene at a keyframe"],
 )
-def test_where_nothing_is_lost_all_stays_as_it_is(tmp_path, frames, keyframes, mode):
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames, keyframes=keyframes)), mode)
+def test_where_nothing_is_lost_all_stays_as_it_is(frames, changes, mode):
+    restored = restore_rows(in_memory(frames, **changes), mode)
     assert not restored.sequence.orders and restored.notes == []
     assert restored.sequence.breaks == ((2,) if len(frames[0]) < len(frames[-1]) else ())
 
@@ -66,32 +91,27 @@ def test_the_rows_of_the_embedded_scene_stay_as_they_are():
     assert restore_rows(open_sequence(FOX)).notes == []
 
 
-def test_frames_that_nothing_joins_start_groups(tmp_path):
-    frames = [*moving_frames(300, 2), *(random_gaussians(300, seed=s) for s in (7, 8)), random_gaussians(300, seed=8)]
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames)))
+def test_frames_that_nothing_joins_start_groups():
+    frames = [*MOVING[:2], *(random_gaussians(300, seed=s) for s in (7, 8)), random_gaussians(300, seed=8)]
+    restored = restore_rows(in_memory(frames))
     assert restored.unmatched == (2, 3) and plan_groups(restored.sequence).spans == [(0, 2), (2, 3), (3, 5)]
     [note] = restored.notes
     assert note.startswith("frames 2-3: rows are not those of the frame before") and "times the bytes" in note
 
 
-def test_other_counts_every_frame_are_said_and_not_matched(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300 + i, seed=i) for i in range(3)]))
+def test_other_counts_every_frame_are_said_and_not_matched():
+    sequence = in_memory([random_gaussians(300 + i, seed=i) for i in range(3)])
     restored = restore_rows(sequence)
     assert restored.alone == (0, 1, 2) and "another number of Gaussians" in restored.notes[0]
     [note] = restore_rows(sequence, frames=range(1, 2)).notes  # of a sequence that grows
     assert note.startswith("frame 1: each has another number of Gaussians than the frames beside it")
+    told = in_memory([random_gaussians(300, seed=i) for i in range(3)], breaks=(1, 2))
+    assert restore_rows(told).alone == ()  # a file says that they are unlike those before
 
 
-def thinned(frames, share=0.1):
-    """Frames, each in an order of its own and without a share of its rows, and which rows are left, in that order."""
-    kept = [np.random.default_rng(t).permutation(len(g))[: round((1 - share) * len(g))] for t, g in enumerate(frames)]
-    return [g.take(rows) for g, rows in zip(frames, kept, strict=True)], kept
-
-
-def test_rows_that_frames_lack_are_there_without_opacity(tmp_path):
-    frames = moving_frames(300, 6)
-    written, kept = thinned(frames)
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, written)))
+def test_rows_that_frames_lack_are_there_without_opacity():
+    written, kept = thinned(MOVING)
+    restored = restore_rows(in_memory(written))
     assert restored.unmatched == restored.alone == () and restored.missing == pytest.approx(0.1, abs=0.01)
     assert plan_groups(restored.sequence).spans == [(0, 6)]
     count, known = restored.sequence.count(0), []
@@ -99,18 +119,18 @@ def test_rows_that_frames_lack_are_there_without_opacity(tmp_path):
         shown, order = restored.sequence.read(t), restored.sequence.orders[t]
         there = order != -1
         np.testing.assert_array_equal(np.sort(order[there]), np.arange(len(rows)))  # each row of the file once
-        np.testing.assert_array_equal(shown.means[there], frames[t].means[rows[order[there]]])
+        np.testing.assert_array_equal(shown.means[there], MOVING[t].means[rows[order[there]]])
         assert (shown.opacities()[~there] < 1e-8).all() and np.isfinite(shown.means).all()
         known.append(np.where(there, rows[order], -1))  # which of the 300 each Gaussian of the run is
     always = [len({*column} - {-1}) == 1 for column in np.transpose(known)]
     assert count <= 306 and np.mean(always) > 0.97  # few take the place of one that has just gone
 
 
-def test_a_run_ends_where_most_of_its_gaussians_are_gone(tmp_path):
+def test_a_run_ends_where_most_of_its_gaussians_are_gone():
     """A third of the rows is new in every frame: what was there long ago is not held for ever."""
     rows = random_gaussians(1000)
     frames = [rows.take(slice(100 * t, 100 * t + 300 + t % 2)) for t in range(7)]
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, frames)))
+    restored = restore_rows(in_memory(frames))
     counts = [restored.sequence.count(t) for t in range(7)]
     assert restored.sequence.breaks and max(counts) <= 602 and restored.alone == ()
     for t, g in enumerate(frames):
@@ -120,15 +140,15 @@ def test_a_run_ends_where_most_of_its_gaussians_are_gone(tmp_path):
 
 
 def test_a_broken_row_does_not_stand_in_for_those_that_are_missing(tmp_path):
-    frames, _ = thinned(moving_frames(300, 3))
+    frames, _ = thinned(MOVING[:3])
     frames[1].means[0] = np.nan
     restored = restore_rows(open_sequence(write_sequence(tmp_path, frames)))
     loaded = restored.sequence.load(range(3))
     assert len(loaded.frames[0]) == restored.sequence.count(0) and len(loaded.notes) == 1
 
 
-def test_only_the_frames_that_are_asked_for_are_looked_at_and_none_where_rows_are_to_be_kept(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path, shuffled(moving_frames(300, 6), {1, 4})))
+def test_only_the_frames_that_are_asked_for_are_looked_at_and_none_where_rows_are_to_be_kept():
+    sequence = in_memory(shuffled(MOVING, {1, 4}))
     assert restore_rows(sequence, frames=range(3, 6)).matched == (4, 5)
     assert restore_rows(sequence, "keep").sequence is sequence
 
@@ -139,25 +159,6 @@ def test_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
     (tmp_path / "usage.npz").touch()
     assert sequence.usage(0, 2) == "known"
     assert restore_rows(sequence).sequence.usage(0, 2) is None
-
-
-def test_rows_that_all_are_matched_are_out_of_order_only_where_they_were(tmp_path):
-    """`match` finds the order that files have: nothing was put into another, and what the trainer measured counts."""
-    frames = moving_frames(300, 4)
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2}))), "match")
-    assert restored.matched == (2, 3) and sorted(restored.sequence.orders) == [2]
-    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
-
-
-def test_rows_are_looked_for_where_they_would_go_on_to(tmp_path):
-    """A lattice of equal rows that moves faster and faster, in the end by more than the rows are apart."""
-    lattice = np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
-    one = random_gaussians(1)
-    looks = [getattr(one, name).repeat(len(lattice), 0) for name in one.__slots__[1:]]
-    places = np.cumsum([0, *(0.3 * 1.3**t for t in range(6))])
-    frames = [Gaussians(np.add(lattice, [place, 0, 0]).astype(np.float32), *looks) for place in places]
-    restored = restore_rows(open_sequence(write_sequence(tmp_path, shuffled(frames, {2, 5, 6}))), "match")
-    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
 
 
 def test_a_row_that_was_away_is_not_expected_to_go_on():
@@ -171,56 +172,153 @@ def test_a_row_that_was_away_is_not_expected_to_go_on():
     assert found.orders[4][-2:].tolist() == [61, 60]
 
 
-def test_frames_that_a_file_says_are_unlike_those_before_have_no_other_number(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path, [random_gaussians(300, seed=i) for i in range(3)]))
-    assert restore_rows(replace(sequence, breaks=(1, 2))).alone == ()
+OTHERS = [predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])]
 
 
 @pytest.mark.parametrize(
     ("frames", "words"),
     [
-        (moving_frames(300, 4), ""),
-        (shuffled(moving_frames(300, 4), {1}), "rows: out of order"),
-        (thinned(moving_frames(300, 4), 0.03)[0], "rows: out of order"),
-        (thinned(moving_frames(300, 4), 0.3)[0], "rows: of those of the first 3 frames, each lacks "),
-        (noisy(moving_frames(300, 4)), "rows: of those of the first 3 frames, each lacks "),
+        (MOVING[:4], ""),
+        (shuffled(MOVING[:4], {1}), "rows: out of order"),
+        (thinned(MOVING[:4], 0.03)[0], "rows: out of order"),
+        (thinned(MOVING[:4], 0.3)[0], "rows: of those of the first 3 frames, each lacks "),
+        (OTHERS, "rows: of those of the first 3 frames, each lacks "),
         ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
         ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
     ],
 )
-def test_the_first_frames_tell_what_rows_will_cost(tmp_path, frames, words):
-    found = outlook(open_sequence(write_sequence(tmp_path, frames)))
+def test_the_first_frames_tell_what_rows_will_cost(frames, words):
+    found = faces.outlook(in_memory(frames))
     assert found.words.startswith(words) and bool(found.words) == bool(words)
     assert found.shared == (words in ("", "rows: out of order"))
+
+
+COUNTS = moving_frames(9, 2) + moving_frames(12, 2)
+
+
+@pytest.mark.parametrize(
+    ("frames", "changes", "most", "spans", "note"),
+    [
+        (moving_frames(9, 33) + moving_frames(12, 4), {}, (), [(0, 16), (16, 33), (33, 37)], ""),  # cut evenly
+        (COUNTS, {"keyframes": (0,)}, (), [(0, 2), (2, 4)], "frame 2"),  # the count changes inside of a group
+        (moving_frames(9, 7), {"breaks": (2,)}, (3,), [(0, 2), (2, 4), (4, 7)], ""),  # rows are those of other things
+        (moving_frames(9, 7), {"breaks": (2,), "keyframes": (0, 4)}, (), [(0, 2), (2, 4), (4, 7)], ""),
+        (moving_frames(9, 8) + moving_frames(12, 2), {}, (3,), [(0, 2), (2, 5), (5, 8), (8, 10)], ""),
+    ],
+)
+def test_groups_start_at_keyframes_and_where_rows_change_and_long_runs_are_cut(frames, changes, most, spans, note):
+    grouping = plan_groups(in_memory(frames, **changes), *most)
+    assert grouping.spans == spans and [note in line for line in grouping.notes] == [True] * bool(note)
 
 
 def test_keyframes_of_the_embedded_scene_start_its_groups():
     assert plan_groups(open_sequence(FOX)).spans == [(0, 5), (5, 10)]
 
 
-def test_groups_start_where_the_count_changes_and_long_runs_are_cut_evenly(tmp_path):
-    frames = moving_frames(9, 33) + moving_frames(12, 4)
-    assert plan_groups(open_sequence(write_sequence(tmp_path, frames))).spans == [(0, 16), (16, 33), (33, 37)]
-
-
-def test_a_count_that_changes_inside_a_given_group_is_noted(tmp_path):
-    frames = moving_frames(9, 2) + moving_frames(12, 2)
-    grouping = plan_groups(open_sequence(write_sequence(tmp_path, frames, keyframes=[0])))
-    assert grouping.spans == [(0, 2), (2, 4)]
-    assert "frame 2" in grouping.notes[0]
-
-
-def test_groups_start_where_rows_are_not_those_of_the_frame_before(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path, moving_frames(9, 7)))
-    assert plan_groups(replace(sequence, breaks=(2,)), 3).spans == [(0, 2), (2, 4), (4, 7)]
-    assert plan_groups(replace(sequence, breaks=(2,), keyframes=(0, 4))).spans == [(0, 2), (2, 4), (4, 7)]
-
-
-def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path / "a", moving_frames(9, 8) + moving_frames(12, 2)))
-    assert plan_groups(sequence, 3).spans == [(0, 2), (2, 5), (5, 8), (8, 10)]
+def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them():
+    sequence = in_memory(moving_frames(9, 8) + moving_frames(12, 2))
     assert closed_groups(sequence, 0, 3, done=False) == [(0, 3), (3, 6), (6, 9)]  # whether rows match is seen later
     assert closed_groups(sequence, 6, 3, done=True) == [(6, 9), (9, 10)]
-    named = open_sequence(write_sequence(tmp_path / "b", moving_frames(9, 8), keyframes=[0, 5]))
+    named = in_memory(moving_frames(9, 8), keyframes=(0, 5))
     assert closed_groups(named, 0, 3, done=False) == [(0, 5)]
     assert closed_groups(named, 5, 3, done=True) == [(5, 8)]
+
+
+FOX_FRAMES = [faces.read_ply(path) for path in sorted(FOX.glob("*.ply"))]  # five a group
+
+
+def in_disorder(g, seed=0):
+    """The rows in another order, and where each row went."""
+    order = np.random.default_rng(seed).permutation(len(g))
+    return g.take(order), np.argsort(order)
+
+
+def going_on(before, last):
+    """The last frame, moved on as it moved from the one before."""
+    return replace(last, means=2 * last.means - before.means)
+
+
+def test_rows_that_all_look_alike_are_found_where_they_were_going():
+    """They move by many times what is between them, so that where they were is no help."""
+    g = random_gaussians(300)
+    looks = [getattr(g, name)[:1].repeat(300, 0) for name in g.__slots__[1:]]
+    speed = np.random.default_rng(1).normal(size=(300, 3)).astype(np.float32)
+    before, last, now = (Gaussians(g.means + t * speed, *looks) for t in range(3))
+    other, where = in_disorder(now)
+    np.testing.assert_array_equal(match_rows(going_on(before, last), other).order, where)
+    assert (match_rows(last, other).order == where).mean() < 0.5
+
+
+@pytest.mark.parametrize("start", [0, 5])
+def test_rows_of_a_trained_sequence_are_found_frame_after_frame(start):
+    last, before = FOX_FRAMES[start], None
+    for number in range(start + 1, start + 5):
+        other, where = in_disorder(FOX_FRAMES[number], number)
+        matched = match_rows(last if before is None else going_on(before, last), other)
+        assert (matched.order == where).mean() > 0.999 and matched.sure > 0.99
+        assert compare_order(FOX_FRAMES[number - 1], other)[0] == matching.LOST
+        before, last = last, other.take(matched.order)
+
+
+def test_tracked_rows_are_left_alone():
+    """Up to four frames apart: as fast as an animal that runs."""
+    for a, b in combinations(range(10), 2):
+        if a // 5 == b // 5:
+            assert compare_order(FOX_FRAMES[a], FOX_FRAMES[b])[0] == matching.IN_ORDER
+
+
+G = random_gaussians(400)
+ALIKE = Gaussians(G.means, *(getattr(G, name)[:1].repeat(400, 0) for name in G.__slots__[1:]))
+ELSEWHERE = (G.means + np.random.default_rng(0).normal(size=(400, 3))).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "state"),
+    [
+        (G, replace(G, means=ELSEWHERE), matching.IN_ORDER),  # they swap places: their looks tell them apart
+        (G, replace(G, opacity_logits=-G.opacity_logits), matching.IN_ORDER),
+        (ALIKE, replace(ALIKE, means=ALIKE.means + np.float32(3)), matching.IN_ORDER),
+        (G, replace(G, means=np.zeros_like(G.means)), matching.IN_ORDER),
+        (G.take(slice(0, 7)), in_disorder(G.take(slice(0, 7)))[0], matching.IN_ORDER),  # too few to tell
+        (random_gaussians(500, seed=1), random_gaussians(500, seed=2), matching.UNRELATED),
+    ],
+    ids=["fast", "blinking", "alike", "at one place", "few", "unrelated"],
+)
+def test_fast_blinking_and_equal_rows_are_not_taken_for_lost_nor_other_scenes(a, b, state):
+    found, sure = compare_order(a, b)
+    assert found == state and (state == matching.IN_ORDER or sure < 0.2)
+
+
+def test_a_neighbour_in_place_of_every_row_is_lost_order():
+    """A writer that sorts rows by place shifts them only a little when some of them move."""
+    g = FOX_FRAMES[0]
+    line = np.argsort(g.means[:, 0], kind="stable")
+    a, b = g.take(line), g.take(np.roll(line, 1))
+    assert compare_order(a, b)[0] == matching.LOST
+    np.testing.assert_array_equal(match_rows(a, b).order, np.roll(np.arange(len(g)), -1))
+
+
+def test_broken_and_equal_rows_are_each_given_one_row_and_are_told_apart(monkeypatch):
+    """Dead rows at one place would make a tree a list; NaN has no place in one."""
+    count = 20_000
+    g = random_gaussians(count)
+    columns = [getattr(g, name).copy() for name in g.__slots__]
+    for column in columns:
+        column[: count // 2] = column[0]
+    columns[0][-3:] = np.nan
+    columns[3][-5:] = -np.inf
+    columns[2][-7] = 1e38
+    dead = Gaussians(*columns)
+    searched = []
+    monkeypatch.setattr(matching, "cKDTree", lambda points: searched.append(points) or cKDTree(points))
+    matched = match_rows(dead, in_disorder(dead)[0])
+    assert searched
+    assert all(np.isfinite(points).all() for points in searched)
+    assert all(len(np.unique(points, axis=0)) == len(points) for points in searched if points.shape[1] > 3)
+    np.testing.assert_array_equal(np.sort(matched.order), np.arange(count))
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_few_rows_can_be_matched(count):
+    g = random_gaussians(count)
+    np.testing.assert_array_equal(match_rows(g, g.take(slice(None, None, -1))).order, np.arange(count)[::-1])
