@@ -3,11 +3,13 @@
 import ast
 import subprocess
 import sys
+from functools import cache
 from graphlib import TopologicalSorter
 
 import pytest
 
-from tests.support.paths import PACKAGE
+from tests.support.house import nodes
+from tests.support.paths import PACKAGE, REPOSITORY
 
 ROOT = "the root"
 ORDER = (
@@ -55,19 +57,23 @@ def path_of(name):
     return next((key for key in (f"{stem}.py", f"{stem}/__init__.py") if key in MODULES), None)
 
 
+@cache
 def imports_of(path):
-    for node in ast.walk(ast.parse(path.read_text())):
+    """Dotted names of what a file imports: modules, or names in modules that are none."""
+    found = []
+    for node in nodes(path):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
-                yield inner if path_of(inner) else node.module
+            found += [f"{node.module}.{alias.name}" for alias in node.names]
+    return found
 
 
+@cache
 def modules_of(path):
     """Modules of this package that a file imports, as keys of MODULES."""
-    return {key for name in imports_of(path) if name.startswith("airgs_codec.") and (key := path_of(name))}
+    names = [name for name in imports_of(path) if name.startswith("airgs_codec.")]
+    return {key for name in names if (key := path_of(name) or path_of(name.rpartition(".")[0]))}
 
 
 def folder_of(module):
@@ -87,23 +93,34 @@ def test_a_folder_imports_only_from_those_before_it(folder):
             assert not upward, f"{module} imports {sorted(upward)}"
 
 
+def test_the_decoder_knows_nothing_of_the_encoder():
+    assert ORDER.index("decoder") < ORDER.index("encoder")
+
+
 def test_no_imports_go_round_in_circles():
-    TopologicalSorter({module: set(modules_of(path)) - {module} for module, path in MODULES.items()}).prepare()
+    TopologicalSorter({module: modules_of(path) - {module} for module, path in MODULES.items()}).prepare()
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_heavy_libraries_stay_in_their_module(module):
-    for name in imports_of(MODULES[module]):
-        library = name.split(".")[0]
-        if library in MAY_IMPORT:
-            homes = MAY_IMPORT[library]
+def test_heavy_libraries_stay_in_their_module():
+    for module, path in MODULES.items():
+        for name in imports_of(path):
+            homes = MAY_IMPORT.get(name.split(".")[0], {module})
             assert any(module == home or module.startswith(f"{home}/") for home in homes), f"{module}: {name}"
 
 
-def test_the_decoder_knows_nothing_of_the_encoder():
-    decoder = [path for module, path in MODULES.items() if folder_of(module) == "decoder"]
-    assert decoder
-    assert not any(folder_of(used) == "encoder" for path in decoder for used in modules_of(path))
+@pytest.mark.parametrize(("folder", "never"), [("airgs_codec", {"tools", "tests"}), ("tools", {"tests"})])
+def test_imports_go_one_way(folder, never):
+    """tests -> tools -> airgs_codec."""
+    for path in (REPOSITORY / folder).rglob("*.py"):
+        assert not never & {name.split(".")[0] for name in imports_of(path)}, path
+
+
+def test_nothing_private_is_imported_from_another_folder():
+    """Modules of the root whose names begin with an underscore are shared by all."""
+    for path in MODULES.values():
+        deep = [name.split(".") for name in imports_of(path) if name.startswith("airgs_codec.") and name.count(".") > 2]
+        private = [".".join(parts) for parts in deep if any(part.startswith("_") for part in parts[2:])]
+        assert all(name.split(".")[1] == path.parent.name for name in private), f"{path}: {private}"
 
 
 TORCHLESS = [

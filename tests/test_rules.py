@@ -5,29 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec import decoder
 from airgs_codec.coding.channels import hold_undrawn
-from airgs_codec.encoder.omit import omit_bands
-from airgs_codec.encoder.plan import tier_factors
-from airgs_codec.media.metrics import squared_error
+from airgs_codec.encoder import omit, plan
 from airgs_codec.media.mp4 import sound_init
 from airgs_codec.trainer.fit.losses import codec_steps
-from tests.faces import (
-    Decision,
-    EncodeSettings,
-    GroupSpan,
-    Offers,
-    Policy,
-    decode,
-    decode_frames,
-    open_package,
-    open_sequence,
-    plan_views,
-    simulate,
-    survey_group,
-)
-from tests.play.test_session import link, rules
-from tests.support.manifests import tiny_manifest
+from tests import faces
+from tests.support.manifests import link, rules, tiny_manifest
 from tests.support.paths import VALID
 from tests.support.scenes import random_gaussians, write_sequence
 from tests.support.views import ring
@@ -40,20 +23,20 @@ def test_a_row_has_its_first_drawn_value_before_it_is_drawn_and_its_last_one_aft
 
 
 def test_factors_of_tiers_are_at_most_three_apart():
-    factors = tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
+    factors = plan.tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
     assert max(factors) / min(factors) == pytest.approx(3, rel=0.01)
 
 
 def test_bands_go_where_they_cost_less_than_half_of_what_their_bytes_are_worth(tmp_path):
-    sequence = open_sequence(write_sequence(tmp_path / "scene", [random_gaussians(200, degree=1)]))
-    settings = EncodeSettings(decide_pictures=4)
-    survey = survey_group(sequence, GroupSpan(0, 0, 1), plan_views(sequence, settings))
+    sequence = faces.open_sequence(write_sequence(tmp_path / "scene", [random_gaussians(200, degree=1)]))
+    settings = faces.EncodeSettings(decide_pictures=4)
+    survey = faces.survey_group(sequence, faces.GroupSpan(0, 0, 1), faces.plan_views(sequence, settings))
 
     def left(price):
-        return omit_bands(sequence, survey, replace(settings, byte_price=price))
+        return omit.omit_bands(sequence, survey, replace(settings, byte_price=price))
 
     words = left(1e3)[1].split()
-    error, size = squared_error(float(words[words.index("dB") - 1])), 1e3 * float(words[words.index("kB/frame") - 1])
+    error, size = 10 ** (-float(words[words.index("dB") - 1]) / 10), 1e3 * float(words[words.index("kB/frame") - 1])
     assert [left(share * error / size)[0] for share in (1.5, 2.5)] == [1, 0]
 
 
@@ -62,10 +45,12 @@ def test_a_policy_knows_the_downloads_that_are_over_and_before_them_the_tables_w
 
     def watch(state):
         seen.append(state.history)
-        return Decision(0, True, "watch", state.options[0].size_bytes)
+        return faces.Decision(0, True, "watch", state.options[0].size_bytes)
 
     m = tiny_manifest(groups=(10, 10, 10))
-    log = simulate(Offers(m, 0, 1000), link([8e4], rtt=0.1), Policy("watch", watch), rules(pipelined=True))
+    log = faces.simulate(
+        faces.Offers(m, 0, 1000), link([8e4], rtt=0.1), faces.Policy("watch", watch), rules(pipelined=True)
+    )
     tables, first = (next(f for f in log.fetches if (f.kind == "tables") is is_table) for is_table in (True, False))
     assert [len(history) for history in seen] == [1, 1, 1]  # the second is on its way when the third is asked for
     assert seen[0][0].seconds == pytest.approx(tables.arrival_s - tables.request_s)
@@ -85,17 +70,16 @@ def test_sound_begins_four_packets_before_it_is_heard():
 
 
 def test_frames_cannot_be_written_to_and_few_groups_stay_decoded(monkeypatch):
-    package = open_package(VALID / "two-groups-sh1")
-    for frame in decode_frames(package, 0, 1):
+    package = faces.open_package(VALID / "two-groups-sh1")
+    for frame in faces.decode_frames(package, 0, 1):
         with pytest.raises(ValueError, match="read-only"):
             frame.gaussians.log_scales[0] = 0
-    counted, found = [], decoder.decode.decode_canonical
-    monkeypatch.setattr(decoder.decode, "decode_canonical", lambda *of: counted.append(of) or found(*of))
-    turns = [0, package.manifest.frames - 1] * 2
+    counted, found = [], faces.decode_canonical
+    monkeypatch.setattr("airgs_codec.decoder.decode.decode_canonical", lambda *of: counted.append(of) or found(*of))
     for most, wanted in ((-1, 4), (10**9, 2)):
-        monkeypatch.setattr(decoder.decode, "DECODED_ROWS", most)
-        again = open_package(VALID / "two-groups-sh1")
+        monkeypatch.setattr("airgs_codec.decoder.decode.DECODED_ROWS", most)
+        again = faces.open_package(VALID / "two-groups-sh1")
         counted.clear()
-        for frame in turns:
-            decode(again, frame)
+        for frame in [0, package.manifest.frames - 1] * 2:
+            faces.decode(again, frame)
         assert len(counted) == wanted
