@@ -38,25 +38,18 @@ def test_the_first_page_shows_an_answer_of_every_page_that_has_one():
     entries, text = published.read_figures(), (published.RESULTS / "README.md").read_text()
     table = published.answers_of(entries)
     assert published.markdown_table(table) in text
-    assert {one["question"].partition("](")[2] for one in table.rows} == {
-        f"{path.stem}.md)" for path in PAGES if path.stem != "README"
-    }
-    told = {one["question"].partition("](")[2]: one["answer"] for one in table.rows}
-    for one in (one for one in entries.values() if one["answers"] and one["document"] != "README"):
-        assert told[f"{one['document']}.md)"], one["document"]
+    told = {one["question"].partition("](")[2].removesuffix(".md)"): one["answer"] for one in table.rows}
+    assert told.keys() == {path.stem for path in PAGES} - {"README"}
+    assert all(told[one["document"]] for one in entries.values() if one["answers"] and one["document"] != "README")
 
 
-def test_every_measurement_has_its_place_in_a_document():
-    assert len({one.name for one in MEASUREMENTS}) == len(MEASUREMENTS)
-    for one in MEASUREMENTS:
-        text = (published.RESULTS / f"{one.document}.md").read_text()
-        assert text.count(f"<!-- tools.lab {one.name}: begin -->\n") == 1, one
-        assert text.count(f"<!-- tools.lab {one.name}: end -->\n") == 1, one
-
-
-def test_every_entry_is_that_of_a_measurement_and_made_by_its_command():
+def test_every_measurement_has_its_place_in_a_document_and_every_entry_is_made_by_its_command():
     entries = published.read_figures()
     commands = {one.name: (one.document, f"{PROGRAM} {one.words}") for one in MEASUREMENTS}
+    assert len(commands) == len(MEASUREMENTS)
+    for name, (document, _) in commands.items():
+        text = (published.RESULTS / f"{document}.md").read_text()
+        assert [text.count(f"<!-- tools.lab {name}: {word} -->\n") for word in ("begin", "end")] == [1, 1], name
     made = {name: (one["document"], one["command"]) for name, one in entries.items() if name not in NO_LONGER_MEASURED}
     assert made.items() <= commands.items()
     assert set(NO_LONGER_MEASURED) <= set(entries) and not set(NO_LONGER_MEASURED) & set(commands)
@@ -135,12 +128,8 @@ def test_every_picture_of_the_documents_is_of_a_measurement_or_of_the_table_of_f
     there = {p.relative_to(REPOSITORY).as_posix() for p in (REPOSITORY / "docs").rglob("*") if p.is_file()}
     made = {one.file for one in FIGURES} | measured | {"docs/results/figures.json"}
     assert {file for file in there if not file.endswith(".md")} == made
-
-
-def test_commands_of_the_table_of_figures_are_commands():
     for command in {one.command for one in FIGURES} | {f"{PROGRAM} {one.words}" for one in MEASUREMENTS}:
-        if not command.startswith("("):
-            assert command_error(shlex.split(command), whole=True) is None, command
+        assert command.startswith("(") or command_error(shlex.split(command), whole=True) is None, command
 
 
 def curve(*pairs):
