@@ -148,17 +148,11 @@ def test_samples_come_back_from_pages(macroblocks):
     np.testing.assert_array_equal(atlas.extract(picture, layout), samples[0])
 
 
-def test_a_picture_that_is_too_small_is_not_read():
+def test_a_picture_is_64_samples_or_more_and_what_is_too_small_is_not_read():
+    assert atlas.picture_size(Atlas(300, [0], [0], 32, 1)) == (64, 64)
     for shape in [(8, 64), (64, 16)]:
         with pytest.raises(ValueError, match="expected a picture of at least"):
             atlas.extract(np.zeros(shape, np.uint8), Atlas(300, [0], [0], 32, 1))
-
-
-def test_a_block_is_filled_along_a_z_curve():
-    index = atlas.row_places(300, 32, 64)
-    assert [divmod(int(i), 64) for i in index[:5]] == [(0, 0), (0, 1), (1, 0), (1, 1), (0, 2)]
-    assert divmod(int(index[256]), 64) == (0, 16)  # the next block is to the right
-    assert atlas.picture_size(Atlas(300, [0], [0], 32, 1)) == (64, 64)
 
 
 @settings(max_examples=100)

@@ -212,7 +212,8 @@ def test_viewers_begin_where_they_are_told_to_and_nothing_else_changes(placed):
     first = m.region.places[0]
     assert (first.position, first.focus, first.name) == ([-1, 2, 3.5], [0, 0, 1], None)
     assert first.reach in [place.reach for place in places] and m.region.places[1:] == places
-    assert faces.up_of(m.world).tolist() == [0, -1, 0] == first.up and m.world.metric
+    assert faces.up_of(m.world).tolist() == [0, -1, 0] == first.up
+    assert m.world.metric and m.world.transform[4:7] == pytest.approx([0, -0.01, 0])  # a unit is as long as before
     assert m.poster is None and not (placed / "poster.jpg").exists()
     assert {name for name in before if before[name] != after.get(name)} <= {"airgs.json", "poster.jpg"}
     assert faces.validate(placed) == []
