@@ -19,7 +19,7 @@ from airgs_codec.scene.camera import (
 )  # fmt: skip
 from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
 from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, read_settings, save_usage
-from airgs_codec.scene.frames import Repaired, repair, turn_least
+from airgs_codec.scene.frames import HeldFrames, Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.scene.formats.ply import read_ply, read_points, write_ply
 from airgs_codec.scene.formats.table import (
@@ -131,7 +131,7 @@ from airgs_codec.serve.export import export_page
 
 # Work in jobs
 from airgs_codec.jobs.engines import InProcess, Processes
-from airgs_codec.jobs.job import Job, load
+from airgs_codec.jobs.job import Job, Stored, load
 from airgs_codec.jobs.work import Work, temporary_work
 
 # Commands

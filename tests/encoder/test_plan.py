@@ -8,10 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding.grid import fit_grid, grid_codes
-from airgs_codec.coding.motion import motion_classes, motion_units, share_class
-from airgs_codec.encoder.plan import RowUsage, assign_depths, assign_tiers, rank_updates
-from airgs_codec.encoder.sample import at_equal_error, encode_and_decode
+from airgs_codec.coding import grid, motion
+from airgs_codec.encoder import plan, sample
 from airgs_codec.media.h264 import state_codec
 from tests import faces
 from tests.faces import STATIC, EncodeSettings, LevelSettings, as_preview, decode_canonical, decode_frames, open_package
@@ -21,9 +19,9 @@ from tests.support.scenes import write_sequence
 
 def test_tiers_hold_the_most_used_first():
     usage = np.array([0.1, 0.9, 0.5, 0.7, 0.3])
-    assert assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
-    assert assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
-    assert assign_tiers(np.array([1.0, 2.0]), (0.1, 0.9)).tolist() == [1, 0]  # the first is never empty
+    assert plan.assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
+    assert plan.assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
+    assert plan.assign_tiers(np.array([1.0, 2.0]), (0.1, 0.9)).tolist() == [1, 0]  # the first is never empty
 
 
 @given(
@@ -32,7 +30,7 @@ def test_tiers_hold_the_most_used_first():
     st.lists(st.floats(0, 0.99), min_size=1, max_size=6).map(sorted),
 )
 def test_levels_are_nested_and_withhold_their_share_of_the_lowest_scores(score, moving, shares):
-    depths = assign_depths(score, moving, shares)
+    depths = plan.assign_depths(score, moving, shares)
     assert (depths[~moving] == STATIC).all()
     for level, share in enumerate(shares):
         kept = (depths >= level) & (depths != STATIC)
@@ -46,30 +44,30 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     """They do where they turn as one body; where each moves on its own, the fine ones pay for the others."""
     rng = np.random.default_rng(3)
     sensitivity = 4.0 ** rng.integers(-4, 5, 4096)
-    classes = motion_classes(sensitivity, 1e-9)
+    classes = motion.motion_classes(sensitivity, 1e-9)
     means, still = rng.normal(size=(4096, 3)).astype(np.float32), np.zeros_like(classes)
-    means = means[np.argsort(grid_codes(means, still, fit_grid(means, still, 1e-3))[0])]
+    means = means[np.argsort(grid.grid_codes(means, still, grid.fit_grid(means, still, 1e-3))[0])]
     turn = np.cross([0.1, 0.2, 1.0], means + np.array([3, 0, 0])) if together else rng.normal(size=means.shape)
     moved = np.array([3 * np.sin(0.2 + 0.3 * t) * turn.T for t in range(8)])
-    chosen = share_class(classes, sensitivity, moved, 1.0)
+    chosen = motion.share_class(classes, sensitivity, moved, 1.0)
     assert len(np.unique(chosen)) == (1 if together else len(np.unique(classes)))
 
-    units = motion_units(classes).astype(np.float64)
+    units = motion.motion_units(classes).astype(np.float64)
     shared = np.sqrt(np.mean(sensitivity * units**2) / np.mean(sensitivity))
     assert not together or abs(chosen[0] - np.log2(shared)) <= 0.5
     codec, scores = state_codec("veryfast"), []
     for unit in (units, shared):
-        coded, decoded = encode_and_decode(moved / unit, np.ones(3), codec)
+        coded, decoded = sample.encode_and_decode(moved / unit, np.ones(3), codec)
         error = float(np.mean(sensitivity * np.square((decoded - moved / unit) * unit)))
-        scores.append(at_equal_error(sum(coded), error))
+        scores.append(sample.at_equal_error(sum(coded), error))
     assert scores[together] < 0.9 * scores[not together]
 
 
 def test_depths_keep_to_tiers():
     score, moving = np.array([5.0, 4.0, 3.0, 2.0]), np.ones(4, bool)
     tiers = np.array([0, 1, 0, 1], np.uint8)
-    assert assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
-    assert assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
+    assert plan.assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
+    assert plan.assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
 
 
 def test_levels_of_one_tier_do_with_the_first_tier(package_of):
@@ -156,17 +154,15 @@ def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(tmp_path, m
 def test_hits_rank_alone_whatever_changes():
     rng = np.random.default_rng(0)
     changes, hits = rng.normal(size=(3, 13, 20)) * 9, rng.permutation(20).astype(float)
-    usage = RowUsage(rng.random(20), hits)
-    score, moving = rank_updates(changes, np.ones((13, 20)), usage, "hits")
+    usage = plan.RowUsage(rng.random(20), hits)
+    score, moving = plan.rank_updates(changes, np.ones((13, 20)), usage, "hits")
     assert score.tolist() == hits.tolist() and moving.all()
-    by_usage, _ = rank_updates(changes, np.ones((13, 20)), usage, "usage")
+    by_usage, _ = plan.rank_updates(changes, np.ones((13, 20)), usage, "usage")
     np.testing.assert_allclose(by_usage, usage.score * np.sqrt(np.square(changes).sum(axis=(0, 1)) / 3))
 
 
-def test_a_first_look_calibrates_nothing_and_measures_little():
-    quick = as_preview(EncodeSettings(quality=1.6))
-    assert (quick.calibrate, quick.group_frames, quick.measure_pictures, quick.quality) == ("none", 30, 8, 1.6)
-    assert quick.decide_pictures < EncodeSettings().decide_pictures
-    asked = as_preview(EncodeSettings(group_frames=12, measure_pictures=0))
-    assert (asked.group_frames, asked.measure_pictures) == (12, 0)
+def test_a_first_look_keeps_what_was_asked_for():
+    """The command tells what else it is (tests/cli/test_encode.py)."""
+    asked = as_preview(EncodeSettings(quality=1.6, group_frames=12, measure_pictures=0))
+    assert (asked.quality, asked.group_frames, asked.measure_pictures) == (1.6, 12, 0)
     assert as_preview(PAPER).levels == PAPER.levels

@@ -3,18 +3,14 @@
 import json
 import math
 from dataclasses import replace
-from fractions import Fraction
 
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
 from airgs_codec.analysis.importance import ExpectedError
-from airgs_codec.cli import encode as command
 from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
-from airgs_codec.encoder.batch import Calibrated
-from airgs_codec.encoder.repair import encode_repaired, take_back
-from airgs_codec.encoder.search import find_quality, search_quality, weigh_colours
+from airgs_codec.encoder import batch, repair, search
 from tests import faces
 from tests.faces import (
     DELTA_E,
@@ -51,7 +47,7 @@ from tests.support.temporal import FLASHES, temporal_cameras, temporal_frames, w
     ],
 )
 def test_a_search_ends_at_its_goal(goal, curve, found):
-    assert curve(find_quality(goal, curve, 1.0)) == found
+    assert curve(search.find_quality(goal, curve, 1.0)) == found
 
 
 def test_a_search_takes_few_trials():
@@ -61,9 +57,9 @@ def test_a_search_takes_few_trials():
         tried.append(factor)
         return 43.0 - 7.0 * math.log(factor) + 0.02 * math.sin(40 * factor)
 
-    assert trial(find_quality(Goal(PSNR, 35.0), trial, 1.0)) == pytest.approx(35.0, abs=0.1)
+    assert trial(search.find_quality(Goal(PSNR, 35.0), trial, 1.0)) == pytest.approx(35.0, abs=0.1)
     assert len(tried) <= 6
-    assert find_quality(Goal(DELTA_E, 0.01), lambda _: 0.02, 1.0) == 1.0
+    assert search.find_quality(Goal(DELTA_E, 0.01), lambda _: 0.02, 1.0) == 1.0
 
 
 @pytest.mark.parametrize(
@@ -81,7 +77,7 @@ def test_a_search_takes_few_trials():
 )
 def test_goals_that_cannot_be_reached_are_refused(metric, value, curve, words):
     with pytest.raises(ConfigError, match=words):
-        find_quality(Goal(metric, value), curve, 1.0)
+        search.find_quality(Goal(metric, value), curve, 1.0)
 
 
 def test_a_goal_between_two_trials_is_in_reach_however_they_jump():
@@ -91,7 +87,7 @@ def test_a_goal_between_two_trials_is_in_reach_however_they_jump():
         tried[factor] = 42.0 - 7.0 * math.log(factor) + (1.0 if factor < 1.5 else -1.0)
         return tried[factor]
 
-    found = find_quality(Goal(PSNR, 39.1), trial, 1.0)
+    found = search.find_quality(Goal(PSNR, 39.1), trial, 1.0)
     assert abs(tried[found] - 39.1) == min(abs(got - 39.1) for got in tried.values()) > 0.3
 
 
@@ -112,7 +108,7 @@ def run(scene, tmp_path, capsys, *options):
         "12",
         *options,
     ]
-    code = command.main([*arguments, "--json"])
+    code = faces.airgs_encode([*arguments, "--json"])
     captured = capsys.readouterr()
     return code, json.loads(captured.out) if code == 0 else captured.err
 
@@ -157,15 +153,6 @@ def test_a_target_that_cannot_be_is_one_line_and_leaves_nothing(first_frames, tm
     assert list(tmp_path.iterdir()) == []
 
 
-def test_sizes_are_told_by_the_frame_or_by_the_second(first_frames):
-    sequence = open_sequence(first_frames, fps=Fraction(25))
-    goals = [
-        command._goal(command.Encode("x", **target), sequence)
-        for target in ({"target_psnr": 41.0}, {"target_de": 0.5}, {"target_kb": 20.0}, {"target_mbps": 4.0}, {})
-    ]
-    assert goals == [Goal(PSNR, 41.0), Goal(DELTA_E, 0.5), Goal(SIZE, 20.0), Goal(SIZE, 20.0), None]  # kB a frame
-
-
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     sequence = open_sequence(write_sequence(tmp_path_factory.mktemp("limits") / "scene", moving_frames(200, 4)))
@@ -177,7 +164,7 @@ def scene(tmp_path_factory):
 def test_colours_are_weighed_by_what_is_seen(scene):
     """Errors of every channel of the colour transform, a step each, make the same ΔE; green is seen best."""
     prepared, _ = scene
-    steps = weigh_colours(EncodeSettings(), prepared).steps
+    steps = search.weigh_colours(EncodeSettings(), prepared).steps
     weights = np.array(steps.colours).reshape(3, 3)
     np.testing.assert_allclose(weights, weights.T)
     assert np.diag(weights).argmax() == 1 and np.linalg.eigvalsh(weights).min() >= 1 - 1e-9
@@ -202,7 +189,7 @@ def test_a_goal_is_met_by_the_pictures_that_measure_the_package(scene):
     prepared, work = scene
     settings = replace(SETTINGS, measure_pictures=12)
     calibrated = faces.calibrate_sequence(prepared, settings, work)
-    chosen, trials = search_quality(calibrated, prepared, Goal(PSNR, 38.0), work)
+    chosen, trials = search.search_quality(calibrated, prepared, Goal(PSNR, 38.0), work)
     found = measure_encoded(faces.encode_sequence(prepared, chosen, work), prepared, 12).manifest
     assert pooled_quality(found, 0, 0).psnr == pytest.approx(38.0, abs=0.3)
     assert 1 < len(trials) <= 8 and chosen.levels == settings.levels
@@ -220,7 +207,7 @@ def test_a_goal_is_met_by_the_pictures_that_measure_the_package(scene):
     ],
 )
 def test_what_costs_half_a_decibel_of_all_that_was_expected_is_taken_back(settings, rows, held, changes, words):
-    repaired, story = take_back(settings, EXPECTED, rows, held) or (settings, "")
+    repaired, story = repair.take_back(settings, EXPECTED, rows, held) or (settings, "")
     assert story.startswith(words)
     assert repaired.steps.rows == settings.steps.rows / (2 if "rows" in changes else 1)
     halved = 0.5 if changes else 1.0
@@ -233,15 +220,15 @@ def test_what_costs_half_a_decibel_of_all_that_was_expected_is_taken_back(settin
 
 def test_few_updates_are_taken_back_altogether():
     few = replace(HALF, levels=tuple(replace(level, pruned=0.1) for level in HALF.levels))
-    assert take_back(few, EXPECTED, 0.0, 1e-4)[0].levels[0].pruned == 0.0
+    assert repair.take_back(few, EXPECTED, 0.0, 1e-4)[0].levels[0].pruned == 0.0
 
 
 def test_what_was_withheld_is_taken_back_until_a_promise_is_kept(scene):
     prepared, work = scene
 
     def encoded(settings, expected):
-        calibrated = Calibrated(prepared, settings, expected, (), False)
-        found, chosen, stories = encode_repaired(calibrated, settings, work)
+        calibrated = batch.Calibrated(prepared, settings, expected, (), False)
+        found, chosen, stories = repair.encode_repaired(calibrated, settings, work)
         return pooled_quality(measure_encoded(found, prepared, 12).manifest, 0, 0).psnr, chosen, stories
 
     reached, chosen, stories = encoded(SETTINGS, None)

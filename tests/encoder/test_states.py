@@ -10,23 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding import escapes, kernels
-from airgs_codec.coding.atlas import line_times, picture_size
-from airgs_codec.coding.channels import state_channels
-from airgs_codec.encoder import representation
-from airgs_codec.encoder.level import hide_undrawn
-from airgs_codec.encoder.omit import StateValues
-from airgs_codec.encoder.sample import encode_and_decode, fit_slopes, worth_line
-from airgs_codec.encoder.states import code_states
-from airgs_codec.media.h264 import ClosedGop, check_gop, encode_gop, in_range, state_codec
-from airgs_codec.media.mp4 import read_segment
+from airgs_codec.coding import atlas, channels, escapes, kernels
+from airgs_codec.encoder import level, omit, representation, sample, states
+from airgs_codec.media import h264, mp4
 from tests import faces
 from tests.faces import EncodeSettings, decode, decode_canonical, decode_frames, measure_errors, open_package
 from tests.support.digests import decode_slopes
 from tests.support.packages import PACKAGES, PLAIN, SEGMENT, TWO_LEVELS
 from tests.support.scenes import moving_frames, write_sequence
 
-CODEC, FPS = state_codec("veryfast"), Fraction(24)
+CODEC, FPS = h264.state_codec("veryfast"), Fraction(24)
 LIMIT, UNIT = 96, 128  # of escapes: samples differ from 128 by at most LIMIT, and a base is UNIT codes
 SETTINGS = EncodeSettings(
     calibrate="none", levels=TWO_LEVELS, segment_s=0.1, byte_price=1e-8, decide_pictures=2
@@ -68,8 +61,8 @@ def small_chunks(monkeypatch):
 def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):
     frames, layout, (base, _) = group
     shown = [frame.take(layout.rows) for frame in frames]
-    expected = state_channels(shown, base, layout.state_steps)
-    values = StateValues.write(tmp_path / "values", frames, layout.rows, base, layout.state_steps)
+    expected = channels.state_channels(shown, base, layout.state_steps)
+    values = omit.StateValues.write(tmp_path / "values", frames, layout.rows, base, layout.state_steps)
     whole, some = values.part(slice(None)), np.arange(3, len(layout.rows), 5)
     np.testing.assert_allclose(whole, expected, rtol=0, atol=1e-12)
     np.testing.assert_array_equal(values.channel(9, some), whole[:, 9, some])
@@ -84,7 +77,7 @@ def test_how_many_rows_are_looked_at_together_changes_nothing(group, tmp_path, s
     for name in ("few", "many"):
         (tmp_path / name).mkdir()
         clock = representation.Clock.of(Fraction(30))
-        coded.append(code_states(layout, bases, frames, SETTINGS, clock, tmp_path / name))
+        coded.append(states.code_states(layout, bases, frames, SETTINGS, clock, tmp_path / name))
         monkeypatch.undo()
     few, many = coded
     assert few.depths.tolist() == many.depths.tolist() and few.left_out == many.left_out
@@ -113,7 +106,7 @@ def test_frames_that_are_read_again_are_the_same(sequence, monkeypatch):
 )
 def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were(alpha, unit):
     base = np.array([0.0, 0.01, 0.3, 0.6, 1.0])
-    changes, bases = hide_undrawn(alpha - base, base, unit)
+    changes, bases = level.hide_undrawn(alpha - base, base, unit)
     shown = base + changes - bases * UNIT * unit
     drawn = alpha >= 1 / 255
     np.testing.assert_allclose(shown[drawn], alpha[drawn], atol=1e-12)
@@ -125,7 +118,7 @@ def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were
 
 def test_samples_of_a_row_that_goes_and_comes_do_not_change():
     alpha = np.array([[0.8, 0.0, 0.8, 0.0, 0.0, 0.8]]).T
-    changes, bases = hide_undrawn(alpha - 0.5, np.array([0.5]), 0.01)
+    changes, bases = level.hide_undrawn(alpha - 0.5, np.array([0.5]), 0.01)
     assert np.ptp(changes) == 0 and bases[:, 0].tolist() == [0, 1, 0, 1, 1, 0]
 
 
@@ -169,14 +162,14 @@ def test_slopes_are_what_rows_rise_by_and_frames_hold_the_rest(lined):
     codes = np.stack([shown.codes() for shown in faces.decode_pictures(lined, 0, 0, range(SEGMENT))])
     slopes, gain = decode_slopes(lined, 0, 0), lined.manifest.state_gain
     assert np.ptp(slopes[:3], axis=1).max() > 20 * gain  # of means, some past 8 bits
-    left = fit_slopes(codes[:, :3].astype(np.float64))
+    left = sample.fit_slopes(codes[:, :3].astype(np.float64))
     assert np.abs(left).mean() < gain / 2 < np.abs(slopes[:3]).mean()
 
 
 def test_the_picture_of_slopes_stands_in_front_and_shares_the_time(lined):
     (path,) = lined.manifest.state_files(0, 0)
     segment = lined.manifest.segments[0].levels[0]
-    found = read_segment(lined.read(path))
+    found = mp4.read_segment(lined.read(path))
     assert len(found.samples) == len(found.checksums) == SEGMENT + 1
     assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
 
@@ -191,14 +184,14 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(lined):
 
 
 def test_a_line_is_taken_where_it_saves_bytes_alone():
-    rng, codec = np.random.default_rng(0), state_codec("fast")
+    rng, codec = np.random.default_rng(0), h264.state_codec("fast")
     start, rise, noise = rng.normal(size=(3, 512)) * 30, rng.normal(size=(3, 512)) * 20, rng.normal(size=(12, 3, 512))
-    even = start + line_times(12)[:, None, None] * rise
+    even = start + atlas.line_times(12)[:, None, None] * rise
     steps, weights = np.ones(3), np.ones((3, 512))
-    assert worth_line(even, steps, weights, codec)
-    assert not worth_line(start + 20 * noise, steps, weights, codec)
-    assert not worth_line(even[:1], steps, weights, codec)
-    sizes, decoded = encode_and_decode(even, steps, codec, line=True)
+    assert sample.worth_line(even, steps, weights, codec)
+    assert not sample.worth_line(start + 20 * noise, steps, weights, codec)
+    assert not sample.worth_line(even[:1], steps, weights, codec)
+    sizes, decoded = sample.encode_and_decode(even, steps, codec, line=True)
     assert len(sizes) == 12 and np.abs(decoded - even).max() < 4
 
 
@@ -207,29 +200,29 @@ def noise(reach, kind, count=6):
     rng = np.random.default_rng(reach)
     shape = (count, 128, 128)
     signed = {"ends": rng.choice([-1.0, 1.0], shape), "even": rng.uniform(-1, 1, shape)}[kind]
-    return ClosedGop(np.rint(128 + reach * signed).astype(np.uint8), 0, 1)
+    return h264.ClosedGop(np.rint(128 + reach * signed).astype(np.uint8), 0, 1)
 
 
 @pytest.mark.parametrize("kind", ["ends", "even"])
 def test_the_limit_of_escapes_leaves_room_for_the_error_of_the_codec(kind):
     closed = noise(escapes.LIMIT, kind)
-    assert check_gop(encode_gop(closed, (128, 128), FPS, CODEC), closed, CODEC).in_range
+    assert h264.check_gop(h264.encode_gop(closed, (128, 128), FPS, CODEC), closed, CODEC).in_range
 
 
 def test_pictures_that_would_leave_the_range_are_coded_finer():
     """They alone: the segments beside them keep their bytes."""
     bright, calm = (noise(reach, "ends") for reach in (106, 60))
-    coarse = [encode_gop(gop, (128, 128), FPS, CODEC) for gop in (bright, calm)]
-    assert not check_gop(coarse[0], bright, CODEC).in_range
+    coarse = [h264.encode_gop(gop, (128, 128), FPS, CODEC) for gop in (bright, calm)]
+    assert not h264.check_gop(coarse[0], bright, CODEC).in_range
     coded = representation.encode_checked([bright, calm], (128, 128), representation.Clock.of(FPS), CODEC).gops
     shown = list(coded[0].pictures("x"))
-    assert len(shown) == 6 and all(in_range(picture) for picture in shown)
+    assert len(shown) == 6 and all(h264.in_range(picture) for picture in shown)
     assert len(coded[0].fragment) > len(coarse[0].fragment) and coded[1].fragment == coarse[1].fragment
 
 
 def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path, monkeypatch):
     """Every key and level is, here, and every value keeps to its `max_error`."""
-    monkeypatch.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
+    monkeypatch.setattr(representation, "picture_size", partial(atlas.picture_size, macroblocks=16))
     sequence = faces.GaussianSequence.from_arrays(moving_frames(600, 5))
     faces.encode(sequence, tmp_path / "out", replace(PLAIN, keep_all=False, segment_s=0.1))
     assert faces.validate(tmp_path / "out") == []

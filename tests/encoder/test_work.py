@@ -14,9 +14,6 @@ import pytest
 
 from airgs_codec.encoder.pipeline import KEY, STEPS, SURVEY, Step, with_rows_of_others
 from airgs_codec.jobs import work as work_module
-from airgs_codec.jobs.job import Stored
-from airgs_codec.scene import sequence as sequence_module
-from airgs_codec.scene.frames import HeldFrames
 from tests import faces
 from tests.faces import EncodeSettings, ViewPlan, Work, airgs_encode, encode, open_sequence, open_store, validate
 from tests.support.jobs import prepared_as_one_group
@@ -130,13 +127,13 @@ def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, e
 @pytest.fixture
 def reads(monkeypatch):
     """How often the file of each frame is read."""
-    counts, read = Counter(), sequence_module.read_frame
+    counts, read = Counter(), faces.read_frame
 
     def counted(path):
         counts[path.name] += 1
         return read(path)
 
-    monkeypatch.setattr(sequence_module, "read_frame", counted)
+    monkeypatch.setattr("airgs_codec.scene.sequence.read_frame", counted)
     return counts
 
 
@@ -167,7 +164,7 @@ def test_frames_are_held_up_to_so_many_bytes_and_by_one_process():
         asked.append(number)
         return frames[number]
 
-    held = HeldFrames(2 * 10 * 4 * 14)  # two of them
+    held = faces.HeldFrames(2 * 10 * 4 * 14)  # two of them
     for number in (0, 1, 0, 2, 0, 1):
         assert held.get(number, read) is frames[number]
     assert asked == [0, 1, 2, 1]
@@ -189,7 +186,7 @@ def test_a_job_reads_the_results_of_the_steps_before_it(scene, tmp_path):
     sequence = open_sequence(scene)
     prepared = prepared_as_one_group(sequence, ViewPlan.of(sequence, 4), Work(open_store(tmp_path)))
     survey, key = prepared.job(SURVEY, 0), prepared.job(KEY, 0, SETTINGS)
-    assert Stored(survey.entry) in key.arguments
+    assert faces.Stored(survey.entry) in key.arguments
     assert prepared.job(KEY, 0, EncodeSettings(threads=7)).entry == prepared.job(KEY, 0, EncodeSettings()).entry
     assert key.entry != prepared.job(KEY, 0, EncodeSettings()).entry
 
