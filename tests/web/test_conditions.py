@@ -40,22 +40,69 @@ def outage(trigger, seconds, status):
     return fault
 
 
-@dataclass
-class Moods:
-    """What a server does with requests, none of whose answers a browser keeps, and how fast it sends."""
+FPS = 2  # a group a second
+AWAY = ("Failed to load resource", "ERR_")  # what browsers say of servers that are not there, and of what was given up
 
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+
+
+@dataclass
+class Case:
+    """A check of web/test/pages/conditions.ts on a fox that walks for some seconds, and what happens to it."""
+
+    check: str
+    seconds: int
     fault: Fault = lambda path, number: None
+    known: tuple[str, ...] = ()
+    query: dict[str, object] = field(default_factory=dict)
+    first: int = 0  # groups of a package that grows
     asked: Counter[str] = field(default_factory=Counter)  # paths below the package
-    rate: float = np.inf  # bytes a second
+
+    def open(self, stack: ExitStack, folder: Path) -> str:
+        """The address of the page, on servers that are there as long as `stack`."""
+        if self.first or "other" in self.query:  # on the page's own server
+            growth = Growth(folder, self.first)
+            made = {"/package/airgs.json": growth.root, "/begin": growth.begin} if self.first else {}
+            folders, src = {"package": folder, "other": GOLDEN / "fox-fine"}, "/package/"
+        else:
+            server = stack.enter_context(Server(folder, self))
+            folders, src = {}, f"http://127.0.0.1:{server.port}/{folder.name}/"
+            made = {"/end": server.end, "/begin": server.begin}
+            if self.check == "link":
+                made = {"/end": lambda: server.send_at(7e4), "/begin": lambda: server.send_at(2e6)}
+                server.send_at(2e6)
+        site = stack.enter_context(serve({"web": WEB} | folders, made | {"/page.html": script_page("conditions")}))
+        return f"{site.url}/page.html?{urlencode({'src': src, 'check': self.check, **self.query})}"
+
+
+class Server(ExitStack):
+    """A server that can be away and come back at the same port, none of whose answers a browser keeps."""
+
+    def __init__(self, folder, case):
+        super().__init__()
+        self.folder, self.case, self.port, self.bit_s = folder, case, 0, np.inf
+        self.begin()
+
+    def begin(self):
+        self.port = self.enter_context(serving(self.folder, port=self.port, around=self.around))
+        return b"begun"
+
+    def end(self):
+        self.close()
+        return b"ended"
+
+    def send_at(self, bit_s):
+        self.bit_s = bit_s
+        return b"sent"
 
     def around(self, app):
         async def moody(scope, receive, send):
             if scope["type"] != "http":
                 await app(scope, receive, send)
                 return
-            path = scope["path"].split("/", 2)[-1]
-            self.asked[path] += 1
-            fault = self.fault(path, self.asked[path])
+            path, asked = scope["path"].split("/", 2)[-1], self.case.asked
+            asked[path] += 1
+            fault = self.case.fault(path, asked[path])
             if fault not in (None, WRONG, SILENT):
                 await Response("sorry", fault, {"Access-Control-Allow-Origin": "*"})(scope, receive, send)
                 return
@@ -68,47 +115,16 @@ class Moods:
                 body = message.get("body", b"")
                 if fault == WRONG and body:
                     body = bytes([body[0] ^ 1]) + body[1:]
-                while self.fault(path, self.asked[path]) == SILENT:
+                while self.case.fault(path, asked[path]) == SILENT:
                     await asyncio.sleep(LOOK_S)
                 for start in range(0, len(body), CHUNK):
-                    await asyncio.sleep(CHUNK / self.rate)
+                    await asyncio.sleep(8 * CHUNK / self.bit_s)
                     await send({**message, "body": body[start : start + CHUNK], "more_body": True})
                 await send({**message, "body": b""})
 
             await app(scope, receive, send_on)
 
         return moody
-
-    def slow(self):
-        self.rate = 7e4 / 8
-        return b"slow"
-
-    def fast(self):
-        self.rate = 2e6 / 8
-        return b"fast"
-
-
-class Switch(ExitStack):
-    """A server that can be away and come back at the same port."""
-
-    def __init__(self, folder, moods):
-        super().__init__()
-        self.folder, self.moods, self.port = folder, moods, 0
-        self.begin()
-
-    def begin(self):
-        self.port = self.enter_context(serving(self.folder, port=self.port, around=self.moods.around))
-        return b"begun"
-
-    def end(self):
-        self.close()
-        return b"ended"
-
-
-FPS = 2  # a group a second
-AWAY = ("Failed to load resource", "ERR_")  # what browsers say of servers that are not there, and of what was given up
-
-pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
 class Growth:
@@ -129,33 +145,6 @@ class Growth:
         return pack_json(root_of(replace(m, live=True, frames=groups[-1].stop, groups=Groups.of(groups))))
 
 
-@dataclass
-class Case:
-    """A check of web/test/pages/conditions.ts on a fox that walks for some seconds, and what happens to it."""
-
-    check: str
-    seconds: int
-    moods: Moods = field(default_factory=Moods)
-    known: tuple[str, ...] = ()
-    query: dict[str, object] = field(default_factory=dict)
-    first: int = 0  # groups of a package that grows
-
-    def open(self, stack: ExitStack, folder: Path) -> str:
-        """The address of the page, on servers that are there as long as `stack`."""
-        if self.first or "other" in self.query:  # on the page's own server
-            growth = Growth(folder, self.first)
-            made = {"/package/airgs.json": growth.root, "/begin": growth.begin} if self.first else {}
-            folders, src = {"package": folder, "other": GOLDEN / "fox-fine"}, "/package/"
-        else:
-            server = stack.enter_context(Switch(folder, self.moods))
-            folders, src = {}, f"http://127.0.0.1:{server.port}/{folder.name}/"
-            made = {"/end": server.end, "/begin": server.begin}
-            if self.check == "link":
-                made = {"/end": self.moods.slow, "/begin": self.moods.fast}
-        site = stack.enter_context(serve({"web": WEB} | folders, made | {"/page.html": script_page("conditions")}))
-        return f"{site.url}/page.html?{urlencode({'src': src, 'check': self.check, **self.query})}"
-
-
 def wrong_once(path, number):
     return WRONG if number == 1 and path != "airgs.json" else None
 
@@ -169,15 +158,15 @@ def corrupt(path, _):
 
 
 CASES = {  # the longest ones first
-    "link": Case("link", 16, Moods(rate=2e6 / 8)),
+    "link": Case("link", 16),
     "speeds": Case("speeds", 16),
     "grows": Case("live", 10, query={"back": 2}, first=4),
     "away": Case("away", 4, known=AWAY),
-    "outage": Case("once", 6, Moods(outage("key/T0/4.bin", 3, SILENT)), query={"buffer": 3}),
-    "busy": Case("once", 4, Moods(outage("key/T0/3.bin", 3, 503)), known=AWAY, query={"buffer": 1.5}),
-    "corrupt": Case("once", 6, Moods(corrupt)),
-    "no keys": Case("once", 4, Moods(no_best_keys), known=AWAY),
-    "wrong bytes": Case("once", 4, Moods(wrong_once)),
+    "outage": Case("once", 6, outage("key/T0/4.bin", 3, SILENT), query={"buffer": 3}),
+    "busy": Case("once", 4, outage("key/T0/3.bin", 3, 503), known=AWAY, query={"buffer": 1.5}),
+    "corrupt": Case("once", 6, corrupt),
+    "no keys": Case("once", 4, no_best_keys, known=AWAY),
+    "wrong bytes": Case("once", 4, wrong_once),
     "seeks": Case("seeks", 12),
     "stall": Case("stall", 12, known=AWAY),
     "close": Case("close", 4),
@@ -186,19 +175,15 @@ CASES = {  # the longest ones first
 
 
 @pytest.fixture(scope="module")
-def visits(tmp_path_factory):
+def report(tmp_path_factory):
+    """A function from the name of a case to what the page reports of it."""
     build_pages()
     root, fox = tmp_path_factory.mktemp("fox"), open_package(GOLDEN / "fox")
     lengths = {case.seconds for case in CASES.values()}
     folders = {seconds: write_repeated(fox, root / f"{seconds}.airgs", seconds // 2, FPS) for seconds in lengths}
     with ExitStack() as stack:
         pages = [(case.open(stack, folders[case.seconds]), "") for case in CASES.values()]
-        return dict(zip(CASES, visit_all(pages), strict=True))
-
-
-@pytest.fixture
-def report(visits):
-    """A function from the name of a case to what the page reports of it."""
+        visits = dict(zip(CASES, visit_all(pages), strict=True))
 
     def get(name):
         seen = visits[name]
@@ -247,7 +232,7 @@ def test_what_is_not_there_is_given_up_waited_for_or_asked_for_again(report):
     for name in ("busy", "away"):
         assert {"stall", "resume"} <= set(report(name)["events"])
     assert all(rung.startswith("Q1") for rung in report("no keys")["rungs"])  # of Q0 there are no keys
-    assert {*CASES["wrong bytes"].moods.asked.values()} >= {2}
+    assert {*CASES["wrong bytes"].asked.values()} >= {2}
 
 
 def test_over_a_link_that_falls_and_rises_again_rungs_follow(report):

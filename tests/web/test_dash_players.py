@@ -62,10 +62,9 @@ class Growth:
 
 
 @pytest.fixture(scope="module")
-def visits(tmp_path_factory):
-    """What came of visits with a player of every package or of one Representation; and answers that were no files."""
-    growing = tmp_path_factory.mktemp("growing") / "package"
-    frames = moving_frames(200, 2 * GROUPS)
+def report(tmp_path_factory):
+    """A function from a package, a player and one of its Representations ("": all) to what the player reports."""
+    growing, frames = tmp_path_factory.mktemp("growing") / "package", moving_frames(200, 2 * GROUPS)
     groups = [frames[at : at + 2] for at in range(0, 2 * GROUPS, 2)]
     Encoded(lambda: groups, replace(QUICK, levels=(LevelSettings(0.0),)), fps=2, cameras=True)(growing)
     folders = {"web": WEB} | {name: package.files.path for name, package in PACKAGES.items()}
@@ -77,14 +76,8 @@ def visits(tmp_path_factory):
             folder = f"growing-{player}" if package == "growing" else package
             query = {"mpd": f"/{folder}/{MPD_NAME}"} | ({"only": only} if only else {})
             pages.append((f"{site.url}/web/test/{player}.html?{urlencode(query)}", ""))
-        seen = dict(zip(VISITS, visit_all(pages), strict=True))
+        visits = dict(zip(VISITS, visit_all(pages), strict=True))
     assert [answer for answer in site.answers if answer[1] >= 400] == []
-    return seen
-
-
-@pytest.fixture
-def report(visits):
-    """A function from a visit to what the player reports, which found every file."""
 
     def get(package, player, only=""):
         seen = visits[package, player, only]

@@ -1,7 +1,6 @@
 """<airgs-player> with a player that pretends, driven by a mouse, fingers and keys (web/test/support/ui-cases.ts)."""
 
 from math import degrees
-from urllib.parse import urlencode
 
 import numpy as np
 import pytest
@@ -33,17 +32,11 @@ pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(m
 
 
 @pytest.fixture(scope="module")
-def visits():
-    """What came of every case of web/test/support/ui-cases.ts."""
+def report():
+    """A function from a case of web/test/support/ui-cases.ts to what came of it; the page must not have complained."""
     build_pages()
     with serve({"web": WEB}, {"/ui.html": script_page("ui")}) as site:
-        pages = [(f"{site.url}/ui.html?{urlencode({'case': case})}", "") for case in CASES]
-        return dict(zip(CASES, visit_all(pages), strict=True))
-
-
-@pytest.fixture
-def report(visits):
-    """A function from the name of a case to what came of it; the page must not have complained."""
+        visits = dict(zip(CASES, visit_all([(f"{site.url}/ui.html?case={case}", "") for case in CASES]), strict=True))
 
     def get(case):
         assert visits[case].complaints() == []
