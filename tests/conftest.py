@@ -4,6 +4,7 @@ import fcntl
 import os
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import hypothesis
@@ -13,6 +14,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads tha
 
 from tests.support.mutations import read_files
 from tests.support.packages import PACKAGES
+from tests.support.training import MODELS, write_blobs
 
 # A first example may have to compile a kernel: how long one takes says nothing.
 hypothesis.settings.register_profile("airgs", deadline=None)
@@ -84,6 +86,28 @@ def demo_package(package_of):
 def demo_copy(demo_package, tmp_path):
     """A copy of the embedded scene's package that a test may write to."""
     return shutil.copytree(demo_package, tmp_path / "demo.airgs")
+
+
+@pytest.fixture(scope="session")
+def blobs(made_once):
+    """The folder of a small scene to train on. Only read it."""
+    return made_once("blobs", write_blobs)
+
+
+@pytest.fixture(scope="session")
+def model_of(made_once, blobs):
+    """A function that gives the folder of a model in `tests.support.training`, trained once for all. Only read it."""
+    given = {}
+
+    def get(name: str) -> Path:
+        if name not in given:
+            folder = made_once(f"{name}.gaussians", partial(MODELS[name], blobs))
+            given[name] = folder, read_files(folder)
+        return given[name][0]
+
+    yield get
+    for name, (folder, before) in given.items():
+        assert read_files(folder) == before, f"a test wrote into the shared model {name}"
 
 
 @pytest.fixture(scope="session")
