@@ -210,7 +210,8 @@ def test_a_path_is_encoded_repaired_with_its_attribution_and_decoded_by_names_or
     by_name, by_number = (airgs.decode(package, 1, level=j, key_quality=q) for j, q in (("L2", "Q1"), (2, 1)))
     assert isinstance(by_name, airgs.Gaussians) and (by_name.means == by_number.means).all()
     seen = airgs.Sequence.from_arrays(frames, cameras=[airgs.Camera.look_at((0, 0, -4), (0, 0, 0), size=(64, 48))])
-    airgs.compare(seen, package, progress=lambda *told: told_of.append(told))
+    assert airgs.compare(package, str(tmp_path / "a.airgs"), frames=range(1)).quality.psnr == 100
+    airgs.compare(seen, tmp_path / "a.airgs", progress=lambda *told: told_of.append(told))
     assert Bars.made and all(bar.n == bar.total for bar in Bars.made)
     assert told_of[-1] == ("comparing", 2, 2)
 
@@ -298,6 +299,10 @@ def test_a_frame_that_is_not_there_is_named_alike_everywhere(call):
         (partial(airgs.encode, FOX, 3), "path: expected a path or an address, got int 3"),
         (partial(airgs.open_package, None), "path: expected a path or an address, got None"),
         (partial(airgs.open_sequence, [1, 2]), r"folder: expected a path or an address, got list \[1, 2\]"),
+        (
+            partial(airgs.compare, FOX, FOX, frames=range(99)),
+            r"frames: expected some of range\(0, 10\), got range\(0, 99\)",
+        ),
         (partial(airgs.Trace.open, 5), "trace: expected a path or an address, got int 5"),
         (partial(airgs.validate, None), "path: expected a path or an address, got None"),
         (partial(airgs.simulate, [], "const:5"), r"package: expected an open package or .* of one, got list \[\]"),
