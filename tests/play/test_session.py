@@ -125,6 +125,15 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
         {"arrivals": [0.1, 0.11, 0.34, 0.35, 0.58, 1.68], "rungs shown": ["Q1+L2"] * 2, "starts": [0.34, 1.34],
          "waste": [0, 0, 0, 0, 0, 1100], "frame times": [0.023, 0.023], "replaced": 1},
     ),
+    # There at 1.38 s, it would be decoded at 1.48 s, and the segment begins at 1.44 s.
+    "a replacement that is decoded too late": (
+        TINY, link([8e4, 1.1e4], [0, 0.58], 100), ("Q1+L2",), {"replace": True, "decode_frame_s": 0.1},
+        {"rungs shown": ["Q1+L2"] * 2, "starts": [0.44, 1.44], "waste": [0, 0, 0, 0, 0, 1100]},
+    ),
+    # At 2.08 s a first byte could be there at 2.38 s, and the segment begins at 2.24 s.
+    "no replacement within a round trip": (
+        TINY, link([8e4], rtt=0.3), ("Q1+L2",), {"replace": True}, {"starts": [1.24, 2.24], "replaced": 0},
+    ),
     # Of 6300 B 3385 have passed at the first look, half a second after the first byte; the files share the link, so
     # that two sidecars and the keys of T1 are whole, and stay. What is left is more than all of the smallest rung.
     "a download that would come too late is given up": (
