@@ -174,7 +174,7 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     ) for policy in ("paper-no-cliff", "robust-mpc")},
     "a missing state costs its level": (
         TINY, link([8e6]), "paper-no-cliff", {"faults": missing("state/L0/2.m4s")},
-        {"rungs shown": ["Q0+L0", "Q0+L1"], "lost_frames": 0,
+        {"rungs shown": ["Q0+L0", "Q0+L1"], "lost_frames": 0, "files": [1, 1, 5, 1, 5, 1],
          "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2100 + 1100}},
     ),
     "no quality": (UNMEASURED, link([8e6]), "fixed:0", {}, {"psnr_mean": None, "delta_e_mean": None, "qoe": None}),
