@@ -1,6 +1,6 @@
 // The sound of a package that chirps (tests/support/chirps.py), as a page hears it, beside the pictures. Query: src, check.
 import type { Player } from "../../src/airgs.ts";
-import { query, sleep, start, until } from "../support/player-page.ts";
+import { number, query, sleep, start, until } from "../support/player-page.ts";
 
 const SAMPLES = 2048;
 /** Of the chirp: Hz, Hz a second. */
@@ -89,14 +89,21 @@ async function seamOf(player: Player, count: number): Promise<{ ends: Heard[]; b
 }
 
 const checks: Record<string, () => Promise<unknown>> = {
-  /** Plays for `looks` before 3 s, else for eight, then from a moment that is sought, and from the end of the loop into the next one. */
+  /**
+   * Plays for some seconds, then from a moment that is sought, and from the end of the loop into the next one; with
+   * `looks` until so many have heard something, in the first second and after the second one.
+   */
   async beside() {
     const { log, player, heard } = await sounding();
+    if (query.has("looks")) {
+      const looks = () => heard.length >= number("looks", 0) && heard.some((one) => one.picture < 1);
+      await until("sound before and after a second", () => looks() && heard.some((one) => one.picture > 2), 90);
+      return { ...log.report(), played: heard };
+    }
     const early = () => heard.filter(({ picture }) => picture < 3);
-    await until("pictures and sound", () => early().length >= Number(query.get("looks") ?? 8), 90);
+    await until("pictures and sound", () => early().length >= 8, 90);
     const played = early();
     heard.splice(0);
-    if (query.has("looks")) return { ...log.report(), played };
     await player.seek(4);
     await until("pictures and sound after a seek", () => heard.length >= 4);
     const sought = heard.splice(0);
