@@ -9,27 +9,8 @@ import pytest
 
 from airgs_codec.encoder.calibrate import STEPS, Subject, balance, calibrate, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
-from tests.faces import (
-    USAGE_NAME,
-    EncodeSettings,
-    GaussianSequence,
-    GroupSpan,
-    LevelSettings,
-    SceneError,
-    StepSettings,
-    Usage,
-    ViewPlan,
-    get_step,
-    open_sequence,
-    open_store,
-    orbit_views,
-    pack,
-    save_usage,
-    survey_group,
-    temporary_work,
-    with_step,
-    write_ply,
-)  # fmt: skip
+from tests import faces
+from tests.faces import EncodeSettings, GaussianSequence, GroupSpan, StepSettings, ViewPlan, get_step, open_sequence
 from tests.support.jobs import prepared_as_one_group
 from tests.support.scenes import moving_frames, random_gaussians, write_demo, write_sequence
 
@@ -43,7 +24,7 @@ def fox(tmp_path_factory):
     folder = write_demo(tmp_path_factory.mktemp("calibrate") / "fox", frames=4, rows=2500, scale=0.5)
     sequence = open_sequence(folder)
     views = ViewPlan.of(sequence, 24)
-    return sequence, survey_group(sequence, GroupSpan(0, 0, 4), views), views
+    return sequence, faces.survey_group(sequence, GroupSpan(0, 0, 4), views), views
 
 
 @pytest.fixture(scope="module")
@@ -55,12 +36,12 @@ def calibration(fox):
 def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration, tmp_path):
     sequence, survey, views = fox
     assert calibrate(sequence, survey, FAST) == calibration
-    cache = open_store(tmp_path / "cache")
-    with temporary_work() as work:
+    cache = faces.open_store(tmp_path / "cache")
+    with faces.temporary_work() as work:
         prepared = prepared_as_one_group(sequence, views, work)
         job = prepared.job(CALIBRATION, 0, FAST)
         assert prepared.job(CALIBRATION, 0, replace(FAST, segment_s=0.5)).entry != job.entry
-        cache.write(job.entry, pack(calibration))
+        cache.write(job.entry, faces.pack(calibration))
         assert work.cached(job, cache) == (calibration, True)
         assert work.cached(job, cache) == (calibration, False)  # the store of the work has it now
 
@@ -71,16 +52,16 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
     def digest():
         sequence = open_sequence(folder)
         views = ViewPlan.of(sequence, 24)
-        with temporary_work() as work:
+        with faces.temporary_work() as work:
             return prepared_as_one_group(sequence, views, work).job(CALIBRATION, 0, FAST).entry
 
     digests = [digest()]
     for number in (1, 2, 4):  # neither first, canonical nor last
-        write_ply(sorted(folder.glob("*.ply"))[number], random_gaussians(30, seed=number))
+        faces.write_ply(sorted(folder.glob("*.ply"))[number], random_gaussians(30, seed=number))
         digests.append(digest())
-    usage = Usage(np.ones(30), np.ones(30), np.ones(30, np.int64))
+    usage = faces.Usage(np.ones(30), np.ones(30), np.ones(30, np.int64))
     for total in (usage.total, 2 * usage.total):
-        save_usage(folder / USAGE_NAME, {(0, 6): replace(usage, total=total)})
+        faces.save_usage(folder / faces.USAGE_NAME, {(0, 6): replace(usage, total=total)})
         digests.append(digest())
     assert len(set(digests)) == len(digests)
     assert digest() == digests[-1]
@@ -89,7 +70,7 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
 def test_steps_are_named_once_and_replaced_one_at_a_time():
     steps = StepSettings()
     for name in [*STEPS, "rows"]:
-        changed = with_step(steps, name, 7.0)
+        changed = faces.with_step(steps, name, 7.0)
         assert get_step(changed, name) == 7.0
         assert [n for n in [*STEPS, "rows"] if get_step(changed, n) != get_step(steps, n)] == [name]
 
@@ -100,7 +81,7 @@ def test_a_step_far_from_its_price_comes_back(fox):
     wanted = {}
     for factor in (0.25, 1.0, 4.0):
         start = StepSettings().at_scale(survey.scale)
-        start = with_step(start, "state.means", factor * get_step(start, "state.means"))
+        start = faces.with_step(start, "state.means", factor * get_step(start, "state.means"))
         subject = Subject.of(sequence, survey, replace(FAST, steps=start))
         sample = subject.sample(24.0)
         steps, price, saved = solve_steps(sample, subject)
@@ -134,9 +115,9 @@ def test_ladders_descend(calibration):
 
 def test_a_scene_that_stands_still_has_one_level():
     frame = random_gaussians(300)
-    sequence = GaussianSequence.from_arrays([frame], cameras=orbit_views(frame, count=4, size=64))
-    found = calibrate(sequence, survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24)), FAST)
-    assert found.levels == (LevelSettings(0.0),) and found.key_factors == (1.0,)
+    sequence = GaussianSequence.from_arrays([frame], cameras=faces.orbit_views(frame, count=4, size=64))
+    found = calibrate(sequence, faces.survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24)), FAST)
+    assert found.levels == (faces.LevelSettings(0.0),) and found.key_factors == (1.0,)
     assert found.steps.state == StepSettings().state
 
 
@@ -166,5 +147,5 @@ def test_where_nothing_depends_on_steps_they_stay(given):
 
 @pytest.mark.parametrize("slope", [(math.nan, 1.0), (1.0, math.inf), (1.0, math.nan)])
 def test_slopes_that_are_not_finite_are_refused(slope):
-    with pytest.raises(SceneError, match=r"finite bytes and errors of grid, got"):
+    with pytest.raises(faces.SceneError, match=r"finite bytes and errors of grid, got"):
         balance({"state.means": (1.0, 1.0), "grid": slope})

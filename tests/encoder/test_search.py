@@ -12,25 +12,7 @@ from airgs_codec.analysis.importance import ExpectedError
 from airgs_codec.coding.channels import fit_colour_transform, from_klt, to_klt
 from airgs_codec.encoder import batch, repair, search
 from tests import faces
-from tests.faces import (
-    DELTA_E,
-    PSNR,
-    SIZE,
-    ConfigError,
-    EncodeSettings,
-    Goal,
-    LevelSettings,
-    Picture,
-    compare_streams,
-    decode,
-    draw_views,
-    measure_encoded,
-    open_package,
-    open_sequence,
-    pooled_quality,
-    psnr,
-    validate,
-)  # fmt: skip
+from tests.faces import DELTA_E, PSNR, SIZE, EncodeSettings, Goal, open_package, open_sequence, pooled_quality, psnr
 from tests.support.jobs import prepared_as_one_group
 from tests.support.packages import SEEN
 from tests.support.paths import FOX
@@ -76,7 +58,7 @@ def test_a_search_takes_few_trials():
     ],
 )
 def test_goals_that_cannot_be_reached_are_refused(metric, value, curve, words):
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises(faces.ConfigError, match=words):
         search.find_quality(Goal(metric, value), curve, 1.0)
 
 
@@ -98,24 +80,15 @@ def first_frames(tmp_path_factory):
 
 
 def run(scene, tmp_path, capsys, *options):
-    arguments = [
-        str(scene),
-        "-o",
-        str(tmp_path / "out"),
-        "--x264-preset",
-        "veryfast",
-        "--decide-pictures",
-        "12",
-        *options,
-    ]
-    code = faces.airgs_encode([*arguments, "--json"])
+    quick = ["--x264-preset", "veryfast", "--decide-pictures", "12", "--json"]
+    code = faces.airgs_encode([str(scene), "-o", str(tmp_path / "out"), *quick, *options])
     captured = capsys.readouterr()
     return code, json.loads(captured.out) if code == 0 else captured.err
 
 
 def test_targets_are_reached(first_frames, tmp_path, capsys):
     code, report = run(first_frames, tmp_path, capsys, "--target-psnr", "41", "--measure-pictures", "16")
-    assert code == 0 and validate(tmp_path / "out") == []
+    assert code == 0 and faces.validate(tmp_path / "out") == []
     m = open_package(tmp_path / "out").manifest
     assert pooled_quality(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
     wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e3
@@ -130,9 +103,9 @@ def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_pat
     m = package.manifest
     assert code == 0 and pooled_quality(m, 0, 0).delta_e == pytest.approx(0.6, rel=0.05)
     errors = []
-    for number, camera in enumerate(draw_views(m.region, 12, seed=9)):
-        frames = (sequence.read(number % m.frames), decode(package, number % m.frames))
-        errors.append(Picture.delta_e(*(Picture.of(faces.CPU.render(g, camera).rgb) for g in frames)))
+    for number, camera in enumerate(faces.draw_views(m.region, 12, seed=9)):
+        frames = (sequence.read(number % m.frames), faces.decode(package, number % m.frames))
+        errors.append(faces.Picture.delta_e(*(faces.Picture.of(faces.CPU.render(g, camera).rgb) for g in frames)))
     assert sum(errors) / len(errors) == pytest.approx(0.6, rel=0.1)
 
 
@@ -178,7 +151,7 @@ def test_colours_are_weighed_by_what_is_seen(scene):
 
 
 SETTINGS = EncodeSettings(
-    calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.5, 4.0, quality=1)), tiers=(1.0,),
+    calibrate="none", levels=(faces.LevelSettings(0.0), faces.LevelSettings(0.5, 4.0, quality=1)), tiers=(1.0,),
     key_factors=(1.0, 4.0), decide_pictures=6, preset="ultrafast", threads=1,
 )  # fmt: skip
 HALF = replace(SETTINGS, levels=tuple(replace(level, pruned=0.5) for level in SETTINGS.levels), shares=((1.0, 0.4),))
@@ -190,7 +163,7 @@ def test_a_goal_is_met_by_the_pictures_that_measure_the_package(scene):
     settings = replace(SETTINGS, measure_pictures=12)
     calibrated = faces.calibrate_sequence(prepared, settings, work)
     chosen, trials = search.search_quality(calibrated, prepared, Goal(PSNR, 38.0), work)
-    found = measure_encoded(faces.encode_sequence(prepared, chosen, work), prepared, 12).manifest
+    found = faces.measure_encoded(faces.encode_sequence(prepared, chosen, work), prepared, 12).manifest
     assert pooled_quality(found, 0, 0).psnr == pytest.approx(38.0, abs=0.3)
     assert 1 < len(trials) <= 8 and chosen.levels == settings.levels
 
@@ -229,7 +202,7 @@ def test_what_was_withheld_is_taken_back_until_a_promise_is_kept(scene):
     def encoded(settings, expected):
         calibrated = batch.Calibrated(prepared, settings, expected, (), False)
         found, chosen, stories = repair.encode_repaired(calibrated, settings, work)
-        return pooled_quality(measure_encoded(found, prepared, 12).manifest, 0, 0).psnr, chosen, stories
+        return pooled_quality(faces.measure_encoded(found, prepared, 12).manifest, 0, 0).psnr, chosen, stories
 
     reached, chosen, stories = encoded(SETTINGS, None)
     assert chosen == SETTINGS and stories == []
@@ -255,8 +228,8 @@ def ladder(tmp_path_factory):
     m, frames = package.manifest, range(len(sequence))
     names = [f"{m.qualities[level.quality].id}+{level.id}" for level in m.levels]
     streams = {name: stream for name, stream in faces.rung_streams(package, frames).items() if name in names}
-    views = [(i // VIEWS, camera) for i, camera in enumerate(draw_views(m.region, VIEWS * len(frames), SEED))]
-    errors = compare_streams(streams, sequence, views, Picture.mse)
+    views = [(i // VIEWS, camera) for i, camera in enumerate(faces.draw_views(m.region, VIEWS * len(frames), SEED))]
+    errors = faces.compare_streams(streams, sequence, views, faces.Picture.mse)
     rungs = {f"{rung.key}+{rung.state}": rung for rung in faces.summarise(m, package.manifest_bytes).rungs}
     return np.array([[rungs[name].bytes_per_frame, rungs[name].psnr, psnr(np.mean(errors[name]))] for name in names])
 
@@ -294,7 +267,7 @@ def test_rows_that_frames_lack_cost_little_and_are_not_drawn(tmp_path):
     assert size["matched"] < size["alone"] / 2
     package = open_package(tmp_path / "matched")
     assert [(g.start, g.stop) for g in package.manifest.groups] == [(0, 5)]
-    assert validate(tmp_path / "matched") == []
+    assert faces.validate(tmp_path / "matched") == []
     measured = faces.measure_errors(package, open_sequence(tmp_path / "matched frames"))
     assert all(m.error <= m.bound for m in measured)
     for frame, g, rows in zip(faces.decode_frames(package, 0, 5), whole, kept, strict=True):

@@ -11,17 +11,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from tests.faces import (
-    APART,
-    EncodeSettings,
-    Gaussians,
-    GaussianSequence,
-    LevelSettings,
-    as_in_paper,
-    encode,
-    open_sequence,
-    orbit_views,
-)
+from tests import faces
+from tests.faces import EncodeSettings, Gaussians, GaussianSequence, LevelSettings, encode, open_sequence
 from tests.support.chirps import SOUNDING, write_chirping
 from tests.support.paths import FOX
 from tests.support.regions import QUICK, place, region
@@ -51,7 +42,7 @@ class Encoded:
     def scene(self) -> GaussianSequence:
         groups = self.groups()
         frames = [frame for group in groups for frame in group]
-        cameras = orbit_views(frames[0], count=4, size=64) if self.cameras else ()
+        cameras = faces.orbit_views(frames[0], count=4, size=64) if self.cameras else ()
         starts = np.cumsum([0, *(len(group) for group in groups[:-1])])
         sequence = GaussianSequence.from_arrays(frames, fps=self.fps, cameras=cameras)
         return replace(sequence, keyframes=tuple(starts.tolist()))
@@ -127,7 +118,7 @@ def drifting(count: int, frames: int) -> list[Gaussians]:
     def frame(t: int) -> Gaussians:
         logits = np.where(coming & (t % 6 < 3), -9, first.opacity_logits)
         columns = first.means + t * way, first.quaternions + t * turn, first.log_scales, logits, first.sh_dc + t * dye
-        return frozen(Gaussians(*(column.astype(np.float32) for column in columns), first.sh_rest))
+        return frozen(Gaussians(*(column.astype(np.float32) for column in (*columns, first.sh_rest))))
 
     return [frame(t) for t in range(frames)]
 
@@ -185,7 +176,7 @@ def harmonic_frames() -> list[list[Gaussians]]:
 
 
 KEPT_KEYS = replace(QUICK, decide_pictures=4, levels=(LevelSettings(0.0), LevelSettings(0.5, 2.0, tiers=1, quality=1)))
-PAPER = as_in_paper(
+PAPER = faces.as_in_paper(
     EncodeSettings(preset="ultrafast", threads=1, measure_pictures=1, decide_pictures=4, region=SEEN, quality=2.0)
 )
 PACKAGES: dict[str, Callable[[Path], object]] = {
@@ -205,5 +196,5 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
     "harmonics": Encoded(harmonic_frames, replace(QUICK, segment_s=1.0, levels=TWO_LEVELS), fps=4, cameras=True),
-    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=APART, levels=TIERED_LEVELS)),
+    "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=faces.APART, levels=TIERED_LEVELS)),
 }
