@@ -60,20 +60,25 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
     return get
 
 
-@pytest.fixture(scope="session")
-def package_of(made_once):
-    """A function that gives the folder of a package in `tests.support.packages`, encoded once for all. Only read it."""
+def read_only(made_once, ending, makers):
+    """Yields a function that gives the folder of a name, made once for all, and then sees that nothing wrote into any."""
     given = {}
 
     def get(name: str) -> Path:
         if name not in given:
-            folder = made_once(f"{name}.airgs", PACKAGES[name])
+            folder = made_once(name + ending, makers[name])
             given[name] = folder, read_files(folder)
         return given[name][0]
 
     yield get
     for name, (folder, before) in given.items():
-        assert read_files(folder) == before, f"a test wrote into the shared package {name}"
+        assert read_files(folder) == before, f"a test wrote into the shared {name}{ending}"
+
+
+@pytest.fixture(scope="session")
+def package_of(made_once):
+    """A function that gives the folder of a package in `tests.support.packages`, encoded once for all. Only read it."""
+    yield from read_only(made_once, ".airgs", PACKAGES)
 
 
 @pytest.fixture(scope="session")
@@ -97,17 +102,8 @@ def blobs(made_once):
 @pytest.fixture(scope="session")
 def model_of(made_once, blobs):
     """A function that gives the folder of a model in `tests.support.training`, trained once for all. Only read it."""
-    given = {}
-
-    def get(name: str) -> Path:
-        if name not in given:
-            folder = made_once(f"{name}.gaussians", partial(MODELS[name], blobs))
-            given[name] = folder, read_files(folder)
-        return given[name][0]
-
-    yield get
-    for name, (folder, before) in given.items():
-        assert read_files(folder) == before, f"a test wrote into the shared model {name}"
+    makers = {name: partial(make, blobs) for name, make in MODELS.items()}
+    yield from read_only(made_once, ".gaussians", makers)
 
 
 @pytest.fixture(scope="session")

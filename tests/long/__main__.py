@@ -23,18 +23,8 @@ from tools.lab import main as lab
 
 
 def fail_farm(times: int, seed: int, folder: Path) -> Iterator[tuple[str, str]]:
-    words = [
-        "soak-farm",
-        "--groups",
-        str(times),
-        "--kills",
-        str(times),
-        "--seed",
-        str(seed),
-        "-o",
-        str(folder / "farm"),
-    ]
-    yield "a farm that fails", "other bytes" if lab(words) else ""
+    counts = ["--groups", str(times), "--kills", str(times), "--seed", str(seed)]
+    yield "a farm that fails", "other bytes" if lab(["soak-farm", *counts, "-o", str(folder / "farm")]) else ""
 
 
 @dataclass(frozen=True)
