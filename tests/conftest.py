@@ -61,7 +61,7 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
 
 
 def read_only(made_once, ending, makers):
-    """Yields a function that gives the folder of a name, made once for all, and then sees that nothing wrote into any."""
+    """Yields what gives the folder of a name, made once for all; sees in the end that nothing wrote into any."""
     given = {}
 
     def get(name: str) -> Path:

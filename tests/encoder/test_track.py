@@ -114,7 +114,7 @@ def test_chunks_are_tracked_alike_whoever_does_them(few, tmp_path, monkeypatch):
     quick = replace(track.track_settings(few), key_iterations=30, frame_iterations=20)
     monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
     encode(few, tmp_path / "alone.airgs", SETTINGS)
-    with closing(faces.Processes(2)) as engine:
+    with closing(faces.Processes(1)) as engine:
         encode(few, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), engine))
     assert read_files(tmp_path / "alone.airgs") == read_files(tmp_path / "jobs.airgs")
     m = open_package(tmp_path / "alone.airgs").manifest

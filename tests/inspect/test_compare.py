@@ -1,24 +1,18 @@
 """Decoded against original pictures: every rung of a package, and any two scenes or packages as two sides."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from airgs_codec.inspect.compare import (
-    LABEL,
-    compare_two,
-    comparison_json,
-    difference_gain,
-    format_two,
-    side_by_side,
-)
+from airgs_codec.inspect.compare import LABEL, compare_two, comparison_json, difference_gain, format_two, side_by_side
 from airgs_codec.inspect.sides import comparable, compared_views, region_views, shared_views
 from tests import faces
-from tests.faces import ConfigError, airgs_manifest, decode_frames, left_out, open_package, open_side
+from tests.faces import PSNR_CAP, ConfigError, airgs_manifest, decode_frames, left_out, open_package, open_side
 from tests.support.multiview_files import write_cameras
-from tests.support.paths import VALID
+from tests.support.paths import FOX, VALID
 from tests.support.regions import arc
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 from tests.support.views import moved, ring
@@ -52,47 +46,114 @@ def broken(tmp_path):
     return scene(tmp_path / "broken", frames)
 
 
-def figures(capsys, *arguments):
-    draws = [] if "--draws" in arguments else ["--draws", "2"]
-    assert airgs_manifest(["rungs", *map(str, arguments), *draws, "--json"]) == 0
-    return json.loads(capsys.readouterr().out)
+@pytest.fixture
+def fox(tmp_path):
+    """The frames of the embedded scene without their cameras."""
+    return shutil.copytree(FOX, tmp_path / "fox", ignore=shutil.ignore_patterns("transforms.json"))
 
 
-def test_every_rung_is_compared_and_the_one_that_was_the_original_is_exact(top, capsys):
-    report = figures(capsys, PACKAGE, top)
+@pytest.fixture
+def figures(capsys):
+    """A function of the words of a command to what it says as JSON."""
+
+    def say(command, *words):
+        draws = ["--draws", "2"] if command == "rungs" and "--draws" not in words else []
+        assert airgs_manifest([command, *map(str, words), *draws, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return say
+
+
+def test_every_rung_is_compared_and_the_one_that_was_the_original_is_exact(top, figures):
+    report = figures("rungs", PACKAGE, top)
     assert report["frames"] == [0, 1, 2, 3] and report["views"] == {"region": 2}
     decoded = report["quality"]["region"]
     assert list(decoded) == ["Q0+L0", "Q0+L1", "Q1+L0", "Q1+L1"] == list(report["quality"]["claimed"])
     exact = {"ssim": pytest.approx(1), "delta_e": pytest.approx(0, abs=1e-4)}
-    assert decoded["Q0+L0"] == {"psnr": faces.PSNR_CAP, "worst": faces.PSNR_CAP} | exact
+    assert decoded["Q0+L0"] == {"psnr": PSNR_CAP, "worst": PSNR_CAP} | exact
     for name in ("Q0+L1", "Q1+L0", "Q1+L1"):
         assert decoded[name]["worst"] < decoded[name]["psnr"] < 60
         assert decoded[name]["ssim"] < 1 and decoded[name]["delta_e"] > 0
 
 
-def test_cameras_and_draws_are_splits_of_their_own(top, tmp_path, capsys):
+def test_cameras_and_draws_are_splits_of_their_own(top, tmp_path, figures, capsys):
     """Other draws are other pictures; what one split measures does not depend on the others."""
     views = write_cameras(tmp_path / "views.json", ring(4, held_out=1))
     rung = [PACKAGE, top, "--views", views, "--every", "3", "--level", "L1"]
-    report = figures(capsys, *rung)
+    report = figures("rungs", *rung)
     assert report["views"] == {"test": 1, "region": 2}
-    alone = figures(capsys, *rung, "--split", "test")
+    alone = figures("rungs", *rung, "--split", "test")
     assert alone["views"] == {"test": 1} and alone["quality"]["test"] == report["quality"]["test"]
-    assert figures(capsys, *rung, "--split", "train")["views"] == {"train": 3}
-    others = figures(capsys, *rung, "--seed", "5", "--split", "region")["quality"]["region"]
+    assert figures("rungs", *rung, "--split", "train")["views"] == {"train": 3}
+    others = figures("rungs", *rung, "--seed", "5", "--split", "region")["quality"]["region"]
     assert others != report["quality"]["region"]
-    assert figures(capsys, *rung, "--draws", "0")["views"] == {"test": 1}
+    assert figures("rungs", *rung, "--draws", "0")["views"] == {"test": 1}
     assert airgs_manifest(["rungs", *map(str, rung), "--draws", "1"]) == 0
     out = capsys.readouterr().out
     assert "claimed: dB" in out and "region: dB" in out and "test: dB" in out and "train" not in out
 
 
-def test_one_rung_of_some_frames_is_that_of_all_rungs(top, capsys):
+def test_one_rung_of_some_frames_is_that_of_all_rungs(top, figures):
     part = [PACKAGE, top, "--frames", "1:4", "--every", "2"]
-    every = figures(capsys, *part)
-    one = figures(capsys, *part, "--level", "L1", "--key-quality", "1")
+    every, one = figures("rungs", *part), figures("rungs", *part, "--level", "L1", "--key-quality", "1")
     assert every["frames"] == one["frames"] == [1, 3]
     assert one["quality"]["region"] == {"Q1+L1": every["quality"]["region"]["Q1+L1"]}
+
+
+@pytest.mark.parametrize("rung", ["Q0+L0", "Q1+L2"])
+def test_a_package_is_about_as_good_as_it_claims(fox, demo_package, rung, figures):
+    report = figures("compare", fox, demo_package, "--rung", rung, "--every", "4")
+    claimed, found = report["compared"]["claimed"], report["quality"]
+    assert report["compared"]["rung"] == rung and report["reference"]["rung"] is None
+    assert found["psnr"] == pytest.approx(claimed["psnr"], abs=1.0)
+    assert found["ssim"] == pytest.approx(claimed["ssim"], abs=0.01)
+    assert report["views"].startswith("8 views drawn from the viewing region")
+    assert report["worst"]["psnr"] <= found["psnr"] and report["worst"]["camera"] in report["cameras"]
+    assert report["compared"]["bytes_per_frame"] < report["reference"]["bytes_per_frame"]
+    assert report["pictures"] == [] and report["left_out"] == []
+
+
+def test_what_is_the_same_is_the_same_and_of_two_packages_the_rung_is_that_of_the_second(fox, demo_package, figures):
+    for place in (fox, demo_package):
+        assert figures("compare", place, place, "--frames", "1:2")["quality"]["psnr"] == PSNR_CAP
+    for second, rungs in ((demo_package, ("Q0+L0", "Q1+L1")), (fox, ("Q1+L1", None))):
+        report = figures("compare", demo_package, second, "--rung", "Q1+L1", "--frames", "0")
+        assert (report["reference"]["rung"], report["compared"]["rung"]) == rungs
+
+
+def test_frames_and_views_are_chosen_and_pictures_written_and_named(fox, demo_package, tmp_path, figures, capsys):
+    views, out = write_cameras(tmp_path / "views.json", ring(4, held_out=2)), tmp_path / "new" / "pictures"
+    report = figures("compare", fox, demo_package, "--frames", "1:4", "--every", "2", "--views", views)
+    assert report["frames"] == [1, 3] and report["views"] == f"2 held-out cameras of {views}"
+    assert report["cameras"] == ["cam02", "cam03"] and report["worst"]["frame"] in (1, 3)
+    assert airgs_manifest(["compare", str(fox), str(demo_package), "--frames", "0:2", "-o", str(out)]) == 0
+    words = capsys.readouterr().out
+    assert f"pictures: {out / 'worst.png'}, {out / 'typical.png'}" in words and "A, the reference" in words
+    assert sorted(path.name for path in out.iterdir()) == ["typical.png", "worst.png"]
+    for path in out.iterdir():
+        picture = faces.read_picture(path)
+        assert picture.shape[1] >= 3 * 320 and picture[:36].max() > 200 and picture[36:].any()
+
+
+def test_both_are_seen_before_the_background_that_either_tells(tmp_path, figures):
+    """Whatever the views: on an orbit, of a file, or of a region; next to nothing of the scene is in a corner."""
+    frames, told = moving_frames(400, 1), {"white": {"background": [1, 1, 1]}, "black": {}}
+    white, black = (write_sequence(tmp_path / name, frames, cameras=False, **told[name]) for name in told)
+    views = write_cameras(tmp_path / "views.json", ring(4, size=320))
+    for places in ((white, black), (black, white)):
+        for some in ([], ["--views", views]):
+            figures("compare", *places, *some, "-o", tmp_path / "out")
+            picture = faces.read_picture(tmp_path / "out" / "worst.png")
+            wide = picture.shape[1] // 3
+            assert min(picture[-1, x * wide].min() for x in (0, 1)) > 200
+
+
+def test_frames_that_cannot_be_read_are_refused_and_nothing_is_written(original, broken, tmp_path, capsys):
+    last = tmp_path / "broken" / "000003.ply"
+    last.write_bytes(last.read_bytes()[:-20])
+    assert airgs_manifest(["compare", original.name, broken.name, "-o", str(tmp_path / "out")]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1 and "000003.ply" in line and not (tmp_path / "out").exists()
 
 
 def test_the_worst_picture_is_the_worst_and_the_typical_one_the_median(original, broken):
@@ -110,10 +171,12 @@ def test_the_worst_picture_is_the_worst_and_the_typical_one_the_median(original,
     assert result.gaussians == ((40, 40), (39, 40))
 
 
-def test_other_degrees_and_lengths_are_compared_and_said(original, tmp_path):
-    long = scene(tmp_path / "long", moving_frames(60, 6, degree=2))
-    result = compare_two(original, long, range(4), ring(1))
-    words = format_two(original, long, result, "1 view", left_out(original, long))
+def test_other_degrees_and_lengths_are_compared_and_what_one_side_lacks_is_said(original, tmp_path):
+    long, one_more = scene(tmp_path / "6", moving_frames(60, 6, degree=2)), scene(tmp_path / "5", moving_frames(40, 5))
+    lacking = [f"frames 4 to 5 of {long.name}, which {original.name} does not have"]
+    assert left_out(original, long) == left_out(long, original) == lacking
+    assert left_out(original, one_more)[0].startswith("frame 4 of") and left_out(original, original) == []
+    words = format_two(original, long, compare_two(original, long, range(4), ring(1)), "1 view", lacking)
     assert "A, the reference: " in words and "SH degree 2" in words and "left out: frames 4 to 5" in words
 
 
@@ -130,55 +193,39 @@ def test_pictures_show_both_and_their_difference(original, broken):
     assert all(label.max() > 200 for label in labels)
 
 
-def test_small_pictures_have_room_for_labels(original):
+def test_small_pictures_have_room_for_labels_and_differences_are_amplified_until_they_are_seen(original):
     seen = compare_two(original, original, range(1), ring(1, size=48)).worst
     picture = side_by_side(replace(original, name="x" * 300), original, seen)
     assert picture.shape == (LABEL + 7 * 48, 3 * 7 * 48, 3)
     assert not picture[LABEL:, 2 * 7 * 48 :].any(), "equal pictures have no difference"
-
-
-def test_differences_are_amplified_until_they_are_seen():
     for largest, gain in ((1.0, 1), (0.5, 2), (0.3, 2), (0.1, 8), (1e-5, 64), (0.0, 64)):
         assert difference_gain(np.full((20, 20, 3), largest, np.float32)) == gain
 
 
 def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
-    g = random_gaussians(40)
-    means = g.means.copy()
-    means[3] = np.nan
-    other = scene(tmp_path / "nan", [replace(g, means=means)])
+    other = scene(tmp_path / "nan", [moved(random_gaussians(40), slice(3, 4), (np.nan, np.nan, np.nan))])
     result = compare_two(original, other, range(1), ring(1))
     assert result.gaussians[1] == (40, 40) and np.isfinite(result.quality.psnr)
     assert comparison_json(original, other, result)["compared"]["gaussians"] == [40, 40]
 
 
-def test_a_rung_has_its_bytes_its_claim_and_its_gaussians():
+def test_a_rung_has_its_bytes_its_claim_and_its_gaussians_and_a_scene_the_bytes_of_its_files(original, tmp_path):
     package = open_package(PACKAGE)
     rungs = {f"{r.key}+{r.state}": r for r in faces.summarise(package.manifest, package.manifest_bytes).rungs}
     for name in ("Q0+L0", "Q1+L1"):
         side = open_side(str(PACKAGE), name)
-        assert side.rung == name and side.bytes_per_frame == rungs[name].bytes_per_frame
+        assert (side.rung, side.bytes_per_frame) == (name, rungs[name].bytes_per_frame)
         assert side.claimed.psnr == rungs[name].psnr
         decoded = decode_frames(package, 2, 3, key_quality=name[:2], level=name[3:])
         assert np.array_equal(next(side.read(range(2, 3))).means, next(decoded).gaussians.means, equal_nan=True)
     assert open_side(str(PACKAGE)).rung == "Q0+L0" and open_side(str(PACKAGE)).label == "moving Q0+L0"
-    for rung in ("Q9+L0", "Q0+L9", "Q0", "L0", ""):
+    for rung in ("Q9+L0", "Q0+L9", "Q0", "L0", "+"):
         with pytest.raises(ConfigError, match="expected one of"):
-            open_side(str(PACKAGE), rung or "+")
-
-
-def test_a_scene_has_the_bytes_of_its_files_and_no_rungs(original, tmp_path):
+            open_side(str(PACKAGE), rung)
     sizes = [path.stat().st_size for path in (tmp_path / "original").glob("*.ply")]
     assert original.bytes_per_frame == np.mean(sizes) and original.claimed is None and original.label == "original"
     with pytest.raises(ConfigError, match="expected a package for the rung Q0"):
         open_side(original.name, "Q0+L0")
-
-
-def test_frames_that_one_side_lacks_are_named(original, tmp_path):
-    long, one_more = (scene(tmp_path / f"{n}", moving_frames(40, n)) for n in (6, 5))
-    assert left_out(original, long) == left_out(long, original)
-    assert left_out(original, long) == [f"frames 4 to 5 of {long.name}, which {original.name} does not have"]
-    assert left_out(original, one_more)[0].startswith("frame 4 of") and left_out(original, original) == []
 
 
 def test_rates_that_are_stated_must_agree(tmp_path):
@@ -204,11 +251,11 @@ def test_views_are_those_of_the_scenes_or_of_the_region_or_an_orbit(original, tm
 
 
 def test_held_out_cameras_are_taken_where_there_are_any():
-    assert [c.split for c in compared_views(ring(4, held_out=1), None)] == ["test"]
-    assert len(compared_views(ring(4), None)) == 4
-    drawn = region_views(arc(90, 3, 1.0), 5, 2)
-    assert [c.split for c in compared_views([*ring(4, held_out=1), *drawn], None)] == ["test"] + ["region"] * 5
-    assert len(compared_views([*ring(4), *drawn], None)) == 9
-    assert len(compared_views(ring(4, held_out=1), "train")) == 3
+    held, others, drawn = ring(4, held_out=1), ring(4), region_views(arc(90, 3, 1.0), 5, 2)
+    for cameras, split, taken in (
+        (held, None, ["test"]), (others, None, ["train"] * 4), (held, "train", ["train"] * 3),
+        ([*held, *drawn], None, ["test"] + ["region"] * 5), ([*others, *drawn], None, ["train"] * 4 + ["region"] * 5),
+    ):  # fmt: skip
+        assert [camera.split for camera in compared_views(cameras, split)] == taken
     with pytest.raises(ConfigError, match="split: expected one of train"):
-        compared_views(ring(4), "test")
+        compared_views(others, "test")

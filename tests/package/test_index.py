@@ -21,26 +21,18 @@ from tests.support.regions import arc
 PAGE = 64
 GROUPS, FRAMES = 7200, 30  # two hours at 30 frames a second
 START_BYTES = 16_000
-MOST = 5000  # groups whose index is made by chance
 MOST_ROOT_BYTES = 63 * 50 * 3  # of three levels
-
-
-def parts_of(count):
-    """So many groups of one to five frames and one to three segments."""
-    spans = pairwise(accumulate((1 + 7 * n % 5 for n in range(count)), initial=0))
-    return [SimpleNamespace(start=a, stop=b, segments=range(1 + 3 * n % 4 % 3)) for n, (a, b) in enumerate(spans)]
-
-
-ALL = parts_of(MOST)
-
-
-def table_of(number):
-    return b"%d" % number
+TABLES = [b"%d" % number for number in range(GROUPS)]
+STARTS = [0, *accumulate(1 + 7 * n % 5 for n in range(5000))]
+ALL = [  # groups of one to five frames and one to three segments
+    SimpleNamespace(start=a, stop=b, segments=range(1 + 3 * n % 4 % 3)) for n, (a, b) in enumerate(pairwise(STARTS))
+]
+FIRSTS = [0, *accumulate(len(part.segments) for part in ALL)]  # segments before a group
 
 
 @cache
 def index_of(count):
-    return build_index(ALL[:count], [table_of(n) for n in range(count)])
+    return build_index(ALL[:count], TABLES[:count])
 
 
 def places_of(count, broken=()):
@@ -56,11 +48,7 @@ def places_of(count, broken=()):
     return GroupIndex(index, read_page), pages, read
 
 
-def segment_before(group):
-    return sum(len(part.segments) for part in ALL[:group])
-
-
-@given(count=st.integers(1, MOST), seed=st.randoms(use_true_random=False))
+@given(count=st.integers(1, len(ALL)), seed=st.randoms(use_true_random=False))
 @example(1, None)
 @example(63, None)
 @example(64, None)
@@ -75,29 +63,28 @@ def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count
     assert [len(spans) for spans in index] == digits and sum(len(pack_json(s)) for s in index) < MOST_ROOT_BYTES
     assert count_groups(index) == count and sorted(pages) == sorted(GroupIndex(index, no_page).pages())
     assert len(pages) == sum(count // PAGE**level for level in range(1, 9))
-    firsts = list(accumulate((len(part.segments) for part in ALL[:count]), initial=0))
     chosen = range(count) if seed is None else sorted({0, count - 1, *seed.choices(range(count), k=300)})
     places, _, read = places_of(count)
     for number in chosen:
         part, entry = ALL[number], places.entry(number)
         assert (entry.start, entry.stop, entry.segments) == (part.start, part.stop, len(part.segments))
-        assert entry.first_segment == firsts[number] and entry.file.sha256 == digest(table_of(number))
+        assert entry.first_segment == FIRSTS[number] and entry.file.sha256 == digest(TABLES[number])
         assert {places.at_frame(frame) for frame in range(part.start, part.stop)} == {number}
-        assert {places.at_segment(firsts[number] + s) for s in part.segments} == {number}
+        assert {places.at_segment(FIRSTS[number] + s) for s in part.segments} == {number}
     assert len(read) == len(set(read))
     for number in (0, count // 2, count - 1):
         fresh, _, way = places_of(count)
         fresh.at_frame(ALL[number].start)
         assert way == pages_to(number, count) == list(places.pages_to("groups", number))
-        assert way == list(places.pages_to("segments", firsts[number]))
-    assert (places.groups, places.frames, places.segments) == (count, ALL[count - 1].stop, firsts[-1])
+        assert way == list(places.pages_to("segments", FIRSTS[number]))
+    assert (places.groups, places.frames, places.segments) == (count, STARTS[count], FIRSTS[count])
 
 
 def test_extending_one_by_one_gives_the_same_as_building_at_once():
     index, pages = [], {}
     for number in range(PAGE * PAGE + 2):
         before = index
-        index, filled = faces.extend_index(index, number, ALL[number], table_of(number))
+        index, filled = faces.extend_index(index, number, ALL[number], TABLES[number])
         assert not set(filled) & set(pages)  # what is written is never written again
         pages |= filled
         carried = len(filled)
@@ -110,7 +97,7 @@ def test_extending_one_by_one_gives_the_same_as_building_at_once():
 def test_pages_that_are_not_there_are_asked_for_from_the_root_on():
     places, _, read = places_of(4500)
     there, rounds = set(), []
-    while missing := places.missing_pages(range(segment_before(4000), places.segments), there):
+    while missing := places.missing_pages(range(FIRSTS[4000], places.segments), there):
         rounds.append(missing)
         there.update(missing)
     firsts = [f"index/1/{number}.json" for number in range(65, 71)]
@@ -128,13 +115,12 @@ def test_what_a_page_that_cannot_be_read_leads_to_is_not_looked_for_and_its_segm
     assert {error.where for error in found if not isinstance(error, int)} == broken and len(found) == len(groups) + 2
     assert len(read) == len(set(read)) == len(pages)
 
-    last = segment_before(192) - 1
     assert places.guess_span(0) == (0, 1) and ALL[0].segments == range(1)
-    guessed = [places.guess_span(segment) for segment in range(segment_before(128), last + 1)]
-    assert guessed[0][0] == ALL[128].start and guessed[-1][1] == ALL[192].start
+    guessed = [places.guess_span(segment) for segment in range(FIRSTS[128], FIRSTS[192])]
+    assert guessed[0][0] == STARTS[128] and guessed[-1][1] == STARTS[192]
     assert all(a[1] == b[0] for a, b in pairwise(guessed))
     with pytest.raises(FormatError):
-        places.at_segment(last)
+        places.at_segment(FIRSTS[192] - 1)
 
 
 @pytest.fixture(scope="module")
@@ -148,8 +134,7 @@ def long():
     for n in range(GROUPS):
         span = {"start": FRAMES * n, "stop": FRAMES * (n + 1)}
         groups.append(replace(group, **span, segments=[replace(group.segments[0], **span)]))
-    tables = [digest(b"%d" % n).encode() * 80 for n in range(GROUPS)]  # 2.5 kB each
-    index, pages = build_index(groups, tables)
+    index, pages = build_index(groups, [digest(table).encode() * 80 for table in TABLES])  # 2.5 kB each
     m = replace(m, frames=GROUPS * FRAMES, region=arc(90, 13, 1.234567))
     return replace(m, groups=Groups(index, lambda path, _: pages[path], lambda n, _: groups[n])), pages
 
@@ -179,21 +164,21 @@ def test_pages_are_checked_against_the_level_above(long, level, number):
     path = f"index/{level}/{number}.json"
     page = pages[path]
     sums = {name: [2 * getattr(page, name)[0], *getattr(page, name)[2:]] for name in ("frames", "segments")}
-    broken = {
-        "expected (64, ": replace(page, frames=[page.frames[0] + 1, *page.frames[1:]]),
-        "entries, frames and segments": replace(page, segments=[page.segments[0] + 1, *page.segments[1:]]),
-        "columns of one length": replace(page, sha256=page.sha256[32:]),
-        "got (63, ": replace(page, bytes=page.bytes[1:], sha256=page.sha256[32:], **sums),
-    }
 
-    def check(files):
+    def check(**changes):
+        files = pages | {path: replace(page, **changes)}
         opened = faces.open_manifest(root_of(m), lambda name, _: pack_json(files[name]))
         opened.groups.places.check_page(level, number - 1)
 
-    check(pages)
-    for words, table in broken.items():
+    check()
+    for words, changes in {
+        "expected (64, ": {"frames": [page.frames[0] + 1, *page.frames[1:]]},
+        "entries, frames and segments": {"segments": [page.segments[0] + 1, *page.segments[1:]]},
+        "columns of one length": {"sha256": page.sha256[32:]},
+        "got (63, ": {"bytes": page.bytes[1:], "sha256": page.sha256[32:], **sums},
+    }.items():
         with pytest.raises(FormatError) as caught:
-            check(pages | {path: table})
+            check(**changes)
         assert caught.value.reason == "bad_value" and caught.value.where == path and words in caught.value.detail
 
 
@@ -217,8 +202,3 @@ def test_tables_that_were_used_long_ago_are_read_again(monkeypatch):
     for n in (0, 1, 0, 2, 0, 1):
         assert groups[n].start == n
     assert read == [0, 1, 2, 1]
-
-
-def test_a_table_has_the_same_bytes_every_time():
-    group = tiny_manifest().groups[0]
-    assert faces.pack_group(group) == faces.pack_group(replace(group)) and faces.pack_group(group)[4:8] == bytes(4)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from airgs_codec.package import tables as mf
 from tests.faces import FormatError, Groups, Link, Manifest, Offers, SessionLog, SessionSettings, Trace, simulate
 from tests.support.regions import region
 
+Floats = Sequence[float]
 BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
 BARE |= {"pipelined": False, "replace": False, "abandon": False}
 
@@ -21,15 +23,9 @@ def rules(**options: Any) -> SessionSettings:
     return SessionSettings(**(BARE | options))
 
 
-def link(
-    rates: Sequence[float],
-    starts: Sequence[float] | None = None,
-    duration: float | None = None,
-    rtt: float = 0.0,
-    end: str = "loop",
-) -> Link:
+def link(rates: Floats, starts: Floats = (), duration: float = 0.0, rtt: float = 0.0, end: str = "loop") -> Link:
     """A link of these bit/s, each from its start on, or for a second."""
-    starts = list(range(len(rates))) if starts is None else starts
+    starts = starts or range(len(rates))
     last = float(duration or starts[-1] + 1)
     return Link(Trace("t", np.array(starts, float), np.array(rates, float), last, end=end), rtt)
 
@@ -39,7 +35,7 @@ def play(
     over: Link,
     policy: Any = "fixed:0",
     headers: int = 0,
-    faults: Mapping[str, FormatError] | None = None,
+    faults: Any = None,
     first: int = 0,
     **options: Any,
 ) -> SessionLog:
@@ -80,81 +76,44 @@ def keys(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
 
 
 def tiny_manifest(
-    *,
-    groups: Sequence[int] = (10, 10),
-    fps: tuple[int, int] = (10, 1),
-    key_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)),
-    sidecar_bytes: int = 100,
-    state_bytes: Sequence[int] = (2000, 1000, 500),
-    table_bytes: int = 100,
-    psnr: Sequence[Sequence[float]] | None = ((40.0, 36.0), (38.0, 35.0), (34.0, 32.0)),
-) -> Manifest:
+    *, groups: Sequence[int] = (10, 10), fps: tuple[int, int] = (10, 1), sidecar_bytes: int = 100, table_bytes: int = 100,
+    key_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)), state_bytes: Sequence[int] = (2000, 1000, 500),
+    psnr: Sequence[Floats] | None = ((40.0, 36.0), (38.0, 35.0), (34.0, 32.0)),
+) -> Manifest:  # fmt: skip
     """One segment a group of `groups` frames; key_bytes[tier][quality], state_bytes[level], psnr[level][quality].
 
     A state segment has `sidecar_bytes` beside its pictures. A level of 0 bytes has nothing to fetch.
     """
     tiers, qualities, levels = len(key_bytes), len(key_bytes[0]), len(state_bytes)
-    atlas = mf.Atlas(10, [0] * 13, [0], 16, 1, 64, 64, [0.1] * 5)
-    key = mf.Atlas(10, [0] * 10, [0], 16, 1, 64, 64, [0.1] * 4)
-    spans = [(sum(groups[:i]), sum(groups[: i + 1])) for i in range(len(groups))]
+    atlas, key = (mf.Atlas(10, [0] * n, [0], 16, 1, 64, 64, [0.1] * errors) for n, errors in ((13, 5), (10, 4)))
 
     def level(j: int, frames: int) -> mf.SegmentLevel:
-        size = state_bytes[j]
+        size, shown = state_bytes[j], psnr[j] if psnr else []
         return mf.SegmentLevel(
             mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE,
             [size // frames] * frames if size else [],
-            list(psnr[j]) if psnr else [],
-            [value - 2 for value in psnr[j]] if psnr else [],
-            [0.9] * qualities if psnr else [],
-            [0.5 + j] * qualities if psnr else [],
-        )
+            list(shown), [value - 2 for value in shown], [0.9 for _ in shown], [0.5 + j for _ in shown],
+        )  # fmt: skip
 
+    def table(start: int, stop: int) -> mf.Group:
+        return mf.Group(
+            start=start, stop=stop, count=10 * tiers, static=0, unused=0, left_out=[], repairs=[], colour_transform="",
+            grid=mf.Grid([0, 0, 0], 0.01, 0), key_steps=mf.KeySteps(*[0.1] * 5), state_steps=mf.StateSteps(*[0.1] * 6),
+            tiers=key_tiers, levels=[atlas] * levels,
+            segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
+        )  # fmt: skip
+
+    sidecar, stops = mf.FileEntry(sidecar_bytes, HASH), accumulate(groups)
     key_tiers = [
-        mf.GroupTier(
-            10, 1.0, mf.FileEntry(sidecar_bytes, HASH), [key] * qualities, [mf.FileEntry(b, HASH) for b in row]
-        )
+        mf.GroupTier(10, 1.0, sidecar, [key] * qualities, [mf.FileEntry(size, HASH) for size in row])
         for row in key_bytes
     ]
-    tables = [
-        mf.Group(
-            start=start,
-            stop=stop,
-            count=10 * tiers,
-            static=0,
-            unused=0,
-            grid=mf.Grid([0, 0, 0], 0.01, 0),
-            key_steps=mf.KeySteps(0.1, 0.1, 0.1, 0.1, 0.1),
-            state_steps=mf.StateSteps(0.1, 0.1, 0.1, 0.1, 0.1, 0.1),
-            colour_transform="",
-            tiers=key_tiers,
-            levels=[atlas] * levels,
-            segments=[mf.Segment(start, stop, [level(j, stop - start) for j in range(levels)])],
-            left_out=[],
-            repairs=[],
-        )
-        for start, stop in spans
-    ]
     return Manifest(
-        version=mf.VERSION,
-        generator=mf.Generator("test", {}, {}),
-        attribution="",
-        decisions=[],
-        frame_rate=list(fps),
-        timescale=fps[0] * 100,
-        frames=sum(groups),
-        live=False,
-        sh_degree=0,
-        key_gain=3.0,
-        state_gain=6.0,
-        region=region(),
-        world=None,
-        origin=None,
-        poster=None,
+        version=mf.VERSION, generator=mf.Generator("test", {}, {}), attribution="", decisions=[], live=False, sh_degree=0,
+        frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), key_gain=3.0, state_gain=6.0, region=region(),
+        world=None, origin=None, poster=None, sound=None, init=mf.FileEntry(50, HASH), tiers=tiers,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
-        tiers=tiers,
-        sound=None,
-        init=mf.FileEntry(50, HASH),
-        groups=in_groups(tables, table_bytes),
-    )
+        groups=in_groups([table(stop - size, stop) for size, stop in zip(groups, stops, strict=True)], table_bytes),
+    )  # fmt: skip
