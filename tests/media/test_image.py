@@ -15,7 +15,10 @@ def noise(height=48, width=64, seed=0):
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
 
 
-def test_a_contact_sheet_has_a_captioned_tile_for_each_picture():
+def test_labels_darken_their_lines_alone_and_a_contact_sheet_has_a_captioned_tile_for_each_picture():
+    rgb = np.full((60, 80, 3), 90, np.uint8)
+    out = image.label(rgb, "text", 1)
+    assert (rgb == 90).all() and (out[:18] == 90).all() and (out[36:] == 90).all() and (out[18:36] != 90).any()
     pictures = [np.full((60, 80, 3), value, np.uint8) for value in (50, 100, 150)]
     sheet = image.contact_sheet(pictures, ["a", "b\nsecond line", "c"], columns=2)
     assert sheet.shape == (120, 160, 3)
@@ -25,7 +28,7 @@ def test_a_contact_sheet_has_a_captioned_tile_for_each_picture():
         image.contact_sheet(pictures, ["a"])
 
 
-def test_pictures_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
+def test_pictures_grey_alpha_and_16_bits_are_read_as_rgb_and_floats_are_bytes_within_their_bounds(tmp_path):
     path, rgb = tmp_path / "a.png", noise()
     grey, bgr = np.repeat(rgb[..., :1], 3, axis=2), rgb[..., ::-1]
     write_png(path, rgb)
@@ -38,14 +41,23 @@ def test_pictures_grey_alpha_and_16_bits_are_read_as_rgb(tmp_path):
     ):
         cv2.imwrite(str(path), written)
         np.testing.assert_array_equal(read_picture(path), read)
+    assert to_bytes(np.array([[[-0.5, 0.5, 1.5]]])).tolist() == [[[0, 128, 255]]]
 
 
-def test_what_is_no_picture_is_refused(tmp_path):
-    for name, content in (("none", None), ("empty", b""), ("text", b"no picture")):
-        if content is not None:
-            (tmp_path / name).write_bytes(content)
-        with pytest.raises(SceneError, match=f"{name}: expected a picture"):
-            read_picture(tmp_path / name)
+def test_what_is_no_picture_or_has_more_pixels_than_any_camera_is_refused_in_one_line(tmp_path):
+    write_png(tmp_path / "a.png", noise())
+    whole = (tmp_path / "a.png").read_bytes()
+    refused = [("empty", b"", None, ""), ("text", b"no picture", None, ""), ("none", None, None, "")]
+    for side in (16_000, 50_000):
+        header = whole[12:16] + struct.pack(">II", side, side) + whole[24:29]
+        data = whole[:12] + header + struct.pack(">I", zlib.crc32(header)) + whole[33:]
+        refused += [("large", data, size, f": .*{side**2} pixels") for size in (None, (64, 48), (side, side))]
+    for name, data, size, says in refused:
+        if data is not None:
+            (tmp_path / name).write_bytes(data)
+        with pytest.raises(SceneError, match=f"{name}: expected a picture{says}") as caught:
+            read_picture(tmp_path / name, size)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp"])
@@ -62,38 +74,13 @@ def test_the_size_is_compared_before_pixels_are_decoded(tmp_path, suffix, read):
         read(path, (64, 48))
 
 
-@pytest.mark.parametrize("side", [16_000, 50_000])
-def test_a_header_of_more_pixels_than_any_camera_has_is_refused_in_one_line(tmp_path, side):
-    path = tmp_path / "a.png"
-    write_png(path, noise())
-    data = bytearray(path.read_bytes())
-    data[16:24] = struct.pack(">II", side, side)
-    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
-    path.write_bytes(data)
-    for size in (None, (64, 48), (side, side)):
-        with pytest.raises(SceneError, match=f"a.png: expected a picture: .*{side**2} pixels") as caught:
-            read_picture(path, size)
-        assert "\n" not in str(caught.value)
-
-
 def test_a_mask_is_1_where_it_is_not_black_and_has_the_size_asked_for(tmp_path):
-    mask = np.zeros((4, 6, 3), np.uint8)
-    mask[1, 2] = 1
-    mask[3, 5] = 255
-    write_png(tmp_path / "m.png", mask)
-    assert np.argwhere(image.read_mask(tmp_path / "m.png", (6, 4))).tolist() == [[1, 2], [3, 5]]
+    path, mask = tmp_path / "m.png", np.zeros((4, 6, 3), np.uint8)
+    mask[1, 2], mask[3, 5] = 1, 255
+    write_png(path, mask)
+    assert np.argwhere(image.read_mask(path, (6, 4))).tolist() == [[1, 2], [3, 5]]
     with pytest.raises(SceneError, match="expected a picture of 4x6, got 6x4"):
-        image.read_mask(tmp_path / "m.png", (4, 6))
-
-
-def test_what_leaves_0_to_1_is_shown_at_the_bound():
-    assert to_bytes(np.array([[[-0.5, 0.5, 1.5]]])).tolist() == [[[0, 128, 255]]]
-
-
-def test_a_label_darkens_its_line_alone_and_copies():
-    rgb = np.full((60, 80, 3), 90, np.uint8)
-    out = image.label(rgb, "text", 1)
-    assert (rgb == 90).all() and (out[:18] == 90).all() and (out[36:] == 90).all() and (out[18:36] != 90).any()
+        image.read_mask(path, (4, 6))
 
 
 def test_features_of_a_shifted_picture_match_by_the_shift():
@@ -122,27 +109,27 @@ def test_a_lens_maps_straight_rays_to_where_opencv_bends_them():
     assert found == pytest.approx((lens.pinhole @ point[0])[:2], abs=0.15)
 
 
-def lens_of(focal, cx, coefficients, fisheye):
-    matrix = np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]])
-    return image.fit_lens((160, 120), matrix, np.array(coefficients, float), fisheye)
-
-
 @pytest.mark.parametrize(
-    ("focal", "bend", "fisheye", "degrees"),
-    [(f, 0, True, 120) for f in (54, 51, 46)]  # of 170 to 200 degrees
-    + [(100, 0.5, False, 63), (100, -0.5, False, 66), (100, -1, False, 50), (51, -0.5, True, 81)],
+    ("focal", "cx", "bend", "fisheye", "degrees"),
+    [(f, 80, 0, True, 120) for f in (54, 51, 46)]  # of 170 to 200 degrees
+    + [(100, 80, 0.5, False, 63), (100, 80, -0.5, False, 66), (100, 80, -1, False, 50), (51, 80, -0.5, True, 81)]
+    + [(0.5, 80, 0, True, 0), (5, 80, 0, True, 0), (51, 400, 0, True, 0)]
+    + [(100, 500, -0.1, False, 0), (0.01, 80, 0.1, False, 0)],
 )
-def test_no_pinhole_shows_more_than_its_lens_shows_once(focal, bend, fisheye, degrees):
-    lens = lens_of(focal, 80, [bend, 0, 0, 0], fisheye)
+def test_no_pinhole_shows_more_than_its_lens_shows_once_and_none_is_of_a_lens_that_shows_nothing(
+    focal, cx, bend, fisheye, degrees
+):
+    arguments = (
+        (160, 120),
+        np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]]),
+        np.array([bend, 0, 0, 0.0]),
+        fisheye,
+    )
+    if not degrees:
+        with pytest.raises(ValueError, match="lens"):
+            image.fit_lens(*arguments)
+        return
+    lens = image.fit_lens(*arguments)
     x, y = lens.maps(lens.size)
     assert np.degrees(2 * np.arctan(80 / lens.pinhole[0, 0])) == pytest.approx(degrees, abs=1)
     assert (np.diff(x, axis=1) > 0).all() and (np.diff(y, axis=0) > 0).all() and lens.cut == (bend != 0.5)
-
-
-@pytest.mark.parametrize(
-    ("focal", "cx", "bend", "fisheye"),
-    [(0.5, 80, 0, True), (5, 80, 0, True), (51, 400, 0, True), (100, 500, -0.1, False), (0.01, 80, 0.1, False)],
-)
-def test_a_lens_that_shows_nothing_is_refused(focal, cx, bend, fisheye):
-    with pytest.raises(ValueError, match="lens"):
-        lens_of(focal, cx, [bend, 0, 0, 0.0], fisheye)
