@@ -116,15 +116,9 @@ def test_a_lens_maps_straight_rays_to_where_opencv_bends_them():
     + [(0.5, 80, 0, True, 0), (5, 80, 0, True, 0), (51, 400, 0, True, 0)]
     + [(100, 500, -0.1, False, 0), (0.01, 80, 0.1, False, 0)],
 )
-def test_no_pinhole_shows_more_than_its_lens_shows_once_and_none_is_of_a_lens_that_shows_nothing(
-    focal, cx, bend, fisheye, degrees
-):
-    arguments = (
-        (160, 120),
-        np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]]),
-        np.array([bend, 0, 0, 0.0]),
-        fisheye,
-    )
+def test_a_pinhole_shows_what_its_lens_shows_once_or_none_is_made(focal, cx, bend, fisheye, degrees):
+    matrix = np.array([[focal, 0, cx], [0, focal, 60], [0, 0, 1.0]])
+    arguments = (160, 120), matrix, np.array([bend, 0, 0, 0.0]), fisheye
     if not degrees:
         with pytest.raises(ValueError, match="lens"):
             image.fit_lens(*arguments)
