@@ -47,7 +47,7 @@ def test_every_wait_has_its_reason_and_its_advice(log, why, change):
 OUTAGE, THIN = (
     play(TINY, link(rates), "fixed:Q1+L2", loops=8, buffer_s=2.0) for rates in ([8e4, 8e4, 0, 0, 0, 0], [1.5e4])
 )
-SMOOTH, LOSSES = (play(TINY, link([rate]), faults=faults) for rate, faults in ((8e6, None), (8e4, LOST)))
+SMOOTH, LOSSES = (play(TINY, link([rate]), faults=faults) for rate, faults in ((8e6, ()), (8e4, LOST)))
 DARK = play(tiny_manifest(psnr=[[40.0, 36.0], [38.0, 35.0], [20.0, 18.0]]), link([8e6]), "fixed:2")
 DEFAULT = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), settings=SessionSettings(startup_s=0.0, loops=30))
 

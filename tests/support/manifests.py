@@ -31,16 +31,10 @@ def link(rates: Floats, starts: Floats = (), duration: float = 0.0, rtt: float =
 
 
 def play(
-    m: Manifest,
-    over: Link,
-    policy: Any = "fixed:0",
-    headers: int = 0,
-    faults: Any = None,
-    first: int = 0,
-    **options: Any,
+    m: Manifest, over: Link, policy: Any = "fixed:0", headers: int = 0, faults: Any = (), first: int = 0, **options: Any
 ) -> SessionLog:
     """A session with 1000 bytes of airgs.json and the bare rules but for `options`."""
-    return simulate(Offers(m, headers, 1000, first=first), over, policy, rules(**options), faults)
+    return simulate(Offers(m, headers, 1000, first=first), over, policy, rules(**options), dict(faults))
 
 
 def missing(*paths: str) -> dict[str, FormatError]:
@@ -76,8 +70,9 @@ def keys(*tiers: int, group: int = 0) -> frozenset[tuple[int, int, int]]:
 
 
 def tiny_manifest(
-    *, groups: Sequence[int] = (10, 10), fps: tuple[int, int] = (10, 1), sidecar_bytes: int = 100, table_bytes: int = 100,
-    key_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)), state_bytes: Sequence[int] = (2000, 1000, 500),
+    *, groups: Sequence[int] = (10, 10), fps: tuple[int, int] = (10, 1), sidecar_bytes: int = 100,
+    key_bytes: Sequence[Sequence[int]] = ((3000, 1000), (1000, 500)), table_bytes: int = 100,
+    state_bytes: Sequence[int] = (2000, 1000, 500),
     psnr: Sequence[Floats] | None = ((40.0, 36.0), (38.0, 35.0), (34.0, 32.0)),
 ) -> Manifest:  # fmt: skip
     """One segment a group of `groups` frames; key_bytes[tier][quality], state_bytes[level], psnr[level][quality].
@@ -109,9 +104,9 @@ def tiny_manifest(
         for row in key_bytes
     ]
     return Manifest(
-        version=mf.VERSION, generator=mf.Generator("test", {}, {}), attribution="", decisions=[], live=False, sh_degree=0,
+        version=mf.VERSION, generator=mf.Generator("test", {}, {}), attribution="", decisions=[], sh_degree=0,
         frame_rate=list(fps), timescale=fps[0] * 100, frames=sum(groups), key_gain=3.0, state_gain=6.0, region=region(),
-        world=None, origin=None, poster=None, sound=None, init=mf.FileEntry(50, HASH), tiers=tiers,
+        world=None, origin=None, poster=None, sound=None, live=False, init=mf.FileEntry(50, HASH), tiers=tiers,
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
