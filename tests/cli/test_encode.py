@@ -30,10 +30,9 @@ def encode_sog(folder):
     for number, path in enumerate(sorted(FOX.glob("*.ply"))[:3]):
         (scene / f"{number}.sog").write_bytes(splat_bytes(faces.read_ply(path).take(slice(0, 900)), ".sog"))
     (folder / "region.json").write_text(json.dumps(REGION))
-    words = [scene, "-o", folder / "out", "--preset", "quick", "--keep-all", "--measure-pictures", 1]
-    words += ["--region", folder / "region.json", "--up", "0,3,4", "--unit", 0.01]
+    words = f"{scene} -o {folder}/out --preset quick --keep-all --measure-pictures 1 --region {folder}/region.json"
     with redirect_stdout(StringIO()) as said:
-        assert faces.airgs_encode([*map(str, words)]) == 0
+        assert faces.airgs_encode([*words.split(), "--up", "0,3,4", "--unit", "0.01"]) == 0
     (folder / "said").write_text(said.getvalue())
 
 
@@ -102,43 +101,24 @@ PAPER = {"levels": tuple(faces.LevelSettings(i / 10) for i in range(11)), "tiers
 PAPER |= {"calibrate": "none", "usage": "hits", "update_rank": "hits", "keep_all": True, "keys": "apart"}
 QUICK = {"levels": levels((0.4, 1, 0), (0.75, 2, 1)), "preset": "superfast", "calibrate": "none"}
 QUICK |= {"decide_pictures": 8, "measure_pictures": 8}
+ASKED = {
+    "": {}, "--preset paper": PAPER, "--preset quick": QUICK,
+    "--preset quick --group-frames 2 --measure-pictures 2": QUICK | {"group_frames": 2, "measure_pictures": 2},
+    "--levels 0:1,25:4": {"levels": levels((0, 1, 0), (0.25, 4, 0)), "calibrate": "steps"},
+    "--quality low --rows keep --margin 0.5": {"quality": 1.6, "rows": "keep", "margin": 0.5},
+    "--x264-preset ultrafast --calibrate none --keep-all": {"preset": "ultrafast", "calibrate": "none", "keep_all": True},
+}  # fmt: skip
+GOALS = {
+    "--target-psnr 41": faces.Goal(faces.PSNR, 41.0), "--target-de 0.6": faces.Goal(faces.DELTA_E, 0.6),
+    "--target-kb 12": faces.Goal.size(12), "--target-mbps 3": faces.Goal.size(37.5),  # at 10 frames a second
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        ("", {}),
-        ("--preset paper", PAPER),
-        ("--preset quick", QUICK),
-        ("--preset quick --group-frames 2 --measure-pictures 2", QUICK | {"group_frames": 2, "measure_pictures": 2}),
-        (
-            "--levels 0:1,25:4 --quality low",
-            {"levels": levels((0, 1, 0), (0.25, 4, 0)), "quality": 1.6, "calibrate": "steps"},
-        ),
-        ("--rows keep --margin 0.5", {"rows": "keep", "margin": 0.5}),
-        (
-            "--x264-preset ultrafast --calibrate none --keep-all",
-            {"preset": "ultrafast", "calibrate": "none", "keep_all": True},
-        ),
-    ],
-)
-def test_options_are_settings_before_the_defaults(asked, words, expected):
+@pytest.mark.parametrize("words", [*ASKED, *GOALS])
+def test_options_are_settings_before_the_defaults_and_targets_are_goals(asked, words):
     assert faces.airgs_encode(["scene", *words.split()]) == 0
-    assert asked[0].settings == replace(faces.EncodeSettings(track=False), **expected) and asked[0].goal is None
-
-
-@pytest.mark.parametrize(
-    ("words", "goal"),
-    [
-        ("--target-psnr 41", faces.Goal(faces.PSNR, 41.0)),
-        ("--target-de 0.6", faces.Goal(faces.DELTA_E, 0.6)),
-        ("--target-kb 12", faces.Goal.size(12)),
-        ("--target-mbps 3", faces.Goal.size(37.5)),  # at 10 frames a second
-    ],
-)
-def test_targets_are_goals(asked, words, goal):
-    assert faces.airgs_encode(["scene", *words.split()]) == 0
-    assert asked[0].goal == goal
+    assert asked[0].settings == replace(faces.EncodeSettings(track=False), **ASKED.get(words, {}))
+    assert asked[0].goal == GOALS.get(words)
 
 
 @pytest.mark.parametrize("place", ["scene", "scene/", "scene/."])
@@ -165,61 +145,54 @@ def test_figures_are_said_in_words_in_all_tables_or_as_json(asked, capsys):
     assert faces.airgs_encode(["scene", "-o", "out", "--json"]) == 0
     seconds = {"order of rows": 0.1, "views and lengths of groups": 2.0, "calibration": 3.0, "search": 0.0}
     assert json.loads(capsys.readouterr().out) == {
-        "package": "out",
-        "frames": 20,
-        "bytes": 19750,
-        "top_rung_bytes": 13300,
-        "seconds": seconds | {"encoding": 6.0, "measuring": 0.04},
-        "calibration_cached": True,
-        "rows": {"matched": [1, 2], "sure": 0.75, "unmatched": [3, 4], "alone": [4]},
-        "repairs": ["mended", "mended"],
-        "cameras": "scene/transforms.json",
-    }
+        "package": "out", "frames": 20, "bytes": 19750, "top_rung_bytes": 13300, "calibration_cached": True,
+        "seconds": seconds | {"encoding": 6.0, "measuring": 0.04}, "cameras": "scene/transforms.json",
+        "rows": {"matched": [1, 2], "sure": 0.75, "unmatched": [3, 4], "alone": [4]}, "repairs": ["mended", "mended"],
+    }  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("words", "line"),
-    [
+def test_what_is_told_of_up_and_units_goes_with_the_scene(asked, capsys):
+    for words, line in (
         ("--up -y", "up: (0, -1, 0); units: not told"),
         ("--up 0,3,4 --unit 0.01", "up: (0, 0.6, 0.8); units: one is 0.01 m"),
         ("--transform world.txt", "up: (0, 0, 1); units: one is 2 m"),
-    ],
-)
-def test_what_is_told_of_up_and_units_goes_with_the_scene(asked, words, line, capsys):
-    assert faces.airgs_encode(["scene", *words.split(), "--verbose"]) == 0
-    assert line in capsys.readouterr().out
+    ):
+        assert faces.airgs_encode(["scene", *words.split(), "--verbose"]) == 0
+        assert line in capsys.readouterr().out
 
 
 def test_the_cameras_that_are_taken_are_named(asked, tmp_path, capsys):
     scene = write_sequence(tmp_path / "model" / "point_cloud" / "iteration_7", moving_frames(60, 1), cameras=False)
     found = write_inria(tmp_path / "model", ring(3, held_out=1))
     given = write_colmap_binary(tmp_path / "rec", ring(5, held_out=1))
-    assert faces.airgs_encode([str(scene)]) == 0
-    assert capsys.readouterr().out.startswith(f"cameras: {found}, 3 of them, 0 held out\n")
-    assert faces.airgs_encode([str(scene), "--views", str(given)]) == 0
-    assert capsys.readouterr().out.startswith(f"cameras: {given}, 5 of them, 1 held out\n")
-    assert faces.airgs_encode([str(scene), "--views", str(given.parent.parent), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["cameras"] == str(given)  # where it was
-    found.unlink()
-    assert faces.airgs_encode([str(scene), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["cameras"] is None
+    for words, line in (
+        ([], f"{found}, 3 of them, 0 held out"),
+        (["--views", given], f"{given}, 5 of them, 1 held out"),
+    ):
+        assert faces.airgs_encode([str(scene), *map(str, words)]) == 0
+        assert capsys.readouterr().out.startswith(f"cameras: {line}\n")
+    for views, taken in (["--views", str(given.parent.parent)], str(given)), ([], None):  # where it was
+        assert faces.airgs_encode([str(scene), *views, "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["cameras"] == taken
+        found.unlink(missing_ok=True)
     assert [len(call.sequence.cameras) for call in asked] == [3, 5, 5, 0]
 
 
-@pytest.mark.parametrize("what", ["missing", "no ply", "truncated", "sh degree changes", "bad cameras"])
-def test_bad_scenes_are_refused_in_one_line_and_leave_nothing(tmp_path, what, capsys):
-    scene, frames = tmp_path / "scene", moving_frames(20, 2)
-    if what != "missing":
-        write_sequence(scene, [frames[0], random_gaussians(20, 1)] if what == "sh degree changes" else frames)
-        second = scene / "000001.ply"
-        changed = {"no ply": b"no ply", "truncated": second.read_bytes()[:-50]}
-        second.write_bytes(changed.get(what, second.read_bytes()))
-        if what == "bad cameras":
-            (scene / "transforms.json").write_text("{}")
-    assert faces.airgs_encode([str(scene), "-o", str(tmp_path / "out")]) == 2
+BROKEN = {
+    "no ply": lambda scene: (scene / "000001.ply").write_bytes(b"no ply"),
+    "truncated": lambda scene: (scene / "000001.ply").write_bytes((scene / "000001.ply").read_bytes()[:-50]),
+    "sh degree changes": lambda scene: faces.write_ply(scene / "000001.ply", random_gaussians(20, 1)),
+    "bad cameras": lambda scene: (scene / "transforms.json").write_text("{}"),
+}
+
+
+@pytest.mark.parametrize("change", BROKEN.values(), ids=BROKEN)
+def test_bad_scenes_are_refused_in_one_line_and_leave_nothing(tmp_path, change, capsys):
+    change(write_sequence(tmp_path / "scene", moving_frames(20, 2)))
+    assert faces.airgs_encode([str(tmp_path / "scene"), "-o", str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert "expected" in error and error.count("\n") == 1
-    assert sorted(p.name for p in tmp_path.iterdir()) in (["scene"], [])
+    assert [p.name for p in tmp_path.iterdir()] == ["scene"]
 
 
 def test_encoding_and_decoding_call_kernels_with_the_types_they_are_compiled_for():
