@@ -12,6 +12,7 @@ from tests.support.chirps import moment, read_samples
 from tests.support.manifests import HASH, in_groups, link, missing, play, tiny_manifest
 from tests.support.regions import arc, row
 
+TINY = tiny_manifest()
 STEP_S = 2.0  # of a walk, from a place to the next
 
 
@@ -51,34 +52,29 @@ def test_about_one_place_he_goes_in_a_circle_of_half_its_reach(reach):
 
 @pytest.mark.parametrize(("size", "shown"), [((32, 24), (32, 24)), ((1500, 3000), (320, 640))])
 def test_a_session_has_a_picture_for_every_tick_and_they_have_a_bound(size, shown):
-    m = replace(tiny_manifest(), region=replace(row(1, 1.0), width=size[0], height=size[1]))
+    m = replace(TINY, region=replace(row(1, 1.0), width=size[0], height=size[1]))
     log = play(m, link([9e6]), loops=2)
     views = walk(log)
     assert len(views) == len(log.screen_ticks) == 40 and {(v.width, v.height) for v in views} == {shown}
 
 
-def sounding(size=700):
-    m = tiny_manifest()
-    groups = [replace(group, sound=FileEntry(size, HASH)) for group in m.groups]
-    return replace(m, sound=Sound(2, 312, FileEntry(50, HASH)), groups=in_groups(groups))
+GROUPS = in_groups([replace(group, sound=FileEntry(700, HASH)) for group in TINY.groups])
+SOUNDING = replace(TINY, sound=Sound(2, 312, FileEntry(50, HASH)), groups=GROUPS)
 
 
 def test_every_rung_has_its_sound_first_and_until_it_is_there():
-    m = sounding()
-    offer = Offers(m, 0).offer(1)
+    offer = Offers(SOUNDING, 0).offer(1)
     for rung in range(len(offer.rungs)):
         assert offer.missing(rung, NONE).keys[0] == sound_path(2)
         keys = frozenset(of.key for of in offer.rungs[rung].keys)
-        assert offer.sizes(NONE)[rung] - offer.sizes(keys)[rung] == offer.bytes_after(offer, NONE)[0, rung] - (
-            offer.rungs[rung].state_bytes
-        )
-    assert m.rung_files(1, 2)[:2] == [sound_path(1), sound_path(2)]
+        in_keys = offer.bytes_after(offer, NONE)[0, rung] - offer.rungs[rung].state_bytes
+        assert offer.sizes(NONE)[rung] - offer.sizes(keys)[rung] == in_keys
+    assert SOUNDING.rung_files(1, 2)[:2] == [sound_path(1), sound_path(2)]
 
 
 @pytest.mark.parametrize("policy", ["fixed:0", "robust-mpc", "paper-no-cliff"])
 def test_its_bytes_count_and_a_stall_waits_for_it(policy):
-    silent = play(tiny_manifest(), link([5e4]), policy, loops=2)
-    log = play(sounding(), link([5e4]), policy, loops=2)
+    silent, log = (play(m, link([5e4]), policy, loops=2) for m in (TINY, SOUNDING))
     assert log.metrics.bytes["sound"] == 4 * 700 and "sound" not in silent.metrics.bytes  # each group in each loop
     if policy == "fixed:0":
         late = [s.ready_s - t.ready_s for s, t in zip(log.shown, silent.shown, strict=True)]
@@ -87,7 +83,7 @@ def test_its_bytes_count_and_a_stall_waits_for_it(policy):
 
 
 def test_a_group_without_its_sound_is_shown():
-    log = play(sounding(), link([8e6]), "paper-no-cliff", faults=missing(sound_path(1)), loops=2)
+    log = play(SOUNDING, link([8e6]), "paper-no-cliff", faults=missing(sound_path(1)), loops=2)
     assert [s.rung for s in log.shown] == [0, 0, 0, 0] and log.metrics.lost_frames == 0
     assert log.metrics.bytes["sound"] == 2 * 700
     assert any(sound_path(1) in line for line in log.lost)
@@ -96,19 +92,14 @@ def test_a_group_without_its_sound_is_shown():
 FPS = Fraction(30_000, 1001)
 
 
-@pytest.fixture(scope="module")
-def chirping(package_of):
-    return package_of("sound")
-
-
 def heard(samples, second):
     """The moment of the chirp that is heard at a moment."""
     return moment(samples[round(48_000 * second) - 1024 : round(48_000 * second) + 1024])
 
 
-def test_what_is_heard_goes_with_the_ticks_of_a_session_and_stalls_are_silent(chirping):
+def test_what_is_heard_goes_with_the_ticks_of_a_session_and_stalls_are_silent(package_of):
     """The link gives out for a while, and the sequence is played twice."""
-    package = open_package(chirping)
+    package = open_package(package_of("sound"))
     rules = faces.SessionSettings(loops=2, buffer_s=0.5)
     log = faces.simulate(package, faces.Trace.open("const:0.3"), "fixed:0", rules)
     ticks, samples = log.screen_ticks, faces.sound_of(package, log)
@@ -128,9 +119,9 @@ def test_what_is_heard_goes_with_the_ticks_of_a_session_and_stalls_are_silent(ch
     assert silent > 3 and played > 40
 
 
-def test_films_have_the_sound(chirping, tmp_path):
-    seen = tmp_path / "seen.mp4"
+def test_films_have_the_sound(package_of, tmp_path):
+    seen, package = tmp_path / "seen.mp4", str(package_of("sound"))
     options = ["--trace", "const:9", "--policy", "fixed:0", "--player.loops", "1", "--video", str(seen)]
-    assert airgs_play([str(chirping), *options]) == 0
+    assert airgs_play([package, *options]) == 0
     for second in (0.2, 0.6, 1.1):
         assert heard(read_samples(seen), second) == pytest.approx(second, abs=0.003)
