@@ -9,15 +9,14 @@ import pytest
 
 from airgs_codec.cli import terminal
 from tests import faces
-from tests.support.paths import FOX as FRAMES
-from tests.support.paths import FOX_VIEWS, GOLDEN, VALID
+from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
 from tests.support.scenes import moving_frames, write_sequence
 
 EVERYDAY = 18  # options of a command, on one screen
 NAMES = ("decode", "encode", "manifest", "play", "serve", "train")
 COMMANDS = {name: getattr(faces, f"airgs_{name}") for name in NAMES}
-PLACES = {"FOX": GOLDEN / "fox", "TWO": VALID / "two-groups-sh1", "FRAMES": FRAMES, "VIEWS": FOX_VIEWS}
-PLACES |= {"ONE": VALID / "one-gaussian", "TRACE": FRAMES / "trace.csv"}
+PLACES = {"FOX": GOLDEN / "fox", "TWO": VALID / "two-groups-sh1", "FRAMES": FOX, "VIEWS": FOX_VIEWS}
+PLACES |= {"ONE": VALID / "one-gaussian", "TRACE": FOX / "trace.csv"}
 MISTAKES = {  # words that follow those of the command, and what is said of them
     "encode none": {
         "": "none: expected", "--quality much": "--quality", "--preset none": "--preset",
@@ -56,9 +55,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "NOTHING": "expected the name of a file or folder", "FOX": "expected a place outside of packages",
         f"{GOLDEN}/fox/a.spz --frames 0": "expected a place outside of packages",
     },
-    "decode": {
-        "none.airgs -o a.ply": "none.airgs",
-    },
+    "decode": {"none.airgs -o a.ply": "none.airgs"},
     "manifest compare FRAMES FOX -o out": {
         "--frames 9": "--frames", "--frames x": "--frames", "--every 0": "--every", "--rung Q9+L0": "key_quality",
         "--rung Q0": "level", "--views nowhere.json": "nowhere.json",
@@ -111,9 +108,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
         "--certificate chain.pem": "expected --certificate and --key together",
         "--certificate chain.pem --key key.pem": "chain.pem: expected a PEM certificate",
     },
-    "serve": {
-        "scene": "expected",
-    },
+    "serve": {"scene": "expected"},
     "train BLOBS -o m": {
         "--frames 3:9": "frames inside 0:5", "--frames x": "expected A:B", "--hold-out cam99": "no camera cam99",
         "--iterations 5": "expected FIRST,KEY,FRAME", "--budget 0": "budget of at least one",
@@ -140,16 +135,13 @@ MISTAKES["encode none"] |= {
 ROWS = [(f"{command} {words}", says) for command, mistakes in MISTAKES.items() for words, says in mistakes.items()]
 
 
-def listed(text):
-    return re.findall(r"^  (?:-\w, )?(--[a-z][\w.-]*)", text, re.MULTILINE)
-
-
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "manifest"])
 def test_help_lists_few_options_and_the_rest_is_listed_by_name(name, capsys):
-    assert COMMANDS[name](["--help"]) == 0
-    few = listed(capsys.readouterr().out)
-    assert COMMANDS[name](["--help-all"]) == 0
-    every = listed(capsys.readouterr().out)
+    listed = {}
+    for words in ("--help", "--help-all"):
+        assert COMMANDS[name]([words]) == 0
+        listed[words] = re.findall(r"^  (?:-\w, )?(--[a-z][\w.-]*)", capsys.readouterr().out, re.MULTILINE)
+    few, every = listed.values()
     assert 0 < len(few) <= EVERYDAY and set(few) <= set(every) and len(every) == len(set(every))
 
 
@@ -169,11 +161,11 @@ def folder(tmp_path, monkeypatch):
 def test_a_mistake_is_one_line_and_2_and_leaves_nothing(words, says, folder, blobs, capsys):
     places = PLACES | {"BLOBS": blobs, "NOTHING": ""}
     command, *arguments = [str(places.get(word, word)) for word in words.split()]
-    before = sorted(folder.rglob("*")), sorted(os.listdir(FRAMES.parent))
+    before = sorted(folder.rglob("*")), sorted(os.listdir(FOX.parent))
     assert COMMANDS[command](arguments) == 2
     out, error = capsys.readouterr()
     assert out == "" and says in error and error.count("\n") == 1 and error.startswith(f"airgs-{command}: ")
-    assert (sorted(folder.rglob("*")), sorted(os.listdir(FRAMES.parent))) == before
+    assert (sorted(folder.rglob("*")), sorted(os.listdir(FOX.parent))) == before
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
