@@ -18,11 +18,9 @@ from tests.support.servers import plainly_serving, put_folder
 
 @pytest.fixture(params=["folder", "memory", "bucket"])
 def place(request, tmp_path):
-    if request.param == "folder":
-        return Folder(tmp_path / "new")
-    if request.param == "memory":
-        return faces.Memory("memory")
-    return place_at(f"{request.getfixturevalue('bucket')}/{request.node.name}")
+    if request.param == "bucket":
+        return place_at(f"{request.getfixturevalue('bucket')}/{request.node.name}")
+    return Folder(tmp_path / "new") if request.param == "folder" else faces.Memory("memory")
 
 
 def test_what_is_written_is_read_listed_replaced_and_deleted_and_opened_in_another_process(place):
@@ -46,40 +44,36 @@ def test_no_link_below_a_folder_is_followed(tmp_path):
     place.write("a.bin", b"own")
     (place.path / "down").symlink_to(tmp_path / "elsewhere")
     (place.path / "b.bin").symlink_to(tmp_path / "elsewhere" / "a.bin")
-    for follow in (
-        lambda: place.open("down/a.bin"),
-        lambda: place.open("b.bin"),
-        lambda: place.write("down/a.bin", b"mine"),
-        lambda: place.delete(["down/a.bin"]),
+    link = "down/a.bin"
+    for follow, *given in (
+        (place.open, link),
+        (place.open, "b.bin"),
+        (place.write, link, b"mine"),
+        (place.delete, [link]),
     ):
         with pytest.raises(FormatError, match="unsafe_path"):
-            follow()
+            follow(*given)
     place.write("b.bin", b"mine")
     assert (tmp_path / "elsewhere" / "a.bin").read_bytes() == b"precious" and place.read("b.bin") == b"mine"
     assert place.paths() == ["a.bin", "b.bin", "down"]
 
 
-def test_a_package_is_read_from_a_web_server(capsys):
+def test_a_package_is_read_from_a_web_server_and_addresses_are_told_from_folders(capsys):
     with plainly_serving(VALID) as port:
         address = f"http://127.0.0.1:{port}/moving"
         there, here = open_package(address), open_package(VALID / "moving")
-        for path in here.manifest.files():
-            assert there.read(path) == here.read(path)
+        assert all(there.read(path) == here.read(path) for path in here.manifest.files())
         assert faces.airgs_manifest(["inspect", address]) == 0
         with pytest.raises(FormatError, match="expected a package"):
             open_package(f"{address}/nothing")
         assert faces.airgs_manifest(["validate", address]) == 2
     assert capsys.readouterr().err.count("\n") == 1
-
-
-def test_addresses_are_told_from_folders():
-    assert place_at("s3://bucket/scene").name == "s3://bucket/scene"
-    assert place_at("out/scene.airgs").name == "out/scene.airgs"
-    for address in ("ftp://host/scene", "http://host/scene"):
-        with pytest.raises(ConfigError, match="s3://, gs://, az://"):
+    for name in ("s3://bucket/scene", "out/scene.airgs"):
+        assert place_at(name).name == name
+    others = "s3://, gs://, az://"
+    for address, says in (("ftp://host/scene", others), ("http://host/scene", others), ("s3:///scene", "s3:///scene")):
+        with pytest.raises(ConfigError, match=says):
             place_at(address)
-    with pytest.raises(ConfigError, match="s3:///scene"):
-        place_at("s3:///scene")
 
 
 @pytest.fixture
@@ -121,7 +115,7 @@ def test_a_file_is_opened_by_its_own_name_with_the_cameras_beside_it(address, tm
     expect_same(clip.read(3), open_sequence(tmp_path / "a.splatv", bake_fps=4, duration=1).read(3))
 
 
-def test_errors_name_the_object_in_one_line(address, tmp_path, monkeypatch):
+def test_errors_name_the_object_in_one_line_and_names_stay_inside_of_the_folder(address, tmp_path, monkeypatch):
     def expect(error, says, where=address, read=lambda sequence: None):
         with pytest.raises(error, match=says) as caught:
             read(open_sequence(where))
@@ -142,11 +136,7 @@ def test_errors_name_the_object_in_one_line(address, tmp_path, monkeypatch):
     expect(SceneError, f"^{address}/sequence.json: expected")
     monkeypatch.setattr(module.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 0))
     expect(ConfigError, f"expected 0.00 GB of room for {address}, got 0.00 GB")
-
-
-def test_names_stay_inside_of_the_folder():
-    sizes = {"a/../../x.ply": 1, "a": 0, "a/1.ply": 5, "b.ply": 2}
-    assert module._as_files(sizes) == {"a/1.ply": 5, "b.ply": 2}
+    assert module._as_files({"a/../../x.ply": 1, "a": 0, "a/1.ply": 5, "b.ply": 2}) == {"a/1.ply": 5, "b.ply": 2}
 
 
 def read_packed(packed):

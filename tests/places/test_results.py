@@ -20,10 +20,6 @@ class Pair:
     second: object
 
 
-class Plain:
-    """No dataclass."""
-
-
 def test_values_come_back_as_they_were():
     table = np.arange(6, dtype=np.float32).reshape(2, 3)
     value = {
@@ -46,14 +42,11 @@ def test_values_come_back_as_they_were():
     assert len(pack([table, table])) < len(pack([table, table.copy()]))  # one array is written once
 
 
-@pytest.mark.parametrize(
-    "value",
-    [object(), {1, 2}, print, [Plain()], np.array([object()]), EncodeSettings, 1j],
-    ids=lambda v: type(v).__name__,
-)
-def test_what_is_no_value_is_refused(value):
-    with pytest.raises(TypeError):
-        pack(value)
+def test_what_is_no_value_is_refused():
+    plain = type("Plain", (), {})()  # no dataclass
+    for value in (object(), {1, 2}, print, [plain], np.array([object()]), EncodeSettings, 1j):
+        with pytest.raises(TypeError):
+            pack(value)
 
 
 def packed(value):
@@ -73,28 +66,22 @@ MADE_UP = [
     {"is": "airgs_codec.encoder.settings:EncodeSettings", "of": {"quality_of_old": 1}},
     {"pickle": 0}, {"array": 0}, {"fraction": "1e999999999"}, {"fraction": "1/0"}, {},
 ]  # fmt: skip
+
 BROKEN = [b"", b"\x00" * 8, b"\xff" * 20, pickle.dumps({"a": 1}), pack([b"abc"])[:-4]]
-ARRAY = pack(np.zeros(3))
 HEADERS = [(b"}", b"("), (b"(3,), }" + b" " * 15, b"(3" + b"0" * 15 + b",), }")]  # one is broken, one is absurd
 
 
-@pytest.mark.parametrize(
-    "data",
-    [
-        *map(packed, MADE_UP),
-        *BROKEN,
-        *(pack([data])[:4] + data for data in BROKEN),
-        *(ARRAY.replace(old, new) for old, new in HEADERS),
-    ],
-)
-def test_nothing_but_values_and_dataclasses_of_this_package_are_made(data):
-    assert data != ARRAY
-    with pytest.raises(ValueError, match="expected a stored value"):
-        unpack(data)
+def test_nothing_but_values_and_dataclasses_of_this_package_are_made():
+    array = pack(np.zeros(3))
+    torn = [*BROKEN, *(pack([data])[:4] + data for data in BROKEN)]
+    for data in (*map(packed, MADE_UP), *torn, *(array.replace(old, new) for old, new in HEADERS)):
+        assert data != array
+        with pytest.raises(ValueError, match="expected a stored value"):
+            unpack(data)
 
 
 @pytest.mark.parametrize("kind", ["folder", "bucket"])
-def test_an_entry_is_whole_or_absent(kind, tmp_path, request, caplog):
+def test_an_entry_is_whole_or_absent_and_a_file_is_no_store(kind, tmp_path, request, caplog):
     place = tmp_path / "work" if kind == "folder" else f"{request.getfixturevalue('bucket')}/entries"
     store = open_store(place)
     assert store.read("abc") is None and not store.has("abc")
@@ -107,9 +94,6 @@ def test_an_entry_is_whole_or_absent(kind, tmp_path, request, caplog):
         assert store.read("abc") is None and not store.has("abc")
         assert f"{store.name}: the stored result abc is damaged or another's, and is made again" in caplog.text
     assert unseal("abc", whole) == b"second"
-
-
-def test_a_file_is_no_store(tmp_path):
-    (tmp_path / "work").touch()
+    (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match="expected a folder for work, got a file"):
-        open_store(tmp_path / "work")
+        open_store(tmp_path / "file")

@@ -25,7 +25,7 @@ def staged(folder, is_ours=Path.is_dir):
     return whole.staged_folder(folder, is_ours, "package")
 
 
-def test_a_file_takes_its_place_only_when_it_is_whole(tmp_path, monkeypatch):
+def test_a_file_takes_its_place_only_when_it_is_whole_and_json_has_null_for_no_number(tmp_path, monkeypatch):
     path, seen = tmp_path / "a.bin", []
     whole.write_bytes(path, b"old")
     with pytest.raises(RuntimeError), whole.atomic_path(path) as temporary:
@@ -40,12 +40,8 @@ def test_a_file_takes_its_place_only_when_it_is_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(whole.os, "fsync", lambda _: seen.append((tmp_path / "c.bin").exists()))
     whole.write_bytes(tmp_path / "c.bin", b"new")
     assert seen == [False], "bytes are synchronised before the file has its name"
-
-
-def test_json_has_null_for_what_is_no_number(tmp_path):
-    value = {"a": (1.5, float("nan")), "b": [{"c": float("-inf")}], "d": "inf"}
-    whole.write_json(tmp_path / "a.json", value)
-    assert json.loads((tmp_path / "a.json").read_text()) == {"a": [1.5, None], "b": [{"c": None}], "d": "inf"}
+    whole.write_json(path, {"a": (1.5, float("nan")), "b": [{"c": float("-inf")}], "d": "inf"})
+    assert json.loads(path.read_text()) == {"a": [1.5, None], "b": [{"c": None}], "d": "inf"}
 
 
 def test_links_are_replaced_and_never_written_through(tmp_path, monkeypatch):
@@ -84,7 +80,7 @@ def test_a_staged_folder_takes_no_links_place(tmp_path, there):
     assert (tmp_path / "new" / "a").is_file() and work.is_symlink()
 
 
-def test_what_others_put_beside_a_staged_folder_stays(tmp_path):
+def test_what_others_put_beside_a_staged_folder_or_write_meanwhile_stays(tmp_path):
     """Whatever it is called: without the mark of an unfinished folder it is not ours."""
     others = [".new.x.stage", ".new.backup.old", f".new.airgs-{'0' * 16}", ".new.airgs-notes"]
     for name in others:
@@ -95,28 +91,23 @@ def test_what_others_put_beside_a_staged_folder_stays(tmp_path):
         with staged(tmp_path / "new") as stage:
             (stage / "a").touch()
     assert names_in(tmp_path) == sorted([*others, "new"])
-    assert all((tmp_path / name / "notes.txt").read_text() == "of somebody" for name in others)
-
-
-def test_what_others_write_meanwhile_is_not_replaced(tmp_path):
-    with pytest.raises(faces.ConfigError, match="other files"), staged(tmp_path / "new", lambda folder: False):
-        (tmp_path / "new").mkdir()
-        (tmp_path / "new" / "notes.txt").write_text("of somebody")
-    assert names_in(tmp_path) == ["new"] and (tmp_path / "new" / "notes.txt").read_text() == "of somebody"
+    with pytest.raises(faces.ConfigError, match="other files"), staged(tmp_path / "late", lambda folder: False):
+        shutil.copytree(tmp_path / others[0], tmp_path / "late")
+    assert names_in(tmp_path) == sorted([*others, "new", "late"])
+    assert all((tmp_path / name / "notes.txt").read_text() == "of somebody" for name in (*others, "late"))
 
 
 class Killed(BaseException):
-    pass
+    """Nothing cleans up after it."""
 
 
 def dies(monkeypatch, work, steps):
     """Whether a run is killed before it ends: it does so many steps in files, and then none, not even to clean up."""
+    left = iter(range(steps))
 
     def step(call):
         def counted(*args, **kwargs):
-            nonlocal steps
-            steps -= 1
-            if steps < 0:
+            if next(left, None) is None:
                 raise Killed
             return call(*args, **kwargs)
 
@@ -192,16 +183,12 @@ def test_what_a_living_run_writes_is_left_alone(tmp_path, inside):
     assert len(files_of(tmp_path)) == 1 + inside
 
 
-def test_no_view_is_lost_where_many_are_set_at_once(tmp_path):
+def test_no_view_is_lost_where_many_are_set_at_once_and_a_second_writer_is_refused(tmp_path, monkeypatch, capsys):
+    """While a package is made it may be changed, but not made twice; while one grows, neither."""
     place = shutil.copytree(VALID / "placed", tmp_path / "placed.airgs")
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda n: faces.set_view(place, view=((1, 1, n), (0, 0, -1)), name=str(n)), range(24)))
     assert {str(n) for n in range(24)} <= {one.name for one in faces.open_package(place).manifest.region.places}
-
-
-def test_a_second_writer_is_refused_in_one_line(tmp_path, monkeypatch, capsys):
-    """While a package is made it may be changed, but not made twice; while one grows, neither."""
-    place = shutil.copytree(VALID / "placed", tmp_path / "placed.airgs")
     monkeypatch.setattr(whole, "WAIT_S", 0.0)
     change = ["set-view", str(place), "--up", "-y"]
     with faces.staged_package(faces.Folder(place)) as stage:
