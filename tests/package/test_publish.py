@@ -1,5 +1,6 @@
 """A package is written whole or not at all: into a bucket, group after group, and where viewers begin is changed."""
 
+import itertools
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -26,9 +27,7 @@ class FailingStore:
 
     def __getattr__(self, name):
         call = getattr(self._store, name)
-        return self._counted(name, call) if name in ("put", "copy", "delete") else call
 
-    def _counted(self, name, call):
         def change(*args, **more):
             self._left -= 1
             if self._left == -1 or (self._for_good and self._left < 0):
@@ -36,7 +35,7 @@ class FailingStore:
             self.log.append((name, args[-1] if name == "copy" else args[0]))
             return call(*args, **more)
 
-        return change
+        return change if name in ("put", "copy", "delete") else call
 
 
 def files(store):
@@ -66,12 +65,8 @@ def before(request):
     return request.param
 
 
-@pytest.fixture
-def store(before):
-    return store_with(before)
-
-
-def test_nothing_but_the_package_is_there_and_airgs_json_is_written_last_before_the_old_goes(store, before):
+def test_nothing_but_the_package_is_there_and_airgs_json_is_written_last_before_the_old_goes(before):
+    store = store_with(before)
     spy = FailingStore(store, 10**6, False)
     publish(spy, OTHER)
     assert files(store) == read_files(OTHER)
@@ -84,29 +79,21 @@ def test_nothing_but_the_package_is_there_and_airgs_json_is_written_last_before_
 
 @pytest.mark.parametrize("for_good", [False, True], ids=["once", "for good"])
 def test_a_failure_at_any_moment_leaves_the_old_package_or_the_new_one(before, for_good):
-    changes, outcomes = 0, []
-    while not outcomes or outcomes[-1] != "done":
+    new, outcomes = read_files(OTHER), []  # what is there once the next run has put right what a failure left
+    for changes in itertools.count():
         store = store_with(before)
-        outcomes.append(_outcome(store, FailingStore(store, changes, for_good), before))
-        changes += 1
-    assert {"old", "done"} <= set(outcomes) and len(outcomes) > len(read_files(OTHER))
-    assert ("new" in outcomes) == (before is not None)
-
-
-def _outcome(store, failing, before):
-    """`old` or `new`: what is there once the next run has put right what a failure left; `done` without a failure."""
-    try:
-        publish(failing, OTHER)
-    except TransportError:
-        with pytest.raises(KeyboardInterrupt), stage(store):
-            raise KeyboardInterrupt from None
+        try:
+            publish(FailingStore(store, changes, for_good), OTHER)
+            break
+        except TransportError:
+            with pytest.raises(KeyboardInterrupt), stage(store):
+                raise KeyboardInterrupt from None
         found = files(store)
-        if not before and JSON_NAME not in found:  # what was cut off is no package; the next one takes its place
-            return "old"
-        assert found in (read_files(before) if before else {}, read_files(OTHER))
-        return "new" if found == read_files(OTHER) else "old"
-    assert files(store) == read_files(OTHER)
-    return "done"
+        outcomes.append("new" if found == new else "old")
+        if before or JSON_NAME in found:  # else what was cut off is no package; the next one takes its place
+            assert found in (read_files(before) if before else {}, new)
+    assert files(store) == new and len(outcomes) >= len(new)
+    assert set(outcomes) == ({"old", "new"} if before else {"old"})
 
 
 def test_what_is_cut_off_while_it_takes_its_place_is_said():
@@ -114,7 +101,8 @@ def test_what_is_cut_off_while_it_takes_its_place_is_said():
         publish(FailingStore(store_with(OLD), 3 + len(read_files(OTHER)) + 5, True), OTHER)
 
 
-def test_an_error_of_the_writer_or_of_one_upload_changes_nothing(store, before):
+def test_an_error_of_the_writer_or_of_one_upload_changes_nothing(before):
+    store = store_with(before)
     with pytest.raises(RuntimeError), stage(store) as folder:
         shutil.copytree(OTHER, folder, dirs_exist_ok=True)
         raise RuntimeError
@@ -125,12 +113,13 @@ def test_an_error_of_the_writer_or_of_one_upload_changes_nothing(store, before):
 
 
 @pytest.mark.parametrize("name", ["thesis.tex", "other.airgs/airgs.json", ".new/thesis.tex"])
-def test_foreign_objects_are_never_touched(store, name):
+def test_foreign_objects_are_never_touched(before, name):
+    store = store_with(before)
     store.put(name, b"years of work")
-    before = files(store)
+    there = files(store)
     with pytest.raises(ConfigError, match=name), stage(store):
         raise AssertionError("unreachable")
-    assert files(store) == before
+    assert files(store) == there
 
 
 def test_players_are_told_what_files_are():
@@ -155,9 +144,6 @@ def test_reading_checks_as_on_disk():
         package.read("key/T0/1.bin")
 
 
-NOW = datetime(2026, 1, 1, tzinfo=UTC)
-
-
 @pytest.fixture(scope="module")
 def whole():
     return open_package(PAGED).manifest
@@ -165,12 +151,13 @@ def whole():
 
 @pytest.fixture
 def growing(whole, tmp_path):
+    folder, now = Folder(tmp_path), datetime(2026, 1, 1, tzinfo=UTC)
     for name, data in read_files(PAGED).items():
         if name.startswith(("key/", "state/", "init")):
-            Folder(tmp_path).write(name, data)
+            folder.write(name, data)
     m = replace(whole, live=True, frames=whole.groups[0].stop, groups=faces.Groups.of(whole.groups[:1]))
-    faces.write_tables(Folder(tmp_path), m, faces.LiveClock(NOW, NOW))
-    return faces.GrowingPackage(Folder(tmp_path), m, NOW)
+    faces.write_tables(folder, m, faces.LiveClock(now, now))
+    return faces.GrowingPackage(folder, m, now)
 
 
 def test_a_package_that_grows_ends_as_if_written_at_once_and_keeps_few_tables_in_memory(whole, growing, tmp_path):
@@ -254,7 +241,16 @@ def test_places_run_out(placed):
         faces.set_view(placed, view=((1, 1, 1), (0, 0, 0)))
 
 
-@pytest.mark.parametrize("words", [["--position", "1,2,3"], ["--up", "y", "--name", "x"], ["--position", "1,2"]])
-def test_options_that_say_half_are_refused(placed, words, capsys):
-    assert faces.airgs_manifest(["set-view", str(placed), *words]) == 2
-    assert capsys.readouterr().err.count("\n") == 1
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        *((words, "--look-at") for words in ("--position 1,2,3", "--up y --name x")),
+        ("--position 1,2", "position"),
+        *((f"--up={text}", "up") for text in ("up", "1,2", "0,0,0", "nan,0,1", "1,inf,0", "")),
+    ],
+)
+def test_options_that_say_half_or_no_direction_are_refused(placed, words, named, capsys):
+    before = read_files(placed)
+    assert faces.airgs_manifest(["set-view", str(placed), *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and named in said and read_files(placed) == before
