@@ -12,26 +12,13 @@ from tests.support.multiview_files import write_views
 from tests.support.views import appeared, coloured_cloud, joined, moved, ring
 
 SETTINGS = TrainSettings(
-    budget=260,
-    capacity=400,
-    sh_degree=0,
-    first_iterations=140,
-    key_iterations=120,
-    frame_iterations=25,
-    max_growth=0.4,
-    max_drop_db=3.0,
-)
+    budget=260, capacity=400, sh_degree=0, first_iterations=140, key_iterations=120, frame_iterations=25,
+    max_growth=0.4, max_drop_db=3.0,
+)  # fmt: skip
 CHUNKED = replace(
-    SETTINGS,
-    capacity=None,
-    max_growth=9.0,
-    first_iterations=20,
-    key_iterations=10,
-    frame_iterations=4,
-    group_frames=3,
-    match_exposure="on",
-    deltas="mlp+residual",
-)
+    SETTINGS, capacity=None, max_growth=9.0, first_iterations=20, key_iterations=10, frame_iterations=4,
+    group_frames=3, match_exposure="on", deltas="mlp+residual",
+)  # fmt: skip
 APPEARS = 3  # frame of `write_blobs`
 
 
@@ -61,23 +48,6 @@ def chunked(scene: Path, folder: Path) -> None:
 
 
 MODELS: dict[str, Callable[[Path, Path], None]] = {"blobs": blobs, "chunked": chunked}
-
-
-class StopError(Exception):
-    """A run that is killed."""
-
-
-def killed_at(frame: int, iteration: int) -> Callable[[str, int, int], None]:
-    """`iteration`: of all fits of the frame, counted from 1."""
-    past = 0
-
-    def progress(what: str, done: int, total: int) -> None:
-        nonlocal past
-        past += what.startswith(f"training: frame {frame} ")
-        if past == iteration:
-            raise StopError
-
-    return progress
 
 
 def files(folder: Path) -> tuple[dict[str, bytes], dict[str, object]]:

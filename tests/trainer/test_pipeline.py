@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -14,9 +15,13 @@ from airgs_codec.jobs import work as work_module
 from airgs_codec.trainer import pipeline
 from tests import faces
 from tests.faces import Work, open_run, open_scene, open_store, read_model, train, train_in_jobs
-from tests.support.training import APPEARS, CHUNKED, StopError, files, killed_at
+from tests.support.training import APPEARS, CHUNKED, files
 
 SPANS = ["frames 0-2", "frames 3-4"]
+
+
+class StopError(Exception):
+    """A run that is killed."""
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -36,27 +41,15 @@ def scene(blobs):
 
 
 @pytest.fixture
-def made(small, model_of):
-    """The work of jobs that have trained a model."""
-    return Work(open_store(model_of("chunked") / "work"))
-
-
-@pytest.fixture
 def expected(small, model_of):
-    """What is in that model."""
+    """What is in the model that jobs have trained."""
     return files(model_of("chunked") / "m")
 
 
-@pytest.fixture(scope="module")
-def killed(scene, small, tmp_path_factory):
-    """A run by one process, which was killed in three frames and went on, and copies of it from when it was killed."""
-    folder, copies = tmp_path_factory.mktemp("killed"), {}
-    for frame, iteration in ((0, 10), (2, 3), (4, 1)):
-        with pytest.raises(StopError):
-            train(scene, folder / "m", CHUNKED, resume=True, progress=killed_at(frame, iteration))
-        copies[frame] = shutil.copytree(folder / "m", folder / f"{frame}")
-    train(scene, folder / "m", CHUNKED, resume=True)
-    return folder / "m", copies
+@pytest.fixture
+def made(expected, model_of):
+    """Their work."""
+    return Work(open_store(model_of("chunked") / "work"))
 
 
 @pytest.fixture
@@ -81,15 +74,9 @@ def test_chunks_begin_with_keyframes_that_start_from_the_first_frame(model_of):
     assert counts[0] < counts[-1] <= CHUNKED.budget
 
 
-@pytest.mark.parametrize(
-    ("settings", "rows", "most"),
-    [
-        ({"budget": 260}, 118, 260),
-        ({"budget": 260}, 205, 308),
-        ({}, 118, 177),
-        ({"budget": 50, "capacity": 70}, 118, 70),
-    ],
-)
+@pytest.mark.parametrize(("settings", "rows", "most"), [
+    ({"budget": 260}, 118, 260), ({"budget": 260}, 205, 308), ({}, 118, 177), ({"budget": 50, "capacity": 70}, 118, 70),
+])  # fmt: skip
 def test_what_keyframes_may_have_is_known_with_the_first_frame(scene, settings, rows, most):
     capture = faces.Capture.of(scene, faces.TrainSettings(**settings), "cpu")
     first = pipeline.First(faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0))
@@ -97,28 +84,35 @@ def test_what_keyframes_may_have_is_known_with_the_first_frame(scene, settings, 
 
 
 def test_two_processes_write_the_same_files(scene, expected, tmp_path):
-    engine = faces.Processes(2)
-    try:
+    with closing(faces.Processes(2)) as engine:
         work = Work(open_store(tmp_path / "other"), engine)
         train_with(scene, tmp_path / "two", work)
-    finally:
-        engine.close()
     assert files(tmp_path / "two") == expected
     kinds = [record.kind for record in work.records()]
     assert {k: kinds.count(k) for k in kinds} == {"what rests": 6, "first frame": 1, "chunks of frames": 2}
 
 
-def test_a_killed_run_goes_on_to_the_same_end(killed, expected):
-    end, copies = killed
-    for frame, folder in copies.items():
+def killed_at(frame, iteration):
+    """`iteration`: of all fits of the frame, counted from 1."""
+    begun = itertools.count(1)
+
+    def progress(what, *_):
+        if what.startswith(f"training: frame {frame} ") and next(begun) == iteration:
+            raise StopError
+
+    return progress
+
+
+def test_a_run_by_one_process_that_is_killed_goes_on_to_the_same_end_in_one_or_in_jobs(scene, expected, tmp_path, done):
+    folder = tmp_path / "m"
+    for frame, iteration in ((0, 10), (2, 3), (4, 1)):
+        with pytest.raises(StopError):
+            train(scene, folder, CHUNKED, resume=True, progress=killed_at(frame, iteration))
         assert len(list(folder.glob("*.ply"))) == frame  # finished frames are there
-    assert files(end) == expected
-
-
-def test_jobs_go_on_where_one_process_ended(scene, killed, expected, tmp_path, done):
-    folder = shutil.copytree(killed[1][4], tmp_path / "m")
-    train_with(scene, folder, Work(open_store(tmp_path / "work")), resume=True)
-    assert files(folder) == expected
+    copy = shutil.copytree(folder, tmp_path / "copy")
+    train(scene, folder, CHUNKED, resume=True)
+    train_with(scene, copy, Work(open_store(tmp_path / "work")), resume=True)
+    assert files(folder) == files(copy) == expected
     assert [label for label in done if label.startswith("frame")] == SPANS[1:]
 
 
@@ -220,27 +214,23 @@ def test_a_job_on_a_gpu_says_so(scene, tmp_path):
     assert cuda.rest_jobs() and not any(job.needs for job in cuda.rest_jobs())
 
 
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["--jobs", "2"], "--jobs: expected --group-frames"),
-        (["--work", "somewhere"], "--work: expected --group-frames"),
-        (["--executor", "dask"], "--executor: expected --group-frames"),
-        (["--group-frames", "0"], "chunks of at least one frame"),
-        (["--group-frames", "2", "--executor", "ray"], "expected dask or dask:ADDRESS"),
-    ],
-)
+@pytest.mark.parametrize(("words", "message"), [
+    ("--jobs 2",                        "--jobs: expected --group-frames"),
+    ("--work somewhere",                "--work: expected --group-frames"),
+    ("--executor dask",                 "--executor: expected --group-frames"),
+    ("--group-frames 0",                "chunks of at least one frame"),
+    ("--group-frames 2 --executor ray", "expected dask or dask:ADDRESS"),
+])  # fmt: skip
 def test_options_that_cannot_work_are_one_line_and_exit_2(blobs, tmp_path, capsys, words, message):
-    assert faces.airgs_train([str(blobs), "-o", str(tmp_path / "m"), "--device", "cpu", *words]) == 2
+    assert faces.airgs_train([str(blobs), "-o", str(tmp_path / "m"), "--device", "cpu", *words.split()]) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*.ply"))
 
 
 def test_the_command_trains_in_jobs_and_reports(blobs, tmp_path, capsys):
-    words = [str(blobs), "--device", "cpu", "--iterations", "9,4,2", "--budget", "150", "--sh-degree", "0"]
-    words += ["--min-psnr", "0", "--max-drop", "99", "--frames", "0:4"]
-    words += ["--group-frames", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "r")]
-    assert faces.airgs_train([*words, "-o", str(tmp_path / "m"), "--json"]) == 0
+    words = f"{blobs} --device cpu --iterations 9,4,2 --budget 150 --sh-degree 0 --min-psnr 0 --max-drop 99"
+    words += f" --frames 0:4 --group-frames 2 --work {tmp_path / 'work'} --report {tmp_path / 'r'} -o {tmp_path / 'm'}"
+    assert faces.airgs_train([*words.split(), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["keyframes"] == [0, 2]
     assert "<svg" in (tmp_path / "r" / "index.html").read_text()
