@@ -16,24 +16,17 @@ from tests.support.session_packages import offers_of
 
 def keeping(m, number=2, of=1, pictures=(True, False)):
     """The manifest with a group whose keys are differences; a tier of which nothing differs has no pictures."""
-    groups = list(m.groups)
-    group = groups[number - 1]
-    tiers = [
-        replace(
-            tier,
-            qualities=[_difference(atlas, there) for atlas in tier.qualities],
-            pictures=tier.pictures if there else [NO_FILE] * len(tier.pictures),
-        )
-        for tier, there in zip(group.tiers, pictures, strict=True)
-    ]
-    groups[number - 1] = replace(group, tiers=tiers, keeps=of)
+    groups, tiers = list(m.groups), []
+    for tier, there in zip(groups[number - 1].tiers, pictures, strict=True):
+        rows = {} if there else {"rows": 0, "planes": []}
+        atlases = [
+            replace(atlas, centres=[0, 0, 0, *atlas.centres], max_error=[0.0, *atlas.max_error], **rows)
+            for atlas in tier.qualities
+        ]
+        files = tier.pictures if there else [NO_FILE] * len(tier.pictures)
+        tiers.append(replace(tier, qualities=atlases, pictures=files))
+    groups[number - 1] = replace(groups[number - 1], tiers=tiers, keeps=of)
     return replace(m, groups=in_groups(groups))
-
-
-def _difference(atlas, there):
-    centres, errors = [0, 0, 0, *atlas.centres], [0.0, *atlas.max_error]
-    rows, planes = (atlas.rows, atlas.planes) if there else (0, [])
-    return replace(atlas, rows=rows, planes=planes, centres=centres, max_error=errors)
 
 
 KEPT = keeping(tiny_manifest())
@@ -41,24 +34,23 @@ THREE = tiny_manifest(groups=(10, 10, 10))
 
 
 def test_the_manifest_is_one():
-    entry = KEPT.groups.places.entry(1)
-    faces.check_group(KEPT, entry, KEPT.groups[1], "group")
-    faces.check_base(KEPT.groups[1], KEPT.groups[0], "group")
+    first, second = KEPT.groups
+    faces.check_group(KEPT, KEPT.groups.places.entry(1), second, "group")
+    faces.check_base(second, first, "group")
     with pytest.raises(FormatError, match="centres"):
-        faces.check_group(KEPT, entry, replace(KEPT.groups[1], keeps=None), "group")
+        faces.check_group(KEPT, KEPT.groups.places.entry(1), replace(second, keeps=None), "group")
 
 
 @pytest.mark.parametrize(
     ("m", "options", "media", "tables"),
     [
-        # Of 3000 + 1000 B of pictures the second group has the first tier's alone, with both sidecars.
+        # Of 3000 + 1000 B of pictures the second group has the first tier's, with both sidecars: who has the base
         (KEPT, {}, [6300, 3000 + 200 + 2100], [1000, 100, 100]),
-        (KEPT, {"loops": 2}, [6300, 5300, 6300, 5300], [1000, 100, 100]),
+        (KEPT, {"loops": 2}, [6300, 5300, 6300, 5300], [1000, 100, 100]),  # and in each loop
         # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
         (KEPT, {"first": 1}, [3000 + 200 + 4200 + 2100], [1000, 100, 100]),
         (keeping(keeping(THREE), 3), {"first": 1}, [9500, 5300], [1000, 100, 100, 100]),
     ],
-    ids=["who has the base", "each loop", "who joins", "two groups that differ from one"],
 )
 def test_what_differs_is_fetched_and_the_base_where_it_is_not_there(m, options, media, tables):
     log = play(m, link([8e4]), **options)
@@ -103,26 +95,24 @@ FOUR = keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4)  # group 3, between 
 
 
 @pytest.mark.parametrize(
-    ("m", "positions", "ends", "decoded", "whole"),
+    ("m", "positions", "sizes", "decoded"),
     [
-        (KEPT, (0, 1), [6300, 5300], (), True),
-        (KEPT, (0, 1), [6300, 5299], (), False),
-        (KEPT, (1,), [9500], (), True),
-        (KEPT, (1,), [9499], (), False),
-        (KEPT, (1,), [5300], (2,), True),
-        (FOUR, (1, 2, 3), [9500, 6300, 5300], (), True),
-        (FOUR, (1, 2, 3), [9500, 6300, 5299], (), False),
-        (FOUR, (2, 3), [6300, 9500], (), True),  # nobody needed the base before
-        (FOUR, (2, 3), [6300, 9499], (), False),
+        (KEPT, (0, 1), [6300, 5300], ()),
+        (KEPT, (1,), [9500], ()),
+        (KEPT, (1,), [5300], (2,)),
+        (FOUR, (1, 2, 3), [9500, 6300, 5300], ()),
+        (FOUR, (2, 3), [6300, 9500], ()),  # nobody needed the base before
     ],
 )
-def test_the_programme_pays_for_a_base_once_however_far_back_it_was_needed(m, positions, ends, decoded, whole):
+def test_the_programme_pays_for_a_base_once_however_far_back_it_was_needed(m, positions, sizes, decoded):
     """All is at its best with as many bytes for each slot after the one before, and not with one byte less."""
     c = Offers(m, 0, 1000)
-    slots = tuple(Slot(c.offer(p), 0.0, float(end)) for p, end in zip(positions, np.cumsum(ends), strict=True))
-    best = solve_horizon(Horizon(slots, keys(*decoded)), integer=True)
-    assert best is not None and (best.quality == pytest.approx(40.0)) is whole
-    assert not whole or best.first_bytes == pytest.approx(ends[0])
+    for left in (0, 1):
+        ends = np.cumsum([*sizes[:-1], sizes[-1] - left])
+        slots = tuple(Slot(c.offer(p), 0.0, float(end)) for p, end in zip(positions, ends, strict=True))
+        best = solve_horizon(Horizon(slots, keys(*decoded)), integer=True)
+        assert best is not None and (best.quality == pytest.approx(40.0)) is (left == 0)
+        assert left or best.first_bytes == pytest.approx(sizes[0])
 
 
 @given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.tuples(st.booleans(), st.booleans()))
