@@ -23,10 +23,15 @@ def page(tmp_path_factory, monkeypatch):
 
 
 class Elements(HTMLParser):
-    def __init__(self, text):
+    """Of a page: tags and attributes."""
+
+    def __init__(self, path):
         super().__init__()
         self.found = []
-        self.feed(text)
+        self.feed(path.read_text())
+
+    def every(self, name, attribute):
+        return [attributes[attribute] for tag, attributes in self.found if tag == name]
 
     def handle_starttag(self, tag, attrs):
         self.found.append((tag, dict(attrs)))
@@ -53,8 +58,7 @@ def test_one_package_is_played_by_the_first_page(tmp_path, capsys):
     assert validate(site / "packages" / PACKAGE.name) == []
     for name in SCRIPTS:
         assert (site / name).read_text() == FILES[name]
-    text = (site / "index.html").read_text()
-    elements = Elements(text)
+    text, elements = (site / "index.html").read_text(), Elements(site / "index.html")
     player = elements.one("airgs-player")
     assert target(site, "index.html", f"{player['src']}airgs.json").is_file() and player["src"].endswith("/")
     assert "poster" not in player and not any(a.get("property") == "og:image" for _, a in elements.found)
@@ -65,13 +69,10 @@ def test_one_package_is_played_by_the_first_page(tmp_path, capsys):
     assert "5 frames" in out and f"--directory {site}" in out
 
 
-def test_the_page_shows_poster_and_credit_may_load_what_the_player_needs_and_has_no_script_of_its_own(
-    demo_package, tmp_path
-):
+def test_the_page_shows_poster_and_credit_and_may_load_the_player_but_no_script_of_its_own(demo_package, tmp_path):
     site = tmp_path / "site"
     export_page([demo_package], site)
-    text = (site / "index.html").read_text()
-    elements = Elements(text)
+    elements = Elements(site / "index.html")
     policy = elements.one("meta", **{"http-equiv": "Content-Security-Policy"})["content"]
     assert "default-src 'none'" in policy and "script-src 'self';" in policy and "worker-src blob:" in policy
     assert all("src" in attributes for tag, attributes in elements.found if tag == "script")
@@ -79,7 +80,7 @@ def test_the_page_shows_poster_and_credit_may_load_what_the_player_needs_and_has
     assert player["poster"] == image and target(site, "index.html", image) == site / "packages/fox.airgs/poster.jpg"
     credit = open_package(demo_package).manifest.attribution
     assert credit and credit.strip() in elements.one("meta", name="description")["content"]
-    assert f"<footer>{html.escape(credit)}</footer>" in text
+    assert f"<footer>{html.escape(credit)}</footer>" in (site / "index.html").read_text()
 
 
 def test_several_packages_have_a_page_each_and_a_list(demo_package, tmp_path):
@@ -87,21 +88,18 @@ def test_several_packages_have_a_page_each_and_a_list(demo_package, tmp_path):
     site = tmp_path / "site"
     assert run(demo_package, odd, "-o", site, "--address", "https://example.org/scenes") == 0
     assert {path.name for path in site.iterdir()} == TOP | {"play"}
-    listed = Elements((site / "index.html").read_text())
-    links = [attributes["href"] for tag, attributes in listed.found if tag == "a"]
-    assert all(target(site, "index.html", link).is_file() for link in links)
-    links = [link for link in links if link.startswith("play/")]
-    for link, name in zip(links, (demo_package.name, odd.name), strict=True):
-        path = unquote(link)
-        elements = Elements((site / path).read_text())
+    listed = Elements(site / "index.html")
+    links, pictures = listed.every("a", "href"), listed.every("img", "src")
+    assert all(target(site, "index.html", link).is_file() for link in links + pictures) and len(pictures) == 2
+    links = [unquote(link) for link in links if link.startswith("play/")]
+    for path, name in zip(links, (demo_package.name, odd.name), strict=True):
+        elements = Elements(site / path)
         player = elements.one("airgs-player")
         assert target(site, path, f"{player['src']}airgs.json") == site / "packages" / name / "airgs.json"
         assert target(site, path, player["poster"]).is_file()
         assert target(site, path, elements.one("script")["src"]).is_file()
         image = elements.one("meta", property="og:image")["content"]
         assert target(site, "", image.removeprefix("https://example.org/scenes/")).is_file()
-    pictures = [attributes["src"] for tag, attributes in listed.found if tag == "img"]
-    assert all(target(site, "index.html", picture).is_file() for picture in pictures) and len(pictures) == 2
 
 
 def test_an_exported_page_is_replaced_and_leaves_nothing_of_the_old_one(tmp_path):
@@ -113,25 +111,19 @@ def test_an_exported_page_is_replaced_and_leaves_nothing_of_the_old_one(tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["site"]
 
 
-def broken(tmp_path):
-    """A package whose last file differs from its digest."""
-    path = sorted(PACKAGE.glob("state/L0/*.m4s"))[-1]
-    changed = rewrite(path.relative_to(PACKAGE).as_posix(), lambda data: data[:-1] + b"?")
-    return on_disk(shutil.copytree(PACKAGE, tmp_path / "broken"), changed)
-
-
-def growing(tmp_path):
-    return on_disk(shutil.copytree(PACKAGE, tmp_path / "growing"), set_value(("live",), True))
+def altered(name, *changes):
+    """A function that makes a copy of the package with these changes in a folder."""
+    return lambda folder: on_disk(shutil.copytree(PACKAGE, folder / name), *changes)
 
 
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (broken, "hash_mismatch"),
-        (growing, "still growing"),
+        (altered("broken", rewrite("state/L0/3.m4s", lambda data: data[:-1] + b"?")), "hash_mismatch"),
+        (altered("growing", set_value(("live",), True)), "still growing"),
         (lambda folder: folder / "nothing", "missing_file"),
         (lambda folder: "ftp://a/b", "expected a folder or an address"),
-        (lambda folder: shutil.copytree(PACKAGE, folder / "other" / "moving"), "different names"),
+        (altered("other/moving"), "different names"),
     ],
 )
 @pytest.mark.parametrize("before", [False, True])
