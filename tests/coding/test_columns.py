@@ -15,7 +15,7 @@ from airgs_codec.coding.rangecoder import ColumnReader, encode_columns, sum_gaps
 from tests.faces import FormatError, Grid
 
 MOST = (1 << 63) - 1
-NONE = np.empty(0, np.int16)
+GRID = Grid([0, 0, 0], 1.0, 0)
 numbers = npst.arrays(np.int64, st.integers(0, 60), elements=st.one_of(st.integers(0, 9), st.integers(0, MOST)))
 
 
@@ -27,16 +27,12 @@ def test_coded_columns_are_exact(written):
     reader.close()
 
 
-def test_columns_longer_than_a_batch_are_exact_and_near_their_entropy():
+def test_columns_longer_than_a_batch_are_near_their_entropy_order_1_profits_and_negative_numbers_are_refused():
     values = np.random.default_rng(3).geometric(0.3, 100_000)
     coded = encode_columns([(values, 0)])
     np.testing.assert_array_equal(ColumnReader(coded, "x").column(len(values), 0), values)
     share = 0.3 * 0.7 ** (np.arange(1, 60) - 1)
-    entropy = -(share * np.log2(share)).sum()
-    assert 8 * len(coded) / len(values) < 1.03 * entropy
-
-
-def test_the_number_before_helps_order_1_and_negative_numbers_are_no_columns():
+    assert 8 * len(coded) / len(values) < 1.03 * -(share * np.log2(share)).sum()
     walk = np.random.default_rng(3).integers(0, 2, 5000).cumsum() // 100 % 9
     assert len(encode_columns([(walk, 1)])) < 0.5 * len(encode_columns([(walk, 0)]))
     with pytest.raises(ValueError, match="-1"):
@@ -98,23 +94,19 @@ def test_cells_of_a_class_are_two_to_the_class_wide():
     assert grid == Grid([0, 0, 0], 0.25, -1)
     np.testing.assert_array_equal(cell_bits(classes, grid), [0, 3, 2])
     codes, wider = grid_codes(means, classes, grid)
-    for coarser, middles in (
-        (0, [[0.125] * 3, [11] * 3, [3.5, 7.5, 9.5]]),
-        (1, [[0.25] * 3, [10] * 3, [3, 7, 9]]),
-        (21, [[2.0**18] * 3] * 3),  # are one cell
-    ):
-        np.testing.assert_array_equal(grid_means(codes, classes, wider, grid, coarser), middles)
+    far = [[2.0**18] * 3] * 3  # all are in one cell
+    middles = {0: [[0.125] * 3, [11] * 3, [3.5, 7.5, 9.5]], 1: [[0.25] * 3, [10] * 3, [3, 7, 9]], 21: far}
+    for coarser, expected in middles.items():
+        np.testing.assert_array_equal(grid_means(codes, classes, wider, grid, coarser), expected)
 
 
 @given(
     npst.arrays(np.uint64, 20, elements=st.integers(0, 2**63 - 1)),
     npst.arrays(np.int16, 20, elements=st.integers(-3, 30)),
-    st.integers(0, 21),
-    st.integers(0, 21),
+    st.tuples(st.integers(0, 21), st.integers(0, 21)).map(sorted),
 )
-def test_the_cells_of_a_quality_lie_in_those_of_coarser_ones(codes, classes, a, b):
-    grid, wider = Grid([0, 0, 0], 1.0, 0), np.zeros(20, np.int16)
-    fine, coarse = min(a, b), max(a, b)
+def test_the_cells_of_a_quality_lie_in_those_of_coarser_ones(codes, classes, qualities):
+    grid, wider, (fine, coarse) = GRID, np.zeros(20, np.int16), qualities
     inner, outer = (coarse_codes(codes, classes, grid, r) for r in (fine, coarse))
     np.testing.assert_array_equal(coarse_codes(inner, classes, grid, coarse), outer)
     middles = [grid_means(inner, classes, wider, grid, r) for r in (fine, coarse)]
@@ -124,7 +116,7 @@ def test_the_cells_of_a_quality_lie_in_those_of_coarser_ones(codes, classes, a, 
 
 
 @given(st.data())
-def test_key_sidecars_are_exact(data):
+def test_key_sidecars_and_depths_alone_are_exact(data):
     n = data.draw(st.integers(1, 40))
     grid = Grid([0, 0, 0], 1.0, data.draw(st.integers(-128, 127)))
     classes = data.draw(npst.arrays(np.int16, n, elements=st.integers(-128, 127)))
@@ -147,12 +139,8 @@ def test_key_sidecars_are_exact(data):
         np.testing.assert_array_equal(own.codes, coarse_codes(key.codes, key.cells, grid, r))
     nothing = ColumnReader(b"\0" * 5, "x")
     np.testing.assert_array_equal(sidecar.read_detail(nothing, shared, grid, r, r).codes, shared.codes)
-
-
-@given(npst.arrays(np.uint8, st.integers(1, 40)))
-def test_depths_alone_are_exact(depths):
-    key, grid = sidecar.KeySidecar(np.empty(0, np.uint64), NONE, NONE, depths), Grid([0, 0, 0], 1.0, 0)
-    read = sidecar.unpack_key_sidecar(sidecar.pack_key_sidecar(key, grid), len(depths), grid, 0, "x", True)
+    alone = sidecar.KeySidecar(np.empty(0, np.uint64), np.empty(0, np.int16), np.empty(0, np.int16), depths)
+    read = sidecar.unpack_key_sidecar(sidecar.pack_key_sidecar(alone, grid), n, grid, 0, "x", True)
     np.testing.assert_array_equal(read.depths, depths)
     assert not len(read.codes) and not len(read.classes)
 
@@ -160,5 +148,5 @@ def test_depths_alone_are_exact(depths):
 @given(st.binary(max_size=200))
 def test_any_bytes_as_a_sidecar_are_refused_with_a_reason(data):
     with pytest.raises(FormatError) as caught:
-        sidecar.unpack_key_sidecar(data, 7, Grid([0, 0, 0], 1.0, 0), 2, "x.bin")
+        sidecar.unpack_key_sidecar(data, 7, GRID, 2, "x.bin")
     assert caught.value.reason == "bad_sidecar"

@@ -9,18 +9,8 @@ import numpy as np
 import pytest
 
 from airgs_codec.coding import atlas, escapes, kernels, rangecoder
-from tests.faces import (
-    NO_FILE,
-    ConfigError,
-    Groups,
-    Package,
-    decode,
-    decode_canonical,
-    decode_frames,
-    decode_pictures,
-    decode_segment,
-    open_package,
-)
+from tests import faces
+from tests.faces import ConfigError, decode, decode_canonical, decode_frames, open_package
 from tests.support.paths import GOLDEN, VALID
 
 CASES = sorted(path.stem for path in GOLDEN.glob("*.json"))
@@ -47,28 +37,21 @@ def test_a_frame_is_that_of_the_sequence_however_its_rung_is_named(package, leve
 @pytest.mark.parametrize("level", [0, 1])
 def test_some_frames_of_a_segment_are_those_of_the_whole(package, level, places):
     base = decode_canonical(package, 0, 0)
-    whole = list(decode_segment(package, 0, base, level, range(4)))
-    some = list(decode_segment(package, 0, base, level, places))
+    whole, some = (list(faces.decode_segment(package, 0, base, level, frames)) for frames in (range(4), places))
     assert len(some) == len(places) and all(same(whole[i], g) for i, g in zip(places, some, strict=True))
 
 
 @pytest.mark.parametrize(
     ("read", "choice", "message"),
     [
-        (decode, {"level": "L9"}, "level: expected one of L0, L1, got 'L9'"),
-        (decode, {"level": -1}, "level: expected one of L0, L1, got -1"),
-        (decode, {"level": "Q0"}, "level: expected one of L0, L1, got 'Q0'"),
+        *((decode, {"level": n}, f"level: expected one of L0, L1, got {n!r}") for n in ("L9", -1, "Q0")),
         (decode, {"key_quality": 2}, "key_quality: expected one of Q0, Q1, got 2"),
-        (decode, {"frame": 4}, "frame: expected 0..3, got 4"),
-        (decode, {"frame": -1}, "frame: expected 0..3, got -1"),
-        (decode_frames, {"start": 0, "stop": 5}, "frames: expected a range inside 0:4, got 0:5"),
-        (decode_frames, {"start": -1, "stop": 2}, "frames: expected a range inside 0:4, got -1:2"),
-        (decode_frames, {"start": 3, "stop": 2}, "frames: expected a range inside 0:4, got 3:2"),
-        (decode_frames, {"start": 0, "stop": 1, "tiers": -1}, "tiers: expected 1..2, got -1"),
-        (decode_frames, {"start": 0, "stop": 1, "tiers": 0}, "tiers: expected 1..2, got 0"),
-        (decode_frames, {"start": 0, "stop": 1, "tiers": 3}, "tiers: expected 1..2, got 3"),
+        *((decode, {"frame": n}, f"frame: expected 0..3, got {n}") for n in (4, -1)),
+        *((decode_frames, {"start": a, "stop": b}, f"frames: expected a range inside 0:4, got {a}:{b}")
+          for a, b in ((0, 5), (-1, 2), (3, 2))),
+        *((decode_frames, {"start": 0, "stop": 1, "tiers": n}, f"tiers: expected 1..2, got {n}") for n in (-1, 0, 3)),
     ],
-)
+)  # fmt: skip
 def test_what_the_package_does_not_have_is_refused_in_one_line(package, read, choice, message):
     with pytest.raises(ConfigError) as refused:
         decode(package, **({"frame": 0} | choice)) if read is decode else next(read(package, **choice))
@@ -76,18 +59,15 @@ def test_what_the_package_does_not_have_is_refused_in_one_line(package, read, ch
 
 
 def test_a_tier_without_rows_decodes_to_none():
-    m = ROOM.manifest
-    emptied = Package(ROOM.files, replace(m, groups=Groups.of([_without_first(group) for group in m.groups])), 0)
-    alone = list(decode_frames(emptied, 0, m.frames, tiers=1))
-    assert [len(frame.gaussians) for frame in alone] == [0] * m.frames
+    m, groups = ROOM.manifest, []
+    for group in m.groups:
+        first, second = group.tiers
+        first = replace(first, count=0, sidecar=faces.NO_FILE, pictures=[faces.NO_FILE] * len(first.pictures))
+        groups.append(replace(group, count=second.count, tiers=[first, second]))
+    emptied = faces.Package(ROOM.files, replace(m, groups=faces.Groups.of(groups)), 0)
+    assert [len(frame.gaussians) for frame in decode_frames(emptied, 0, m.frames, tiers=1)] == [0] * m.frames
     both, second = decode_canonical(emptied, 0, 0, 2), decode_canonical(ROOM, 0, 0)
     assert both.means.tolist() == second.means[m.groups[0].tiers[0].count :].tolist()
-
-
-def _without_first(group):
-    first, second = group.tiers
-    empty = replace(first, count=0, sidecar=NO_FILE, pictures=[NO_FILE] * len(first.pictures))
-    return replace(group, count=second.count, tiers=[empty, second])
 
 
 @pytest.mark.parametrize("level", [0, 1])
@@ -114,22 +94,20 @@ def test_compiled_loops_give_the_bits_that_numpy_gives(monkeypatch, case):
         assert all(getattr(a, name).tobytes() == getattr(b, name).tobytes() for name in a.__slots__)
 
 
-REFUSED = (
-    "numba", "scipy", "torch", "colour", "cv2", "PIL", "matplotlib", "aiohttp", "hypercorn", "starlette", "tqdm",
-    "obstore",
-)  # fmt: skip
-BARE = f"""
-import sys
+BARE = """
+import json, sys
+
+REFUSED = "numba scipy torch colour cv2 PIL matplotlib aiohttp hypercorn starlette tqdm obstore".split()
 
 class Refuses:
     def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] in {REFUSED}:
-            raise ModuleNotFoundError(f"refused: {{name}}", name=name)
+        if name.split(".")[0] in REFUSED:
+            raise ModuleNotFoundError(f"refused: {name}", name=name)
 
 sys.meta_path.insert(0, Refuses())
 """
 DECODES = """
-import airgs_codec, json
+import airgs_codec
 package = airgs_codec.open_package(sys.argv[1])
 last = package.manifest.frames - 1
 airgs_codec.decode(package, last, level="L1", key_quality="Q1")
@@ -151,7 +129,6 @@ def test_decoding_loads_few_modules_and_no_library_but_numpy_and_av():
 
 
 DIGESTS = """
-import json
 from airgs_codec.package.package import open_package
 from tests.support.digests import digests
 print(json.dumps([digests(open_package(path)) for path in sys.argv[1:]]))
@@ -162,10 +139,7 @@ def test_the_goldens_decode_to_the_recorded_codes_without_those_libraries():
     recorded = [json.loads((GOLDEN / f"{case}.json").read_text()) for case in CASES]
     assert len(CASES) >= 3 and min(map(len, recorded)) > 10
     assert json.loads(run_bare(DIGESTS, *(str(GOLDEN / case) for case in CASES))) == recorded
-
-
-def test_the_goldens_have_escapes():
-    shown = next(decode_pictures(open_package(GOLDEN / "fox-fine"), 0, 0, range(1)))
+    shown = next(faces.decode_pictures(open_package(GOLDEN / "fox-fine"), 0, 0, range(1)))  # there are escapes
     assert any(base is not None and base.any() for base in shown.luma[1])
 
 
