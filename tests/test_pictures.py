@@ -16,12 +16,13 @@ from tests.support.servers import plainly_serving, serving
 PACKAGE = GOLDEN / "fox"
 
 
-def test_a_frame_is_a_png_in_four_lines(tmp_path):
+def test_a_frame_is_a_png_in_four_lines_and_cameras_are_inside_the_region(tmp_path):
     package = airgs.open_package(PACKAGE)
     picture = airgs.draw(airgs.decode(package, 0), package.cameras[0])
     picture.save(tmp_path / "frame.png")
-    assert (read_picture(tmp_path / "frame.png") == to_bytes(picture.rgb)).all()
-    assert picture.rgb.std() > 0.05
+    assert (read_picture(tmp_path / "frame.png") == to_bytes(picture.rgb)).all() and picture.rgb.std() > 0.05
+    region = package.manifest.region
+    assert len(package.cameras) == len(region.places) and all(is_inside(region, view) for view in package.cameras)
 
 
 def test_a_notebook_shows_the_poster_and_escaped_words(demo_package, tmp_path):
@@ -36,27 +37,15 @@ def test_a_notebook_shows_the_poster_and_escaped_words(demo_package, tmp_path):
     assert "<img" not in airgs.open_package(where)._repr_html_()
 
 
-def test_cameras_of_a_package_are_inside_its_region():
-    package = airgs.open_package(PACKAGE)
-    region = package.manifest.region
-    assert len(package.cameras) == len(region.places)
-    assert all(is_inside(region, camera) for camera in package.cameras)
-
-
-def test_what_cannot_be_drawn_is_refused():
-    camera = airgs.Camera.look_at((0, 0, 1), (0, 0, 0), size=(8, 8))
+def test_what_cannot_be_drawn_or_written_is_refused(tmp_path):
+    frame, camera = airgs.read(FOX / "000000.ply"), airgs.Camera.look_at((0, 0, -3), (0, 0, 0), size=(16, 16))
     with pytest.raises(airgs.AirgsError, match="camera: expected a Camera, got str 'front'"):
-        airgs.draw(airgs.read(FOX / "000000.ply"), "front")
+        airgs.draw(frame, "front")
     with pytest.raises(airgs.AirgsError, match="gaussians: expected Gaussians or a mapping"):
         airgs.draw(FOX, camera)
-
-
-@pytest.mark.parametrize("name", ["frame.jpg", "none/frame.png"])
-def test_a_picture_that_cannot_be_written_is_refused(name, tmp_path):
-    camera = airgs.Camera.look_at((0, 0, -3), (0, 0, 0), size=(16, 16))
-    picture = airgs.draw(airgs.read(FOX / "000000.ply"), camera)
-    with pytest.raises(airgs.AirgsError, match=re.escape(name)):
-        picture.save(tmp_path / name)
+    for name in ("frame.jpg", "none/frame.png"):
+        with pytest.raises(airgs.AirgsError, match=re.escape(name)):
+            airgs.draw(frame, camera).save(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import weakref
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from airgs_codec.render.compare import compare, draw_frames, draw_once, draw_still, in_order
 from tests.faces import PSNR_CAP, ConfigError, Difference, Picture, Quality, delta_e_metric, mse, pool, psnr, render
 from tests.support.scenes import moving_frames
-from tests.support.views import coloured_cloud, ring
+from tests.support.views import ring
 
 SIDE, *OTHERS = ring(3, size=16)
 WIDE = replace(SIDE, width=21, cx=10.5)
@@ -70,22 +71,16 @@ def pictures(request):
     return ramp.astype(np.float32), (ramp + rng.normal(0, request.param, ramp.shape)).astype(np.float32)
 
 
-def test_errors_and_similarity_are_those_of_what_a_screen_shows(pictures):
+def test_errors_and_similarity_are_those_of_what_a_screen_shows_and_nothing_is_left_for_the_next(pictures):
+    before = [picture.copy() for picture in pictures]
     a, b = map(Picture.of, pictures)
     assert a.ssim(b) == pytest.approx(plain_ssim(*pictures), abs=1e-5)
     assert b.ssim(a) == pytest.approx(a.ssim(b), abs=1e-6)
     assert mse(*pictures) == pytest.approx(plain_mse(*pictures), rel=1e-6)
     assert mse(np.full_like(pictures[0], 7), np.full_like(pictures[0], 1)) == 0
     assert psnr(mse(pictures[0], pictures[0])) == PSNR_CAP == psnr(1e-30) and psnr(1e-4) == pytest.approx(40)
-
-
-def test_nothing_of_one_comparison_is_left_for_the_next(pictures):
-    before = [picture.copy() for picture in pictures]
-    a, b = map(Picture.of, pictures)
-    for _ in range(2):
-        for first, second in ((a, b), (b, a), (a, a)):
-            alone = Difference.of(Picture.of(first.rgb), Picture.of(second.rgb))
-            assert Difference.of(first, second) == alone
+    for first, second in ((a, b), (b, a), (a, a)) * 2:
+        assert Difference.of(first, second) == Difference.of(Picture.of(first.rgb), Picture.of(second.rgb))
     for picture, same in zip(pictures, before, strict=True):
         np.testing.assert_array_equal(picture, same)
 
@@ -106,18 +101,10 @@ def test_every_figure_of_every_view_is_that_of_its_definition():
     assert whole.delta_e == pytest.approx(np.mean([d.delta_e for d in found]))
 
 
-def test_many_pictures_have_the_mean_error_and_the_worst_one():
-    differences = [Difference(*row) for row in ((1e-4, 0.9, 1), (1e-2, 0.5, 4), (4e-4, 1, 1))]
-    assert pool(differences) == Quality(psnr(0.0105 / 3), pytest.approx(20), pytest.approx(0.8), pytest.approx(2))
-    assert pool([Difference(0.0, 1.0, 0.0)]) == Quality(PSNR_CAP, PSNR_CAP, 1, 0)
-
-
 @pytest.mark.parametrize(
     ("wanted", "shown", "mse", "colour"),
     [
-        (constant(0.3), constant(0.3), 0.0, 0.0),
-        (constant((0.2, 0.4, 0.6)), constant((0.2, 0.4, 0.6)), 0.0, 0.0),
-        (constant(0.0), constant(0.0), 0.0, 0.0),
+        *((same, same, 0.0, 0.0) for same in map(constant, (0.3, (0.2, 0.4, 0.6), 0.0))),
         (constant(0.0), constant(1.0), 1.0, 100.0),  # black and white: L* of 0 and 100
         (constant(-3.0), constant(9.0), 1.0, 100.0),  # no screen shows less than black or more than white
         (constant((1.0, 0, 0)), constant((0, 1.0, 0)), 2 / 3, 86.615),  # sRGB's red and green, by Sharma's formula
@@ -174,30 +161,25 @@ def test_the_metric_of_colours_says_how_delta_e_grows():
     np.testing.assert_array_equal(delta_e_metric(np.zeros((8, 3))), np.eye(3))
 
 
-def test_no_views_are_refused_before_anything_is_drawn():
+def test_no_views_and_pictures_of_different_sizes_are_refused():
     with pytest.raises(ConfigError, match="expected at least one"):
         compare(files([]), files([]), [], Picture.mse)
-
-
-@pytest.mark.parametrize("other", [(1, 1), (12, 17), (16, 12)])
-def test_pictures_of_different_sizes_are_refused(other):
-    with pytest.raises(ConfigError, match=f"^frame 0, camera cam00: expected 16x12 pixels, got {other[1]}x{other[0]}$"):
-        list(compare(files([constant(0.5)]), files([constant(0.5, *other)]), [(0, SIDE)], Picture.mse))
+    for size, got in (((1, 1), "1x1"), ((12, 17), "17x12"), ((16, 12), "12x16")):
+        shown = files([constant(0.5, *size)])
+        with pytest.raises(ConfigError, match=f"^frame 0, camera cam00: expected 16x12 pixels, got {got}$"):
+            list(compare(files([constant(0.5)]), shown, [(0, SIDE)], Picture.mse))
 
 
 def test_sources_are_asked_when_a_view_is_due_and_few_pictures_are_held():
     asked, held = [], []
 
-    def source(name):
-        def show(frame, camera):
-            asked.append((name, frame, camera))
-            held.append(weakref.ref(picture := Picture.of(constant(frame / 8))))
-            return picture
-
-        return show
+    def show(name, frame, camera):
+        asked.append((name, frame, camera))
+        held.append(weakref.ref(picture := Picture.of(constant(frame / 8))))
+        return picture
 
     views = [(4, SIDE), (1, WIDE), (4, SIDE)] * AHEAD
-    found = compare(source("reference"), source("shown"), views, Picture.mse)
+    found = compare(partial(show, "reference"), partial(show, "shown"), views, Picture.mse)
     assert asked == []
     for i, error in enumerate(found):
         due = views[: i + 1 + AHEAD]
@@ -208,39 +190,24 @@ def test_sources_are_asked_when_a_view_is_due_and_few_pictures_are_held():
     assert len(asked) == 2 * len(views)
 
 
-def test_frames_are_read_once_for_all_views_that_follow_each_other():
-    frames, read = moving_frames(30, 5), []
-    source = draw_frames(lambda frame: read.append(frame) or frames[frame])
-    views = [(frame, camera) for frame in (3, 1, 3) for camera in (SIDE, *OTHERS)]
-    for frame, camera in views:
-        assert np.array_equal(source(frame, camera).rgb, np.clip(render(frames[frame], camera).rgb, 0, 1))
-    assert read == [3, 1, 3]
-
-
-def test_frames_of_a_stream_are_taken_in_their_order():
-    frames = moving_frames(30, 6)
-    read = in_order([1, 2, 5], iter([frames[1], frames[2], frames[5]]))
-    assert read(1) is frames[1] and read(5) is frames[5]
+def test_frames_are_read_once_for_all_views_that_follow_each_other_and_those_of_a_stream_in_order():
+    frames, read = moving_frames(30, 6), []
+    source, still = draw_frames(lambda frame: read.append(frame) or frames[frame]), draw_still(frames[3])
+    for frame, camera in [(frame, camera) for frame in (3, 1, 3) for camera in (SIDE, *OTHERS)]:
+        drawn = np.clip(render(frames[frame], camera).rgb, 0, 1)
+        assert drawn.any() and np.array_equal(source(frame, camera).rgb, drawn)
+        assert np.array_equal(still(frame, camera).rgb, drawn) == (frame == 3)
+    assert read == [3, 1, 3] and np.array_equal(still(7, SIDE).rgb, still(0, SIDE).rgb)
+    stream = in_order([1, 2, 5], iter([frames[1], frames[2], frames[5]]))
+    assert stream(1) is frames[1] and stream(5) is frames[5]
     with pytest.raises(ValueError, match="shorter"):
         in_order([1, 2], iter(frames[:1]))(2)
 
 
-def test_what_stands_still_is_alike_in_every_frame():
-    g = coloured_cloud(40)
-    source, plain = draw_still(g), np.clip(render(g, WIDE).rgb, 0, 1)
-    assert plain.any() and all(np.array_equal(source(frame, WIDE).rgb, plain) for frame in (0, 7))
-
-
 def test_a_reference_is_drawn_once_for_all_that_is_compared_with_it():
-    drawn = []
-
-    def source(frame, camera):
-        drawn.append((frame, camera))
-        return Picture.of(constant(frame / 8))
-
-    views = [(2, SIDE), (0, SIDE), (2, WIDE)]
-    reference = draw_once(source)
+    drawn, views = [], [(2, WIDE), (0, SIDE), (2, SIDE)]
+    reference = draw_once(lambda *view: drawn.append(view) or Picture.of(constant(view[0] / 8)))
     for error in (0.125, 0.5):
         shown = files([constant(frame / 8 + error) for frame in range(3)])
-        assert list(compare(reference, shown, views[::-1], Picture.mse)) == pytest.approx([error**2] * 3)
-    assert drawn == views[::-1]
+        assert list(compare(reference, shown, views, Picture.mse)) == pytest.approx([error**2] * 3)
+    assert drawn == views

@@ -64,9 +64,8 @@ def test_cameras_drawn_at_once_are_those_drawn_alone():
     alone, counts = [], []
     for camera in cameras:
         one = AbsGrad()
-        rgb, _ = render(p, camera, 1, one)
-        rgb.square().sum().backward()
-        alone.append(rgb)
+        alone.append(render(p, camera, 1, one)[0])
+        alone[-1].square().sum().backward()
         counts.append(one.read())
     sum(rgb.square().sum() for rgb, _ in pictures).backward()
     for (rgb, _), other in zip(pictures, alone, strict=True):
@@ -102,30 +101,25 @@ def stand_in(monkeypatch):
     fake_gsplat.install(monkeypatch)
 
 
-@pytest.fixture
-def scene(stand_in):
-    """90 Gaussians as tensors with gradients, and three cameras that are alike."""
-    inputs = RasterInputs(*(torch.tensor(c).requires_grad_() for c in CPU.load(random_gaussians(90)).inputs))
-    return inputs, [replace(c, background=(0.1 * i, 0.5, 0.2)) for i, c in enumerate(ring(3, size=40))]
-
-
-def camera():
-    return replace(ring(1, size=72)[0], height=56, fx=80.0, fy=85.0, cy=30.0, background=(0.2, 0.4, 0.6))
+VIEW = replace(ring(1, size=72)[0], height=56, fx=80.0, fy=85.0, cy=30.0, background=(0.2, 0.4, 0.6))
 
 
 def loaded(g):
     return CPU.load(g), OnCuda.of(CPU.load(g).inputs, "cpu")
 
 
-def test_pictures_and_rows_left_out_are_those_of_the_cpu(stand_in):
+def test_pictures_and_rows_left_out_are_those_of_the_cpu_and_an_empty_scene_is_its_background(stand_in):
     there, here = loaded(random_gaussians(200, 1))
     for background in (None, (1.0, 0.0, 0.5)):
-        a, b = there.draw(camera(), background), here.draw(camera(), background)
+        a, b = there.draw(VIEW, background), here.draw(VIEW, background)
         np.testing.assert_allclose(b.rgb, a.rgb, atol=1e-5)
         np.testing.assert_allclose(b.transmittance, a.transmittance, atol=1e-5)
-    kept = np.arange(200) % 3 > 0
-    for rows in (None, kept, np.zeros(200, bool)):
-        np.testing.assert_allclose(here.without(camera())(rows), there.without(camera())(rows), atol=1e-5)
+    for rows in (None, np.arange(200) % 3 > 0, np.zeros(200, bool)):
+        np.testing.assert_allclose(here.without(VIEW)(rows), there.without(VIEW)(rows), atol=1e-5)
+    _, none = loaded(random_gaussians(3, 1).take(np.arange(0)))
+    assert (none.draw(VIEW).rgb == np.float32([0.2, 0.4, 0.6])).all()
+    contribution, gradients = none.contribution_and_gradients(VIEW, np.ones((56, 72, 3), np.float32))
+    assert len(contribution.total) == 0 and gradients.sh.shape == (0, 4, 3)
 
 
 @pytest.mark.parametrize("pairs", [1, 300, cuda.BAND_PAIRS])
@@ -133,43 +127,30 @@ def test_weights_of_bands_of_tiles_are_those_of_the_picture_and_so_are_gradients
     monkeypatch.setattr(cuda, "BAND_PAIRS", pairs)
     there, here = loaded(random_gaussians(150, 1, seed=3))
     pull = np.random.default_rng(0).normal(size=(56, 72, 3)).astype(np.float32)
-    (a, by), (b, by_here) = (side.contribution_and_gradients(camera(), pull) for side in (there, here))
-    for some in (b, here.contribution(camera())):
+    (a, by), (b, by_here) = (side.contribution_and_gradients(VIEW, pull) for side in (there, here))
+    for some in (b, here.contribution(VIEW)):
         np.testing.assert_allclose(some.total, a.total, rtol=1e-3, atol=1e-3)
         np.testing.assert_allclose(some.peak, a.peak, atol=1e-4)
         assert np.abs(some.hits - a.hits).max() <= 2 and a.hits.max() > 100  # alpha next to 1/255 may fall either way
         assert some.total.dtype == a.total.dtype and some.hits.dtype == a.hits.dtype
     for name in RasterInputs._fields:
         np.testing.assert_allclose(getattr(by_here, name), getattr(by, name), atol=1e-4, rtol=1e-4)
-
-
-@pytest.mark.parametrize("pairs", [1, cuda.BAND_PAIRS])
-def test_weights_of_tiles_are_those_of_the_cpu(stand_in, pairs, monkeypatch):
-    monkeypatch.setattr(cuda, "BAND_PAIRS", pairs)
     there, here = loaded(random_gaussians(150, 0, seed=4))
     mask = np.random.default_rng(0).random((56, 72)) < 0.4
-    a, b = there.weights(camera(), mask), here.weights(camera(), mask)
+    a, b = there.weights(VIEW, mask), here.weights(VIEW, mask)
     assert a.shape == b.shape == (4, 5)
     np.testing.assert_allclose(b.picture.rgb, a.picture.rgb, atol=1e-5)
-    sums = []
-    for w in (a, b):
-        table = np.zeros((2, 150, 20))
+    sums = np.zeros((2, 2, 150, 20))
+    for table, w in zip(sums, (a, b), strict=True):
         np.add.at(table[0], (w.ids, w.tiles), w.total)
         np.add.at(table[1], (w.ids, w.tiles), w.inside)
-        sums.append(table)
     np.testing.assert_allclose(sums[1], sums[0], rtol=1e-3, atol=6e-3)  # alpha next to 1/255 may fall on either side
     assert 0.3 < sums[1][1].sum() / sums[1][0].sum() < 0.5
 
 
-def test_an_empty_scene_is_its_background(stand_in):
-    _, here = loaded(random_gaussians(3, 1).take(np.arange(0)))
-    assert (here.draw(camera()).rgb == np.float32([0.2, 0.4, 0.6])).all()
-    contribution, gradients = here.contribution_and_gradients(camera(), np.ones((56, 72, 3), np.float32))
-    assert len(contribution.total) == 0 and gradients.sh.shape == (0, 4, 3)
-
-
-def test_cameras_that_are_alike_are_drawn_in_one_call(scene):
-    inputs, cameras = scene
+def test_cameras_that_are_alike_are_drawn_in_one_call_and_absolute_gradients_are_their_sum(stand_in):
+    inputs = RasterInputs(*(torch.tensor(c).requires_grad_() for c in CPU.load(random_gaussians(90)).inputs))
+    cameras = [replace(c, background=(0.1 * i, 0.5, 0.2)) for i, c in enumerate(ring(3, size=40))]
     drawn = cuda.rasterize(inputs, cameras, [c.background for c in cameras])
     assert drawn.rgb.shape == (3, 40, 40, 3) and drawn.transmittance.shape == (3, 40, 40)
     for i, (rgb, transmittance) in enumerate(rasterize_views(inputs, cameras)):
@@ -177,19 +158,13 @@ def test_cameras_that_are_alike_are_drawn_in_one_call(scene):
         torch.testing.assert_close(drawn.transmittance[i], transmittance)
     assert cuda.alike(cameras)
     assert not cuda.alike([*cameras, ring(1, size=41)[0]]) and not cuda.alike([*cameras, replace(cameras[0], near=1.0)])
-
-
-def test_absolute_gradients_of_several_pictures_are_their_sum(scene):
-    inputs, cameras = scene
-    alone, together = [], AbsGrad()
-    for c in cameras:
-        one = AbsGrad()
+    ones, together = [AbsGrad() for _ in cameras], AbsGrad()
+    for c, one in zip(cameras, ones, strict=True):
         rasterize_views(inputs, [c], one)[0][0].square().sum().backward()
-        alone.append(one.read())
     sum(rgb.square().sum() for rgb, _ in rasterize_views(inputs, cameras, together)).backward()
     gradients, seen = together.read()
-    torch.testing.assert_close(gradients, sum(g for g, _ in alone))
-    assert torch.equal(seen, sum(s.long() for _, s in alone)) and seen.max() == 3
+    torch.testing.assert_close(gradients, sum(one.read()[0] for one in ones))
+    assert torch.equal(seen, sum(one.read()[1].long() for one in ones)) and seen.max() == 3
 
 
 def test_kernels_that_do_not_compile_are_one_line(stand_in, monkeypatch):

@@ -83,11 +83,10 @@ EXTREMES = {
 @pytest.mark.parametrize("name", EXTREMES)
 def test_extremes_equal_the_reference(name):
     columns, distance = EXTREMES[name]
-    values = inputs(200, 1, **columns)
+    values, turned = inputs(200, 1, **columns), "quaternions" in columns
     # Where a quaternion is tiny its gradient scales with 1 / |q|: compared apart, so that it does not drown the rest.
-    names = [n for n in NAMES if not (n == "quaternions" and "quaternions" in columns)]
-    check(values, camera(distance), 1e-3, names)
-    if "quaternions" in columns:
+    check(values, camera(distance), 1e-3, [n for n in NAMES if not (n == "quaternions" and turned)])
+    if turned:
         (_, _, got), (_, _, want) = both(values, camera(distance))
         for rows in (slice(0, 50), slice(100, 150), slice(150, 200)):
             assert relative(got["quaternions"][rows], want["quaternions"][rows]) <= 1e-3
@@ -147,30 +146,24 @@ def test_statistics_equal_the_blending_weights_of_the_reference():
     np.testing.assert_allclose(seen.total, weights.sum(axis=0), atol=5e-2, rtol=1e-3)
     np.testing.assert_allclose(seen.peak, weights.max(axis=0), atol=MAX_ERROR)
     assert np.abs(seen.hits - (weights > 0).sum(axis=0)).max() <= 2  # pixels at alpha = 1/255 flip
-    assert seen.total.sum() == pytest.approx((1 - render(g, view).transmittance).sum(), rel=1e-5)
-
-
-def test_nothing_is_counted_behind_opaque_pixels_or_beside_the_picture():
-    """Large Gaussians in many layers: tiles end early, and those at the edges of the picture hold pixels beside it."""
+    # large Gaussians in many layers: tiles end early, and those at the edges of the picture hold pixels beside it
     large, opacity = np.full((400, 3), 1.0, np.float32), np.full(400, 8.0, np.float32)
     opaque = replace(random_gaussians(400), log_scales=large, opacity_logits=opacity)
-    seen, view = measure_contribution(opaque, camera()), camera()
-    assert 0 < np.count_nonzero(seen.hits) < 20
-    assert seen.hits.max() <= view.width * view.height
-    assert seen.total.sum() == pytest.approx((1 - render(opaque, view).transmittance).sum(), rel=1e-5)
+    few = measure_contribution(opaque, view)
+    assert 0 < np.count_nonzero(few.hits) < 20 and few.hits.max() <= view.width * view.height
+    for statistics, scene in ((seen, g), (few, opaque)):
+        assert statistics.total.sum() == pytest.approx((1 - render(scene, view).transmittance).sum(), rel=1e-5)
 
 
 @pytest.mark.parametrize("logit", [0.0, 8.0])
 def test_contribution_and_gradients_of_one_pass_are_those_of_two(logit):
-    g = random_gaussians(300, 2)
-    behind = (0.2, 0.5, 0.9)
+    g, behind = random_gaussians(300, 2), (0.2, 0.5, 0.9)
     g, view = replace(g, opacity_logits=g.opacity_logits + np.float32(logit)), replace(camera(), background=behind)
     active, pull = activate(g), np.random.default_rng(0).normal(size=(50, 70, 3)).astype(np.float32)
     seen, derivatives = contribution_and_gradients(active, view, pull)
     alone, apart = measure_contribution(g, view), blend(active, view, behind)
     np.testing.assert_allclose(seen.total, alone.total, rtol=1e-6)
-    np.testing.assert_array_equal(seen.peak, alone.peak)
-    np.testing.assert_array_equal(seen.hits, alone.hits)
+    assert np.array_equal(seen.peak, alone.peak) and np.array_equal(seen.hits, alone.hits)
     expected = gradients(active, view, apart, pull, np.zeros((50, 70), np.float32)).inputs
     for name in NAMES:
         wanted = getattr(expected, name)
@@ -182,25 +175,22 @@ def expect_same(picture, alone):
     np.testing.assert_array_equal(picture.transmittance, alone.transmittance)
 
 
-def test_views_drawn_together_are_those_drawn_alone():
+def test_views_drawn_together_are_those_drawn_alone_and_rows_taken_out_were_never_there():
+    behind = (0.1, 0.2, 0.3)
     g, views = random_gaussians(100, 1), [camera(), camera(3.0, 33, 47), camera(turn=0.0)]
-    for view, picture in zip(views, render_views(g, views, (0.1, 0.2, 0.3)), strict=True):
-        expect_same(picture, render(g, view, (0.1, 0.2, 0.3)))
-
-
-@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
-def test_rows_taken_out_of_a_projection_are_rows_that_were_never_there(share):
+    for view, picture in zip(views, render_views(g, views, behind), strict=True):
+        expect_same(picture, render(g, view, behind))
     g = random_gaussians(300, 1)
-    kept = np.random.default_rng(0).random(300) < share
-    picture = draw(project(activate(g), camera()).tiles.keep(kept), (0.1, 0.2, 0.3))
-    expect_same(picture, render(g.take(kept), camera(), (0.1, 0.2, 0.3)))
+    for share in (0.0, 0.4, 1.0):
+        kept = np.random.default_rng(0).random(300) < share
+        expect_same(
+            draw(project(activate(g), camera()).tiles.keep(kept), behind), render(g.take(kept), camera(), behind)
+        )
 
 
 def test_two_runs_give_the_same_bits():
-    a, b = (both(inputs(300, 2), camera())[0] for _ in range(2))
-    np.testing.assert_array_equal(a[0], b[0])
-    for name in NAMES:
-        np.testing.assert_array_equal(a[2][name], b[2][name])
+    for a, b in zip(*(both(inputs(300, 2), camera())[0] for _ in range(2)), strict=True):
+        np.testing.assert_equal(a, b)
 
 
 def test_only_some_tiles_are_drawn_again():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import struct
 from collections.abc import Callable, Sequence
@@ -41,33 +42,23 @@ def saved(path: Path, data: Any) -> Path:
 def write_transforms(folder: Path, rig: Rig) -> Path:
     entries = [
         {"camera": c.name, "split": c.split, "time_index": t, "transform_matrix": matrix_of(c), **intrinsics_of(c)}
-        for t in range(2)
-        for c in rig
+        for t, c in itertools.product(range(2), rig)
     ]
     return saved(folder / "transforms.json", {"camera_model": "PINHOLE", "frames": entries})
 
 
 def write_nerfstudio(folder: Path, rig: Rig) -> Path:
     """One picture for each camera, held-out ones in a list, as nerfstudio itself has it."""
-    entries = [{"file_path": f"images/{c.name}.png", "transform_matrix": matrix_of(c)} for c in rig]
-    lists = {"test_filenames": [f"images/{c.name}.png" for c in rig if c.held_out]}
+    names = {c.name: f"images/{c.name}.png" for c in rig}
+    entries = [{"file_path": names[c.name], "transform_matrix": matrix_of(c)} for c in rig]
+    lists = {"test_filenames": [names[c.name] for c in rig if c.held_out]}
     return saved(folder / "transforms.json", {**intrinsics_of(rig[0]), **lists, "frames": entries})
 
 
 def as_inria(rig: Rig) -> list[dict[str, Any]]:
-    return [
-        {
-            "id": i,
-            "img_name": c.name,
-            "width": c.width,
-            "height": c.height,
-            "position": to_world(c)[:3, 3].tolist(),
-            "rotation": to_world(c)[:3, :3].tolist(),
-            "fy": c.fy,
-            "fx": c.fx,
-        }
-        for i, c in enumerate(rig)
-    ]
+    sizes = [{"width": c.width, "height": c.height, "fy": c.fy, "fx": c.fx} for c in rig]
+    poses = [{"position": to_world(c)[:3, 3].tolist(), "rotation": to_world(c)[:3, :3].tolist()} for c in rig]
+    return [{"id": i, "img_name": c.name, **sizes[i], **poses[i]} for i, c in enumerate(rig)]
 
 
 def write_inria(folder: Path, rig: Rig) -> Path:
@@ -118,18 +109,14 @@ def write_colmap_binary(folder: Path, rig: Rig) -> Path:
 
 def write_panoptic_meta(folder: Path, rig: Rig) -> Path:
     """train_meta.json and test_meta.json of two frames; cameras are numbered in the order of the rig."""
-    for name, split in (("train_meta.json", "train"), ("test_meta.json", "test")):
+    size = {"w": rig[0].width, "h": rig[0].height}
+    for split in ("train", "test"):
         chosen = [(i, c) for i, c in enumerate(rig) if c.split == split]
-        k = [[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for _, c in chosen]
-        moment = {
-            "fn": [f"{i}/0.png" for i, _ in chosen],
-            "k": k,
-            "w2c": [c.world_to_camera.tolist() for _, c in chosen],
-            "cam_id": [i for i, _ in chosen],
-        }
-        size = {"w": rig[0].width, "h": rig[0].height}
+        lenses = [[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for _, c in chosen]
+        moment = {"fn": [f"{i}/0.png" for i, _ in chosen], "k": lenses, "cam_id": [i for i, _ in chosen]}
+        moment["w2c"] = [c.world_to_camera.tolist() for _, c in chosen]
         if chosen:
-            saved(folder / name, size | {key: [row, row] for key, row in moment.items()})
+            saved(folder / f"{split}_meta.json", size | {key: [row, row] for key, row in moment.items()})
     return folder / "train_meta.json"
 
 
@@ -144,13 +131,9 @@ def write_llff(folder: Path, rig: Rig) -> Path:
 
 
 FORMS: dict[str, Writer] = {
-    "transforms": write_transforms,
-    "nerfstudio": write_nerfstudio,
-    "inria": write_inria,
-    "colmap text": write_colmap_text,
-    "colmap binary": write_colmap_binary,
-    "panoptic": write_panoptic_meta,
-    "llff": write_llff,
+    "transforms": write_transforms, "nerfstudio": write_nerfstudio, "inria": write_inria, "llff": write_llff,
+    "colmap text": write_colmap_text, "colmap binary": write_colmap_binary, "panoptic": write_panoptic_meta,
     "splatv": write_splatv,
-}
+}  # fmt: skip
+
 MARK_HELD_OUT = ("transforms", "nerfstudio", "colmap text", "colmap binary", "panoptic")

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+
 TYPES = {
-    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
-    **{"float": "f4", "double": "f8"},
-}
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,6 @@ def _rows(columns: Sequence[Column], form: str, newline: str) -> bytes:
             if c.length_type:
                 cells.append(np.array([len(c.values[i])], ORDERS[form] + TYPES[c.length_type]))
             cells.append(np.atleast_1d(np.array(c.values[i], ORDERS[form] + TYPES[c.type])))
-        if form == "ascii":
-            out.append((" ".join(str(v) for cell in cells for v in cell) + newline).encode())
-        else:
-            out.append(b"".join(cell.tobytes() for cell in cells))
+        text = " ".join(str(v) for cell in cells for v in cell) + newline
+        out.append(text.encode() if form == "ascii" else b"".join(cell.tobytes() for cell in cells))
     return b"".join(out)

@@ -16,14 +16,12 @@ from PIL import Image
 from tests.faces import Gaussians, write_ply
 
 EXTENSION = "KHR_gaussian_splatting"
+
 KINDS = {  # suffix of a file: what the library calls its format, and its version of .spz
-    ".compressed.ply": ("compressed.ply", 3),
-    ".v2.spz": ("spz", 2),
-    ".v3.spz": ("spz", 3),
-    ".v4.spz": ("spz", 4),
-    ".sog": ("sog", 3),
-    ".splat": ("splat", 3),
-}
+    ".compressed.ply": ("compressed.ply", 3), ".sog": ("sog", 3), ".splat": ("splat", 3),
+    ".v2.spz": ("spz", 2), ".v3.spz": ("spz", 3), ".v4.spz": ("spz", 4),
+}  # fmt: skip
+
 SUFFIXES = (*KINDS, ".glb")
 
 
@@ -60,29 +58,19 @@ def glb_bytes(g: Gaussians, **node: object) -> bytes:
     columns[f"{EXTENSION}:SH_DEGREE_0_COEF_0"] = g.sh_dc
     bands = [(d, i) for d in range(1, g.sh_degree + 1) for i in range(2 * d + 1)]
     columns |= {f"{EXTENSION}:SH_DEGREE_{d}_COEF_{i}": g.sh_rest[:, k] for k, (d, i) in enumerate(bands)}
-    blobs = [np.ascontiguousarray(c, np.float32).tobytes() for c in columns.values()]
-    starts = np.cumsum([0, *map(len, blobs)]).tolist()
-    types = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-    document = pygltflib.GLTF2(
-        scene=0,
-        scenes=[pygltflib.Scene(nodes=[0])],
-        nodes=[pygltflib.Node(mesh=0, **node)],
-        buffers=[pygltflib.Buffer(byteLength=starts[-1])],
-        bufferViews=[
-            pygltflib.BufferView(buffer=0, byteOffset=s, byteLength=len(b)) for s, b in zip(starts, blobs, strict=False)
-        ],
-        accessors=[
-            pygltflib.Accessor(bufferView=i, componentType=5126, count=len(g), type=types[c.size // len(g)])
-            for i, c in enumerate(columns.values())
-        ],
-        extensionsUsed=[EXTENSION],
-    )
+    document = pygltflib.GLTF2(scene=0, scenes=[pygltflib.Scene(nodes=[0])], extensionsUsed=[EXTENSION])
+    document.nodes, data = [pygltflib.Node(mesh=0, **node)], b""
+    for i, column in enumerate(columns.values()):
+        kind = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[column.size // len(g)]
+        document.accessors.append(pygltflib.Accessor(bufferView=i, componentType=5126, count=len(g), type=kind))
+        document.bufferViews.append(pygltflib.BufferView(buffer=0, byteOffset=len(data), byteLength=4 * column.size))
+        data += np.ascontiguousarray(column, np.float32).tobytes()
+    document.buffers = [pygltflib.Buffer(byteLength=len(data))]
     attributes = pygltflib.Attributes(**{name: i for i, name in enumerate(columns)})
     extension = {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}}
-    document.meshes = [
-        pygltflib.Mesh(primitives=[pygltflib.Primitive(attributes=attributes, mode=0, extensions=extension)])
-    ]
-    document.set_binary_blob(b"".join(blobs))
+    splats = pygltflib.Primitive(attributes=attributes, mode=0, extensions=extension)
+    document.meshes = [pygltflib.Mesh(primitives=[splats])]
+    document.set_binary_blob(data)
     return b"".join(document.save_to_bytes())
 
 
