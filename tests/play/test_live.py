@@ -121,9 +121,8 @@ def test_without_its_pages_a_growing_package_cannot_go_on(tmp_path):
 
 
 def test_a_simulated_session_plays_what_there_is(tmp_path):
-    growing = Growing(tmp_path / "p", 3)
-    rules = replace(RULES, loops=1)
-    log = faces.simulate(open_package(growing.folder), faces.Trace.open("const:9"), "fixed:0", rules)
+    package = open_package(Growing(tmp_path / "p", 3).folder)
+    log = faces.simulate(package, faces.Trace.open("const:9"), "fixed:0", replace(RULES, loops=1))
     assert [s.segment for s in log.shown] == [0, 1, 2]
 
 
@@ -133,8 +132,8 @@ def root(count, spoilt=None, **fields):
     index = list(long_index(count)[0])
     if spoilt is not None:
         index[spoilt] = replace(index[spoilt], sha256="_" + index[spoilt].sha256[1:])
-    known = faces.root_of(open_package(VALID / "paged").manifest)
-    return faces.pack_json(replace(known, live=True, frames=count, index=index, **fields))
+    known = replace(faces.root_of(open_package(VALID / "paged").manifest), live=True, frames=count, index=index)
+    return faces.pack_json(replace(known, **fields))
 
 
 def grown(*roots):
@@ -193,21 +192,17 @@ def test_a_page_that_is_not_what_the_level_above_says_is_refused():
         tables.accept("index/2/2.json", faces.pack_json(page))
 
 
-OTHERS = {
-    "fewer": root(4161),
-    "far fewer": root(70),
-    "groups": root(4163, spoilt=0),
-    "pages of pages": root(4300, spoilt=2),
-    "pages": root(4227, spoilt=1),
-    "author": root(4163, attribution="other"),
-}
-
-
-@pytest.mark.parametrize("what", [*OTHERS, "closed"])
-def test_another_package_is_no_growth(what):
-    before = root(4162).replace(b'"live":true', b'"live":false') if what == "closed" else root(4162)
+@pytest.mark.parametrize(
+    ("before", "count", "fields"),
+    [
+        *(({}, 4161, {}), ({}, 70, {})),  # with fewer groups
+        *(({}, 4163, {"spoilt": 0}), ({}, 4227, {"spoilt": 1}), ({}, 4300, {"spoilt": 2})),  # groups and pages of pages
+        *(({}, 4163, {"attribution": "other"}), ({"live": False}, 4163, {})),
+    ],
+)
+def test_another_package_is_no_growth(before, count, fields):
     with pytest.raises(FormatError, match="expected the package of before with more groups"):
-        grown(before, OTHERS.get(what, root(4163)))
+        grown(root(4162, **before), root(count, **fields))
 
 
 @pytest.mark.parametrize("count", [4162, 4163, 4227, 9000])
@@ -216,9 +211,6 @@ def test_growth_may_be_long_in_coming(count):
 
 
 NOW = datetime(2026, 1, 1, tzinfo=UTC)
-STAY_MINUTES = 400
-REMEMBERED_GROUPS = 100
-TOLD_BYTES = 10_000  # airgs.json and manifest.mpd each
 
 
 class Publisher:
@@ -252,8 +244,8 @@ class Link:
 
     def bring(self, path):
         data = self.publisher.files.read(path)
-        unchanged, self.root = path == JSON_NAME and data == self.root, data if path == JSON_NAME else self.root
-        self.table_bytes += 350 + (0 if unchanged else len(gzip.compress(data)))
+        self.table_bytes += 350 + (0 if path == JSON_NAME and data == self.root else len(gzip.compress(data)))
+        self.root = data if path == JSON_NAME else self.root
         self.tables.accept(path, data)
 
     def fetch(self, request, give_up=None):
@@ -267,8 +259,7 @@ class Link:
 
 def stay(m, seconds):
     """A publisher, a link to it, and a player of the best rung whose events are yet to be asked for."""
-    publisher = Publisher(m, seconds)
-    link = Link(publisher)
+    link = Link(publisher := Publisher(m, seconds))
     link.bring(JSON_NAME)
     offers, rules = link.tables.offers, SessionSettings(decode_frame_s=0.0)
     fetcher = Fetcher(offers, link, faces.make_policy("fixed:0", offers), rules)
@@ -277,21 +268,17 @@ def stay(m, seconds):
 
 def remembered(publisher, fetcher, playout):
     """How many of each thing publisher, tables and player know."""
-    return {
-        "tables of the publisher": len(publisher.package.manifest.groups._kept),
-        "names": len(fetcher.tables._paths),
-        "segments": len(fetcher.tables._complete),
-        "keys": len(fetcher.keys.decoded(0)),
-        "options": len(fetcher.keys._options),
-        "downloads": len(fetcher.downloads),
-        "timeline": len(playout.timeline),
-    }
+    tables, keys = fetcher.tables, fetcher.keys
+    known = {"tables of the publisher": publisher.package.manifest.groups._kept, "names": tables._paths}
+    known |= {"segments": tables._complete, "keys": keys.decoded(0), "options": keys._options}
+    known |= {"downloads": fetcher.downloads, "timeline": playout.timeline}
+    return {name: len(things) for name, things in known.items()}
 
 
 def test_hours_of_live_publishing_and_a_viewer_who_stays_end_flat():
-    """A group every minute."""
+    """A group every minute, of which a hundred are remembered."""
     minutes = replace(open_package(VALID / "paged").manifest, frame_rate=[1, 60], timescale=1, region=region())
-    publisher, link, viewer = stay(minutes, 60 * STAY_MINUTES)
+    publisher, link, viewer = stay(minutes, 60 * 400)
     shown, asked, seen = 0, 0, []
     for event in answer(viewer.play(), link):
         if isinstance(event, faces.Shown):
@@ -300,12 +287,12 @@ def test_hours_of_live_publishing_and_a_viewer_who_stays_end_flat():
         asked += isinstance(event, faces.Arrived) and event.arrival.request.kind is faces.BatchKind.TABLES
         if shown and shown % 50 == 0:
             seen.append(remembered(publisher, viewer.fetcher, viewer.playout))
-    assert shown == STAY_MINUTES and not publisher.package.manifest.live
+    assert shown == 400 and not publisher.package.manifest.live
     assert asked <= 3 * shown  # airgs.json and what it leads to
     for name in seen[0]:
-        assert max(s[name] for s in seen) <= 2 * REMEMBERED_GROUPS, name
+        assert max(s[name] for s in seen) <= 2 * 100, name
         assert max(s[name] for s in seen[-3:]) <= 1.2 * max(s[name] for s in seen[:3]) + 4, name
-    assert all(len(publisher.files.read(name)) <= TOLD_BYTES for name in (JSON_NAME, faces.MPD_NAME))
+    assert all(len(publisher.files.read(name)) <= 10_000 for name in (JSON_NAME, faces.MPD_NAME))
 
 
 def test_tables_of_a_growing_package_are_a_twentieth_of_its_media(demo_package):
