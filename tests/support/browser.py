@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import atexit
 import fcntl
 import json
 import os
@@ -11,7 +11,7 @@ import socket
 import subprocess
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -23,13 +23,10 @@ from tests.support.paths import REPOSITORY
 
 WEB = REPOSITORY / "web"
 CHROMIUMS = ("chromium", "chromium-browser", "google-chrome")
+CHROMIUM = next(filter(None, map(shutil.which, CHROMIUMS)), None)
 LEAST_NODE = 20
 OWN = "GPU stall due to ReadPixels"  # Chromium says so of every WebGL canvas where no GPU puts pages together
 TYPES = {".mjs": "text/javascript", ".mpd": "application/dash+xml", ".m4s": "video/iso.segment", ".mp4": "video/mp4"}
-
-
-def _chromium() -> str | None:
-    return next((path for name in CHROMIUMS if (path := shutil.which(name))), None)
 
 
 @cache
@@ -39,7 +36,7 @@ def missing() -> tuple[str, ...]:
     version = subprocess.run([node, "--version"], capture_output=True, text=True, check=True).stdout if node else "v0"
     found = {
         f"node {LEAST_NODE} or newer": int(version.strip().removeprefix("v").split(".")[0]) >= LEAST_NODE,
-        "chromium": _chromium() is not None,
+        "chromium": CHROMIUM is not None,
         "packages (npm ci --prefix web)": (WEB / "node_modules" / "playwright-core").is_dir(),
     }
     return tuple(what for what, there in found.items() if not there)
@@ -112,7 +109,7 @@ def serve(
                 self.send_header(name, str(value))
             self.end_headers()
             come = answer.body[: len(answer.body) - answer.lost]
-            with contextlib.suppress(OSError):  # nobody waited for it
+            with suppress(OSError):  # nobody waited for it
                 self.wfile.write(come[:-1])
                 ended.wait(answer.wait_s)
                 self.wfile.write(come[-1:])
@@ -128,7 +125,7 @@ def serve(
             """Nothing is printed."""
 
     with _Server(("127.0.0.1", 0), Handler) as server:
-        thread = threading.Thread(target=server.serve_forever)
+        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
         thread.start()
         try:
             yield Site(f"http://127.0.0.1:{server.server_port}", answers)
@@ -163,55 +160,32 @@ class Visit:
         return [text for text in (*self.failed, *said) if not any(part in text for part in (OWN, *known))]
 
 
-class _Browser:
-    """Chromium at work: some pages are open at once, each without anything of the others."""
-
-    def __init__(self) -> None:
-        environment = os.environ | {"CHROMIUM": str(_chromium())}
-        command = ["node", str(WEB / "test" / "open.mjs")]
-        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
-
-    def visit(self, pages: Sequence[tuple[str, str]]) -> list[Visit]:
-        process = self._process
-        assert process.stdin and process.stdout
-        for number, (url, script) in enumerate(pages):
-            process.stdin.write(json.dumps({"number": number, "url": url, "script": script or None}).encode() + b"\n")
-        process.stdin.flush()
-        seen: dict[int, Visit] = {}
-        while len(seen) < len(pages):
-            line = process.stdout.readline()  # it gives up by itself where a page does not report
-            assert line, f"the browser ended with status {process.wait()}"
-            came = json.loads(line)
-            number = came.pop("number")
-            seen[number] = Visit(**came)
-        return [seen[number] for number in range(len(pages))]
-
-    def close(self) -> None:
-        assert self._process.stdin and self._process.stdout
-        self._process.stdin.close()
-        self._process.wait()
-        self._process.stdout.close()
-
-
-_browser: _Browser | None = None
+@cache
+def _opener() -> subprocess.Popen[bytes]:
+    """The Chromium of this process: some pages are open at once, each without anything of the others."""
+    environment = os.environ | {"CHROMIUM": str(CHROMIUM)}
+    command = ["node", str(WEB / "test" / "open.mjs")]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment)
+    atexit.register(process.communicate)  # it ends with its input
+    return process
 
 
 def visit_all(pages: Sequence[tuple[str, str]]) -> list[Visit]:
-    """Open pages, some at once, each with a script that runs before its own ("": none), and wait for their reports.
-
-    All pages of a process are opened by one browser, which the first ones start and `close_browser` ends.
-    """
-    global _browser
-    _browser = _browser or _Browser()
-    return _browser.visit(pages)
+    """Open pages, some at once, each with a script that runs before its own ("": none), and wait for their reports."""
+    process = _opener()
+    assert process.stdin and process.stdout
+    for number, (url, script) in enumerate(pages):
+        process.stdin.write(json.dumps({"number": number, "url": url, "script": script or None}).encode() + b"\n")
+    process.stdin.flush()
+    seen: dict[int, Visit] = {}
+    while len(seen) < len(pages):
+        line = process.stdout.readline()  # it gives up by itself where a page does not report
+        assert line, f"the browser ended with status {process.wait()}"
+        came = json.loads(line)
+        number = came.pop("number")
+        seen[number] = Visit(**came)
+    return [seen[number] for number in range(len(pages))]
 
 
 def visit(url: str, script: str = "") -> Visit:
     return visit_all([(url, script)])[0]
-
-
-def close_browser() -> None:
-    global _browser
-    if _browser:
-        _browser.close()
-    _browser = None

@@ -58,17 +58,11 @@ class Browser:
         assert self.program
         with TemporaryDirectory(ignore_cleanup_errors=True) as folder, _screen(self.screen) as screen:
             Path(folder, "user.js").write_text(self.preferences)
-            environment = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")}
-            environment |= {"HOME": folder} | screen
+            own = {name: value for name, value in os.environ.items() if not name.startswith("XDG_")}
+            own |= {"HOME": folder} | screen
             command = [self.program, *(option.format(folder) for option in self.options), *arguments]
-            process = subprocess.Popen(
-                command,
-                env=environment,
-                start_new_session=True,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-            )
+            out, err = subprocess.PIPE, subprocess.DEVNULL
+            process = subprocess.Popen(command, env=own, start_new_session=True, stdout=out, stderr=err, text=True)
             try:
                 yield process
             finally:
@@ -96,35 +90,24 @@ def _screen(wanted: bool) -> Iterator[dict[str, str]]:
             process.terminate()
 
 
-BROWSERS = (
-    Browser(
-        "Chromium",
-        CHROMIUMS,
-        (
-            *("--headless", "--no-sandbox", "--user-data-dir={}", "--use-angle=swiftshader"),
-            *("--enable-unsafe-swiftshader", "--autoplay-policy=no-user-gesture-required"),
-        ),
-        "chromium",
-    ),
-    Browser(
-        "Firefox",
-        ("firefox-esr", "firefox"),
-        ("--profile", "{}"),
-        "firefox-esr ffmpeg xvfb libgl1-mesa-dri libegl1",
-        ("Xvfb", "/usr/lib/*/libavcodec.so.*"),
-        screen=True,  # without one it has no WebGL
-        preferences='user_pref("media.autoplay.default", 0); user_pref("media.autoplay.blocking_policy", 0);'
-        'user_pref("media.cubeb.force_mock_context", true);',  # of a machine without loudspeakers
-    ),
-    Browser(
-        "WebKitGTK",
-        ("/usr/lib/*/webkit2gtk-4.*/MiniBrowser",),
-        ("--autoplay-policy=allow",),  # without a touch, of which it needs none then
-        "webkit2gtk-driver xvfb libgl1-mesa-dri libegl1 gstreamer1.0-libav gstreamer1.0-plugins-bad",
-        ("Xvfb", "/usr/lib/*/gstreamer-1.0/libgstlibav.so", "/usr/lib/*/gstreamer-1.0/libgstvideoparsersbad.so"),
-        screen=True,
-    ),
+CHROMIUM = (
+    *("--headless", "--no-sandbox", "--user-data-dir={}", "--use-angle=swiftshader"),
+    *("--enable-unsafe-swiftshader", "--autoplay-policy=no-user-gesture-required"),
 )
+PREFERENCES = """user_pref("media.autoplay.default", 0); user_pref("media.autoplay.blocking_policy", 0);
+user_pref("media.cubeb.force_mock_context", true);"""  # the last one: of a machine without loudspeakers
+GSTREAMER = tuple(f"/usr/lib/*/gstreamer-1.0/libgst{name}.so" for name in ("libav", "videoparsersbad"))
+WEBKIT = "webkit2gtk-driver xvfb libgl1-mesa-dri libegl1 gstreamer1.0-libav gstreamer1.0-plugins-bad"
+BROWSERS = (
+    Browser("Chromium", CHROMIUMS, CHROMIUM, "chromium"),
+    Browser("Firefox", ("firefox-esr", "firefox"), ("--profile", "{}"),
+            "firefox-esr ffmpeg xvfb libgl1-mesa-dri libegl1", ("Xvfb", "/usr/lib/*/libavcodec.so.*"),
+            screen=True,  # without one it has no WebGL
+            preferences=PREFERENCES),
+    Browser("WebKitGTK", ("/usr/lib/*/webkit2gtk-4.*/MiniBrowser",),
+            ("--autoplay-policy=allow",),  # without a touch, of which it needs none then
+            WEBKIT, ("Xvfb", *GSTREAMER), screen=True),
+)  # fmt: skip
 
 
 def play(

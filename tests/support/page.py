@@ -16,15 +16,21 @@ from numpy.typing import NDArray
 
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.serve import pages
-from tests.faces import Camera, Package, before_background, content_policy, decode, mse, psnr, render
+from tests.faces import Camera, Package, before_background, content_policy, decode, mse, open_package, psnr, render
 from tests.support.browser import WEB, Answer, Made, build_pages, serve, visit
 from tests.support.digests import lined_files
 from tests.support.paths import GOLDEN, VALID
 
 SHIPPED = pages.PAGE
 LEAST_DB = 55  # of pictures of 8 bits
+Folders = Mapping[str, Path]
+Answers = Mapping[str, Made]
+Task = tuple[str, dict[str, Any]]
 PACKAGES = {"golden": GOLDEN, "valid": VALID}
-LINED = ("valid/lined", "valid/moving")  # those with lines in time
+PICTURED = (  # folder/package
+    *("golden/fox", "golden/fox-fine", "golden/room", "valid/kept", "valid/lined", "valid/moving"),
+    *("valid/one-gaussian", "valid/paged", "valid/two-groups-sh1"),
+)
 INLINE = "document.title = 'ready';"
 FILES = {  # in the place of the player that web/ builds, so that tests of servers and sites need no Node
     "player.html": f'<!doctype html><script type="module" src="airgs-player.js"></script><script>{INLINE}</script>',
@@ -67,11 +73,7 @@ def script_page(name: str) -> bytes:
 
 
 def look(
-    name: str,
-    folders: Mapping[str, Path],
-    made: Mapping[str, Made] | None = None,
-    known: tuple[str, ...] = (),
-    **query: object,
+    name: str, folders: Folders, made: Answers | None = None, known: tuple[str, ...] = (), **query: object
 ) -> tuple[Any, list[str]]:
     """What a script of web/test/pages reports, and the paths that it asked for; it complains only of what is known."""
     build_pages()
@@ -81,11 +83,7 @@ def look(
     return seen.report, [path for path, _ in site.answers]
 
 
-def do_tasks(
-    steps: Mapping[str, tuple[str, dict[str, Any]]],
-    made: Mapping[str, Made] | None = None,
-    folders: Mapping[str, Path] | None = None,
-) -> Any:
+def do_tasks(steps: Mapping[str, Task], made: Answers | None = None, folders: Folders | None = None) -> Any:
     """What web/test/pages/media.ts reports of steps, name -> (task, arguments); Chromium may complain of faults."""
     build_pages()
     plan = json.dumps([{"name": name, "task": task} | arguments for name, (task, arguments) in steps.items()])
@@ -97,11 +95,17 @@ def do_tasks(
     return seen.report
 
 
-def check_luma(package: Package, name: str, found: Mapping[str, list[str]]) -> None:
+def open_pictured(name: str) -> Package:
+    folder, _, rest = name.partition("/")
+    return open_package(PACKAGES[folder] / rest)
+
+
+def check_luma(name: str, found: Mapping[str, list[str]]) -> None:
     """Digests of pictures of files, all of one page and then all of the next, are those of what Python decodes."""
+    package = open_pictured(name)
     m = package.manifest
     lined = lined_files(m)
-    assert bool(lined) == (name in LINED)
+    assert bool(lined) == (name in ("valid/lined", "valid/moving"))  # those with lines in time
     paths = [path for group in range(len(m.groups)) for path in m.group_files(group)]
     assert set(found) == {path for path in paths if path.endswith(".m4s")}
     for path, digests in found.items():

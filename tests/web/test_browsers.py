@@ -9,19 +9,16 @@ from urllib.parse import urlencode
 import pytest
 
 from tests.faces import open_package
+from tests.support import page as pages_of_tests
 from tests.support.browser import WEB, Answer, build_pages, missing
 from tests.support.browsers import BROWSERS, REPORT, play
-from tests.support.page import PACKAGES, SHIPPED, check_luma, check_sought, off_s, script_page, shipped_page
+from tests.support.page import PACKAGES, PICTURED, SHIPPED, check_luma, check_sought, off_s, shipped_page
 from tests.support.paths import CORPUS, GOLDEN
 from tests.support.vectors import cases
 
-DECODED = (
-    *("golden/fox", "golden/fox-fine", "golden/room", "valid/kept", "valid/lined", "valid/moving"),
-    *("valid/one-gaussian", "valid/paged", "valid/two-groups-sh1"),
-)
 FRAMES = [3, 0, 2, 1]
-FOX = open_package(GOLDEN / "fox")
-FOX_FILES = [path for path in FOX.files.path.rglob("*") if path.is_file()]
+FOX_PATH = GOLDEN / "fox"
+FOX = open_package(FOX_PATH)
 UNCACHED = {"Cache-Control": "no-store"}  # what is not fetched again is kept by the player itself
 RUNGS = [f"{quality.id}+{level.id}" for quality in FOX.manifest.qualities for level in FOX.manifest.levels]
 SECONDS = 6  # of the package that sounds
@@ -65,15 +62,14 @@ def seen(request, package_of):
     if why := browser.missing():
         pytest.skip(why)
     build_pages()
-    plan = json.dumps([{"name": name, "task": "luma", "url": name} for name in DECODED]).encode()
-    pages = {f"/{name}.html": script_page(name) for name in ("media", "player", "sound")}
+    plan = json.dumps([{"name": name, "task": "luma", "url": name} for name in PICTURED]).encode()
+    pages = {f"/{name}.html": pages_of_tests.script_page(name) for name in ("media", "player", "sound")}
     pages |= {"/page/beside.html": BESIDE.encode(), "/page/player.html": shipped_page("shipped", policy=False).body}
     made = {path: page + REPORT.encode() for path, page in pages.items()} | {"/plan.json": plan}
-    for path in FOX_FILES:
-        address = f"/fox/{path.relative_to(FOX.files.path).as_posix()}"
-        made[address] = Answer(path.read_bytes(), headers=UNCACHED)
-    folders = PACKAGES | {"web": WEB, "page": SHIPPED, "showcase": CORPUS / "showcase"}
-    folders |= {"chirping": package_of("chirping")}
+    for path in (path for path in FOX_PATH.rglob("*") if path.is_file()):
+        made[f"/fox/{path.relative_to(FOX_PATH).as_posix()}"] = Answer(path.read_bytes(), headers=UNCACHED)
+    chirping = package_of("chirping")
+    folders = PACKAGES | {"web": WEB, "page": SHIPPED, "showcase": CORPUS / "showcase", "chirping": chirping}
     reports, asked = play(browser, list(VISITS.values()), folders, made)
     named = {name: dict(zip(VISITS, found, strict=True)) for name, found in (("reports", reports), ("asked", asked))}
     return SimpleNamespace(**named, browser=browser, version=browser.version())
@@ -81,69 +77,50 @@ def seen(request, package_of):
 
 def test_a_browser_that_is_not_there_is_named_with_what_to_install():
     firefox = replace(BROWSERS[1], programs=("no-such-program",), needs=("Xvfb-9", "/no/such/*.so"))
-    assert firefox.missing().startswith(
-        "Firefox: not here: no-such-program, Xvfb-9, /no/such/*.so (apt-get install fire"
-    )
+    words = "Firefox: not here: no-such-program, Xvfb-9, /no/such/*.so (apt-get install fire"
+    assert firefox.missing().startswith(words)
     assert replace(firefox, programs=("sh",), needs=("cat",)).missing() == ""
 
 
-@pytest.mark.parametrize("name", DECODED)
-def test_decoded_pictures_are_those_of_python(seen, name):
+@pytest.mark.parametrize("name", PICTURED)
+def test_decoded_pictures_are_those_of_python_and_of_the_vectors(seen, name):
     report = seen.reports["luma"][name]
     assert report.get("luma") in ("exact", "invertible"), report
     assert seen.browser.name != "Chromium" or report["luma"] == "exact"
-    folder, _, rest = name.partition("/")
-    check_luma(open_package(PACKAGES[folder] / rest), name, report["found"])
-
-
-def test_luma_is_that_of_the_vectors(seen):
+    check_luma(name, report["found"])
     for case in cases("packages", "units"):
-        name = case["package"].removeprefix("tests/").removeprefix("manifests/")
-        assert seen.reports["luma"][name]["found"][case["path"]] == case["luma"]
+        if name == case["package"].removeprefix("tests/").removeprefix("manifests/"):
+            assert report["found"][case["path"]] == case["luma"]
 
 
-@pytest.mark.parametrize("page", ["page", "head"])
-def test_the_shipped_page_shows_the_fox_and_the_talking_head(seen, page, record_property):
+@pytest.mark.parametrize("page", ["page", "head", "beside"])
+def test_the_shipped_page_shows_the_fox_the_talking_head_and_two_rungs_along_a_path(seen, page, record_property):
     record_property("browser", seen.version)
     report = seen.reports[page]
     assert report["frames"] > 5 and "text" not in report
+    assert page != "beside" or (report["labels"].count("dB") == 2 and 0 < report["camera"]["position"][0] < 1)
 
 
-def test_two_rungs_are_shown_beside_each_other_along_a_path(seen):
-    report = seen.reports["beside"]
-    assert report["frames"] > 5 and "text" not in report and report["labels"].count("dB") == 2
-    assert 0 < report["camera"]["position"][0] < 1
+def asked_of_fox(seen, visit):
+    return Counter(path for path in seen.asked[visit] if path.startswith("/fox/")).values()
 
 
-def test_it_plays_to_its_end(seen):
-    report, m = seen.reports["once"], FOX.manifest
-    assert (report["problems"], report["events"][-1], report["error"]) == ([], "ended", 0)
-    assert (
-        report["stats"]["framesShown"] <= m.frames <= report["stats"]["framesShown"] + report["stats"]["framesDropped"]
-    )
-    assert report["currentTime"] == pytest.approx((m.frames - 1) / float(m.fps))
+def test_it_plays_to_its_end_again_and_again_and_more_than_is_kept(seen):
+    """Repeated without a dark picture, and nothing is fetched twice unless less is kept."""
+    once, loop, forgets = (seen.reports[visit] for visit in ("once", "loop", "forgets"))
+    assert once["problems"] == loop["problems"] == forgets["problems"] == []
+    m, shown = FOX.manifest, once["stats"]["framesShown"]
+    assert (once["events"][-1], once["error"]) == ("ended", 0)
+    assert shown <= m.frames <= shown + once["stats"]["framesDropped"]
+    assert once["currentTime"] == pytest.approx((m.frames - 1) / float(m.fps))
+    assert loop["stats"]["framesShown"] > 3 * m.frames and loop["pictures"] > 10
+    assert loop["darkest"] > 0.8 * loop["brightest"] > 10
+    assert set(asked_of_fox(seen, "loop")) == {1}
+    assert forgets["stats"]["framesShown"] >= 10 * m.frames and max(asked_of_fox(seen, "forgets")) >= 10
 
 
 def test_frames_that_are_sought_are_what_the_cpu_renderer_draws(seen):
     check_sought(FOX, seen.reports["seek"], (len(FOX.manifest.qualities) - 1, len(FOX.manifest.levels) - 1), FRAMES)
-
-
-def asked_of_fox(seen, visit):
-    return Counter(path for path in seen.asked[visit] if path.startswith("/fox/"))
-
-
-def test_it_is_repeated_without_a_dark_picture_and_nothing_is_fetched_twice(seen):
-    report = seen.reports["loop"]
-    assert report["problems"] == [] and report["stats"]["framesShown"] > 3 * FOX.manifest.frames
-    assert report["pictures"] > 10
-    assert report["darkest"] > 0.8 * report["brightest"] > 10
-    assert set(asked_of_fox(seen, "loop").values()) == {1}
-
-
-def test_more_than_is_kept_plays_on(seen):
-    report = seen.reports["forgets"]
-    assert report["problems"] == [] and report["stats"]["framesShown"] >= 10 * FOX.manifest.frames
-    assert max(asked_of_fox(seen, "forgets").values()) >= 10
 
 
 def test_rungs_are_switched(seen):

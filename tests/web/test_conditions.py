@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from urllib.parse import urlencode
 
 import numpy as np
@@ -25,7 +24,11 @@ WRONG = 0  # in the place of a status: the file with a wrong byte
 SILENT = 1  # its headers, and no byte for as long as the answer to the next question is the same
 LOOK_S = 0.02
 CHUNK = 4096  # bytes
-Fault = Callable[[str, int], int | None]  # path below the package, number of the request -> status or one of these
+FPS = 2  # a group a second
+AWAY = ("Failed to load resource", "ERR_")  # what browsers say of servers that are not there, and of what was given up
+CORRUPT = ("state/L0/3.m4s", "state/L1/3.m4s", "state/L0/5.m4s")
+
+pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
 def outage(trigger, seconds, status):
@@ -40,10 +43,10 @@ def outage(trigger, seconds, status):
     return fault
 
 
-FPS = 2  # a group a second
-AWAY = ("Failed to load resource", "ERR_")  # what browsers say of servers that are not there, and of what was given up
-
-pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
+def all_but_one_quality_is_wrong_once(path, number):
+    if path.startswith("key/T0/Q0/"):
+        return 404
+    return WRONG if number == 1 and path != "airgs.json" else None
 
 
 @dataclass
@@ -52,13 +55,13 @@ class Case:
 
     check: str
     seconds: int
-    fault: Fault = lambda path, number: None
+    fault: Callable[[str, int], int | None] = lambda *_: None  # path, number of the request -> status or these
     known: tuple[str, ...] = ()
     query: dict[str, object] = field(default_factory=dict)
     first: int = 0  # groups of a package that grows
     asked: Counter[str] = field(default_factory=Counter)  # paths below the package
 
-    def open(self, stack: ExitStack, folder: Path) -> str:
+    def open(self, stack, folder):
         """The address of the page, on servers that are there as long as `stack`."""
         if self.first or "other" in self.query:  # on the page's own server
             growth = Growth(folder, self.first)
@@ -145,18 +148,6 @@ class Growth:
         return pack_json(root_of(replace(m, live=True, frames=groups[-1].stop, groups=Groups.of(groups))))
 
 
-def wrong_once(path, number):
-    return WRONG if number == 1 and path != "airgs.json" else None
-
-
-def no_best_keys(path, _):
-    return 404 if path.startswith("key/T0/Q0/") else None
-
-
-def corrupt(path, _):
-    return WRONG if path in ("state/L0/3.m4s", "state/L1/3.m4s", "state/L0/5.m4s") else None
-
-
 CASES = {  # the longest ones first
     "link": Case("link", 16),
     "speeds": Case("speeds", 16),
@@ -164,13 +155,11 @@ CASES = {  # the longest ones first
     "away": Case("away", 4, known=AWAY),
     "outage": Case("once", 6, outage("key/T0/4.bin", 3, SILENT), query={"buffer": 3}),
     "busy": Case("once", 4, outage("key/T0/3.bin", 3, 503), known=AWAY, query={"buffer": 1.5}),
-    "corrupt": Case("once", 6, corrupt),
-    "no keys": Case("once", 4, no_best_keys, known=AWAY),
-    "wrong bytes": Case("once", 4, wrong_once),
+    "corrupt": Case("once", 6, lambda path, _: WRONG if path in CORRUPT else None),
+    "wrong once": Case("once", 4, all_but_one_quality_is_wrong_once, known=AWAY),
     "seeks": Case("seeks", 12),
     "stall": Case("stall", 12, known=AWAY),
-    "close": Case("close", 4),
-    "reopen": Case("reopen", 4, query={"other": "/other/"}),
+    "close": Case("close", 4, query={"other": "/other/"}),
 }
 
 
@@ -208,19 +197,15 @@ def check_end(report, frames):
     assert stats["framesShown"] <= frames <= stats["framesShown"] + stats["framesDropped"]
 
 
-@pytest.mark.parametrize(
-    ("name", "waited"),
-    [
-        ("link", ""),
-        ("outage", ""),
-        ("busy", "expected a file, got status 503"),
-        ("no keys", ""),
-        ("wrong bytes", ""),
-        ("away", "the server cannot be reached"),
-    ],
-)
-def test_whatever_a_server_does_all_is_shown(report, name, waited):
-    seen, frames = report(name), CASES[name].seconds * FPS
+WAITED = {  # for what
+    "link": "", "outage": "", "busy": "expected a file, got status 503", "wrong once": "",
+    "away": "the server cannot be reached",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WAITED)
+def test_whatever_a_server_does_all_is_shown(report, name):
+    seen, frames, waited = report(name), CASES[name].seconds * FPS, WAITED[name]
     check_end(seen, frames)
     problems, passing = problems_of(seen)
     assert problems == [] and all(waited in words for words in passing) and bool(passing) == bool(waited)
@@ -231,8 +216,8 @@ def test_what_is_not_there_is_given_up_waited_for_or_asked_for_again(report):
     assert report("outage")["given"] > 0
     for name in ("busy", "away"):
         assert {"stall", "resume"} <= set(report(name)["events"])
-    assert all(rung.startswith("Q1") for rung in report("no keys")["rungs"])  # of Q0 there are no keys
-    assert {*CASES["wrong bytes"].asked.values()} >= {2}
+    assert all(rung.startswith("Q1") for rung in report("wrong once")["rungs"])  # of Q0 there are no keys
+    assert {*CASES["wrong once"].asked.values()} >= {2}
 
 
 def test_over_a_link_that_falls_and_rises_again_rungs_follow(report):
@@ -276,11 +261,7 @@ def test_a_pause_and_a_seek_in_a_stall_hold(report):
     assert seen["sought"] == 6 and seen["held"]
 
 
-def test_of_a_player_that_was_closed_nothing_is_left(report):
-    assert report("close") == {"errors": [], "unhandled": [], "workers": 0}
-
-
-def test_of_two_packages_that_are_opened_at_once_the_last_one_counts(report):
-    seen = report("reopen")
-    assert seen["opened"] == [float(open_package(GOLDEN / "fox-fine").manifest.fps), FPS]
-    assert seen["running"] > 0 and seen["workers"] == 0
+def test_of_players_that_were_closed_nothing_is_left_and_of_packages_opened_at_once_the_last_one_counts(report):
+    seen = report("close")
+    running, opened = seen.pop("running"), [float(open_package(GOLDEN / "fox-fine").manifest.fps), FPS]
+    assert seen == {"errors": [], "unhandled": [], "left": 0, "workers": 0, "opened": opened} and running > 0

@@ -14,29 +14,6 @@ from tests.support.page import SHIPPED, asking, do_tasks
 from tests.support.paths import GOLDEN
 from tests.support.servers import plainly_serving
 
-MOCKS = {
-    ("NV12", "same"): "exact",
-    ("I420", "same"): "exact",
-    ("BGRX", "same"): "exact",
-    ("BGRX", "stretched"): "invertible",
-    ("RGBA", "stretched"): "invertible",
-    ("RGBX", "negative"): "invertible",
-    (None, "stretched"): "invertible",
-    ("NV12", "stretched"): "invertible",
-    ("BGRX", "squeezed"): None,
-    ("I420", "clipped"): None,
-    ("BGRX", "clipped"): None,
-    ("I444", "same"): None,
-}
-
-
-HARMS = {
-    "unharmed": {},
-    "reclaimed": {"after": 1, "times": 1},
-    "reclaimed again": {"after": 1, "times": 2},
-    "broken": {"after": 0, "times": 99},
-    "given up": {"abortAt": 0},
-}
 LACKING = {  # what is taken away by web/test/support/lacking.ts, and what is said
     "HTTPS": "only over HTTPS",
     "WebCodecs": "It lacks WebCodecs.",
@@ -50,20 +27,16 @@ LACKING = {  # what is taken away by web/test/support/lacking.ts, and what is sa
     "workers that start": "The worker that decodes failed",
 }
 KEY = "?sig=a%2Fb%2Bc&x=1"
+PAGE = "group/1.json.gz"
 SERVERS = {  # the file that is answered otherwise, how, and what is said
     "401": ("airgs.json", Answer(status=401), "needs a sign-in"),
-    "403": (
-        "group/1.json.gz",
-        Answer(status=403),
-        "group/1.json.gz: expected a file, got status 403. Its server refuses",
-    ),
+    "403": (PAGE, Answer(status=403), f"{PAGE}: expected a file, got status 403. Its server refuses"),
     "page": ("airgs.json", Answer(b"<!doctype html>"), "A web page is there"),
     "silent": ("airgs.json", Answer(b"{{", wait_s=60), "airgs.json: the server is silent"),
 }
-
+SAID = LACKING | {name: words for name, (*_, words) in SERVERS.items()} | {"CORS": "is not for this page"}
 NOTHING = {"plain": "/golden/fox/", "query, unpacked": f"/dev/fox/manifest.mpd{KEY}"}  # lacks, or is wrong
 FOX = open_package(GOLDEN / "fox")
-FRAMES = FOX.manifest.segments[0].stop
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
@@ -77,7 +50,7 @@ def shown():
     root = (GOLDEN / "fox" / "airgs.json").read_bytes()
     made = {f"/{name}/airgs.json": root for name in SERVERS}
     made |= {f"/{name}/{path}": given for name, (path, given, _) in SERVERS.items()}
-    for path in ("group/1.json.gz", "group/2.json.gz"):
+    for path in (PAGE, "group/2.json.gz"):
         made[f"/dev/fox/{path}"] = Answer((GOLDEN / "fox" / path).read_bytes(), headers={"Content-Encoding": "gzip"})
     folders = {"page": SHIPPED, "golden": GOLDEN, "dev": GOLDEN}
     with serve(folders, made, locked={"dev": KEY}) as site, plainly_serving(GOLDEN) as port:
@@ -89,11 +62,12 @@ def shown():
     return {name: seen.report for name, seen in zip(pages, visits, strict=True)}
 
 
-@pytest.mark.parametrize("what", LACKING)
-def test_what_is_lacking_is_said_on_the_screen(shown, what):
-    report = shown[what]
-    assert report["seen"] and LACKING[what] in report["text"]
+@pytest.mark.parametrize("name", SAID)
+def test_what_is_lacking_or_a_server_does_is_said_on_the_screen(shown, name):
+    report = shown[name]
+    assert report["seen"] and SAID[name] in report["text"]
     assert report["width"] > 200 and report["height"] > 100
+    assert name in LACKING or "Try again" in report["text"]
 
 
 @pytest.mark.parametrize("name", NOTHING)
@@ -101,14 +75,38 @@ def test_where_nothing_is_lacking_nothing_is_said(shown, name):
     assert "text" not in shown[name]
 
 
-@pytest.mark.parametrize("name", [*SERVERS, "CORS"])
-def test_what_a_server_does_is_said_on_the_screen(shown, name):
-    report = shown[name]
-    words = SERVERS[name][2] if name in SERVERS else "is not for this page"
-    assert report["seen"] and words in report["text"] and "Try again" in report["text"]
-
-
 # In the media part: luma that is changed, decoders that are missing, taken away or broken
+
+MOCKS = (  # formats of pictures, what becomes of their luma, and whether it can be had: "luma" is not
+    ("NV12", "same", "exact"), ("I420", "same", "exact"), ("BGRX", "same", "exact"),
+    ("BGRX", "stretched", "invertible"), ("RGBA", "stretched", "invertible"), ("RGBX", "negative", "invertible"),
+    (None, "stretched", "invertible"), ("NV12", "stretched", "invertible"),
+    ("BGRX", "squeezed", None), ("I420", "clipped", None), ("BGRX", "clipped", None), ("I444", "same", None),
+)  # fmt: skip
+PROBES = {  # task of web/test/pages/media.ts, with what -> what it reports, or words of an UnsupportedError
+    "this browser": ("probe", {}, {"luma": "exact", "layouts": ["planar"], "wrong": []}),
+    "uneven": ("uneven", {}, "changes the luma"),
+    "unable": ("unable", {}, "does not decode H.264"),
+    "no decoder": ("lacking", {"what": "VideoDecoder"}, "no WebCodecs"),
+    "not secure": ("lacking", {"what": "isSecureContext"}, "https"),
+    "software where hardware differs": (
+        "hardware", {"helps": True}, {"wrong": [], "asked": ["no-preference", "prefer-software"]},
+    ),
+    "software that differs, too": ("hardware", {"helps": False}, "luma"),
+}  # fmt: skip
+for format, change, luma in MOCKS:
+    layout = "planar" if format in ("NV12", "I420") else "rgb"
+    undone = {"luma": luma, "layouts": [layout], "wrong": []}
+    PROBES[f"{format} {change}"] = "probe", {"format": format, "change": change}, undone if luma else "luma"
+ALL = list(range(FOX.manifest.segments[0].stop))
+BROKEN = "key/T0/Q0/1.m4s: H.264 does not decode: Codec reclaimed due to inactivity. (bad_picture)"
+HARMS = {  # done to decoders -> how many are made, one for keys and one for states at first, frames that come, words
+    "unharmed": ({}, {"made": 2, "came": ALL, "said": ""}),
+    "reclaimed": ({"after": 1, "times": 1}, {"made": 3, "came": ALL, "said": ""}),
+    "reclaimed again": ({"after": 1, "times": 2}, {}),
+    "broken": ({"after": 0, "times": 99}, {"made": 2, "came": [], "said": BROKEN}),
+    "given up": ({"abortAt": 0}, {"came": [0], "said": "given up"}),
+}
 
 
 def test_the_probe_is_a_picture_of_every_luma():
@@ -120,66 +118,21 @@ def test_the_probe_is_a_picture_of_every_luma():
 
 @pytest.fixture(scope="module")
 def probed():
-    steps = {"real": ("probe", {}), "uneven": ("uneven", {}), "unable": ("unable", {})}
-    steps |= {f"{format} {change}": ("probe", {"format": format, "change": change}) for format, change in MOCKS}
-    steps |= {f"hardware {helps}": ("hardware", {"helps": helps}) for helps in (True, False)}
-    steps |= {what: ("lacking", {"what": what}) for what in ("VideoDecoder", "isSecureContext")}
-    steps |= {f"watched {name}": ("watched", {"url": "golden/fox"} | harm) for name, harm in HARMS.items()}
-    return do_tasks({name: (task, {"url": ""} | arguments) for name, (task, arguments) in steps.items()})
+    steps = {name: (task, {"url": ""} | arguments) for name, (task, arguments, _) in PROBES.items()}
+    steps |= {name: ("watched", {"url": "golden/fox"} | harm) for name, (harm, _) in HARMS.items()}
+    return do_tasks(steps)
 
 
-def test_this_browser_is_exact(probed):
-    assert probed["real"] == {"luma": "exact", "layouts": ["planar"], "wrong": []}
-
-
-@pytest.mark.parametrize(("format", "change"), MOCKS)
-def test_luma_that_is_changed_is_undone_or_refused(probed, format, change):
-    report, luma = probed[f"{format} {change}"], MOCKS[format, change]
-    if luma is None:
-        assert report["error"]["name"] == "UnsupportedError"
-        assert "luma" in report["error"]["message"]
+@pytest.mark.parametrize("name", PROBES)
+def test_luma_that_is_changed_is_undone_or_refused_and_what_a_browser_lacks_is_named(probed, name):
+    report, expected = probed[name], PROBES[name][-1]
+    if isinstance(expected, str):
+        assert report["error"]["name"] == "UnsupportedError" and expected in report["error"]["message"]
     else:
-        layout = "planar" if format in ("NV12", "I420") else "rgb"
-        assert report == {"luma": luma, "layouts": [layout], "wrong": []}
+        assert report == expected
 
 
-def test_software_decodes_what_hardware_gives_otherwise_than_the_probe(probed):
-    assert probed["hardware True"] == {"wrong": [], "asked": ["no-preference", "prefer-software"]}
-    assert probed["hardware False"]["error"]["name"] == "UnsupportedError"
-
-
-@pytest.mark.parametrize(
-    ("what", "words"),
-    [
-        ("uneven", "changes the luma"),
-        ("unable", "does not decode H.264"),
-        ("VideoDecoder", "no WebCodecs"),
-        ("isSecureContext", "https"),
-    ],
-)
-def test_what_a_browser_lacks_is_named(probed, what, words):
-    assert probed[what]["error"]["name"] == "UnsupportedError"
-    assert words in probed[what]["error"]["message"]
-
-
-def test_every_picture_is_closed_whatever_happens(probed):
-    for name in HARMS:
-        assert probed[f"watched {name}"]["unclosed"] == 0, name
-
-
-@pytest.mark.parametrize("name", ["unharmed", "reclaimed"])
-def test_a_decoder_that_was_taken_away_is_made_anew(probed, name):
-    report = probed[f"watched {name}"]
-    assert (report["came"], report["said"]) == (list(range(FRAMES)), "")
-    assert report["made"] == 2 + HARMS[name].get("times", 0)  # one for keys, one for states
-
-
-def test_a_decoder_that_breaks_down_again_counts(probed):
-    report = probed["watched broken"]
-    assert report["came"] == [] and "H.264 does not decode" in report["said"]
-    assert report["made"] == 2
-
-
-def test_decoding_that_is_given_up_ends(probed):
-    report = probed["watched given up"]
-    assert report["came"] == [0] and report["said"] == "given up"
+@pytest.mark.parametrize("name", HARMS)
+def test_a_decoder_that_was_taken_away_is_made_anew_and_every_picture_is_closed_whatever_happens(probed, name):
+    report, (_, expected) = probed[name], HARMS[name]
+    assert report | expected | {"unclosed": 0} == report

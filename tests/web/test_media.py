@@ -15,19 +15,14 @@ from tests.faces import REPR_DIGEST, decode_frames, open_package, repr_digest
 from tests.support.browser import Answer, missing
 from tests.support.growing import Growing
 from tests.support.packages import Encoded
-from tests.support.page import PACKAGES as FOLDERS
-from tests.support.page import do_tasks
-from tests.support.paths import GOLDEN, VALID
+from tests.support.page import PICTURED, do_tasks, open_pictured
+from tests.support.paths import VALID
 from tests.support.refusals import cases as cases_of_refusals
 from tests.support.regions import QUICK
 from tests.support.rooms import room_frames
 from tests.support.scenes import moving_frames
 
-PACKAGES = (
-    *("golden/fox", "golden/fox-fine", "golden/room", "valid/kept", "valid/lined", "valid/moving"),
-    *("valid/one-gaussian", "valid/paged", "valid/two-groups-sh1"),
-)
-FOX = open_package(GOLDEN / "fox")
+FOX = open_pictured("golden/fox")
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
@@ -41,11 +36,6 @@ def encoded(tmp_path_factory):
         Encoded(lambda: [moving_frames(600, 7)], settings, cameras=True)(folder / "pages")
     Encoded(lambda: [room_frames(600, 1, 1) * 2] * 2, settings, fps=4, cameras=True)(folder / "still")
     return folder
-
-
-def package(name):
-    first, _, rest = name.partition("/")
-    return open_package(FOLDERS[first] / rest)
 
 
 # Exactness
@@ -62,8 +52,8 @@ def frames_of(p, rung):
 
 RUNGS = [
     (name, {"key_quality": q, "level": j, "tiers": tiers})
-    for name in PACKAGES
-    for m in [package(name).manifest]
+    for name in PICTURED
+    for m in [open_pictured(name).manifest]
     for q, j, tiers in {
         (0, 0, m.tiers),
         (len(m.qualities) - 1, len(m.levels) - 1, m.levels[-1].tiers),
@@ -71,8 +61,6 @@ RUNGS = [
         (len(m.qualities) - 1, 0, 1),
     }
 ]
-
-
 ENCODED = {"pages": {"key_quality": 0, "level": 0, "tiers": 1}, "still": {"key_quality": 1, "level": 0, "tiers": 2}}
 READ = "golden/room"
 
@@ -80,23 +68,23 @@ READ = "golden/room"
 @pytest.fixture(scope="module")
 def frames(encoded):
     steps, made = {}, {}
-    wanted = {f"{number}": (name, package(name), rung) for number, (name, rung) in enumerate(RUNGS)}
+    wanted = {f"{number}": (name, open_pictured(name), rung) for number, (name, rung) in enumerate(RUNGS)}
     wanted |= {name: (f"encoded/{name}", open_package(encoded / name), rung) for name, rung in ENCODED.items()}
     for name, (url, of, rung) in wanted.items():
-        expected = f"/expected/{name}"
-        made |= {f"{expected}/{i}": data for i, data in enumerate(frames_of(of, rung))}
+        made |= {f"/expected/{name}/{i}": data for i, data in enumerate(frames_of(of, rung))}
         asked = {"quality": rung["key_quality"], "level": rung["level"], "tiers": rung["tiers"]}
-        steps[name] = "frames", {"url": url, "expected": expected} | asked
+        steps[name] = "frames", {"url": url, "expected": f"/expected/{name}"} | asked
     best = RUNGS.index((READ, {"key_quality": 0, "level": 0, "tiers": 2}))
     read = {"rung": "Q0+L0", "frames": [3, 1, 0, 2], "expected": f"/expected/{best}"}
     steps["reader"] = "reading", {"url": READ} | read
+    steps["flips"] = "flips", {"url": f"/{READ}/", "level": 0, "seed": 3, "count": 60, "seconds": 30}
     return do_tasks(steps, made, {"encoded": encoded})
 
 
 @pytest.mark.parametrize("number", range(len(RUNGS)), ids=[f"{name} {rung}" for name, rung in RUNGS])
 def test_every_frame_is_the_decoders(frames, number):
     report = frames[f"{number}"]
-    assert report["frames"] == package(RUNGS[number][0]).manifest.frames
+    assert report["frames"] == open_pictured(RUNGS[number][0]).manifest.frames
     assert all(error <= 1e-6 for error in report["worst"].values()), report
 
 
@@ -114,22 +102,21 @@ def test_frames_are_read_in_any_order_from_a_group_that_keeps_rows(frames):
     assert len(report) == 6 and all(error <= 1e-6 for error in report.values()), report
 
 
-def test_a_flipped_bit_of_a_coded_picture_shows_no_other_values():
+def test_a_flipped_bit_of_a_coded_picture_shows_no_other_values(frames):
     """Digests aside, as if they had been made anew: the checksums of decoded luma refuse what the decoder lets pass."""
-    arguments = {"url": "/golden/room/", "level": 0, "seed": 3, "count": 60, "seconds": 30}
-    came = do_tasks({"flips": ("flips", arguments)})["flips"]
+    came = frames["flips"]
     assert came["tried"] > 0 and came["other"] == 0 and came["refused"] > came["same"]
 
 
 # Every refusal is tested in Node (web/test/unit/packages.test.ts): here those of files that are no tables, and how one
 # of each kind of table comes out of the worker.
-OF_FILES = ("bad_picture", "bad_sidecar", "count_mismatch", "hash_mismatch", "missing_entry", "missing_file")
+OF_FILES = (
+    "bad_picture", "bad_sidecar", "count_mismatch", "hash_mismatch", "missing_entry", "missing_file", "size_mismatch",
+)  # fmt: skip
 OF_TABLES = ("not_json", "not_json-group", "bad_value-page-short", "too_large")
 REFUSED = {
-    name: case
-    for name, case in cases_of_refusals().items()
-    if case.reason in (*OF_FILES, "size_mismatch") or name in OF_TABLES
-}
+    name: case for name, case in cases_of_refusals().items() if case.reason in OF_FILES or name in OF_TABLES
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -137,8 +124,7 @@ def refusals():
     made = {}
     for name, case in REFUSED.items():
         files = case.package()
-        for path in case.files:
-            made[f"/{name}/{path}"] = Answer(status=404) if files.get(path) is None else Answer(files[path])
+        made |= {f"/{name}/{path}": files.get(path, Answer(status=404)) for path in case.files}
     folders = {name: VALID / case.base for name, case in REFUSED.items()}
     return do_tasks({name: ("luma", {"url": name}) for name in REFUSED}, made, folders)
 
@@ -152,33 +138,20 @@ def test_broken_packages_are_refused(refusals, name):
 
 # Faults of servers
 
-
-class Flaky:
-    """Answers in turn; once they are used up, the file as it is."""
-
-    def __init__(self, *answers):
-        self.answers = list(answers)
-        self.asked = 0
-
-    def __call__(self):
-        self.asked += 1
-        return self.answers.pop(0) if self.answers else None
-
-
 TABLE = "group/1.json.gz"
 TABLE_BYTES = FOX.files.path.joinpath(TABLE).read_bytes()
 KEY = "key/T0/Q0/1.m4s"
 OTHER = TABLE_BYTES[:-1] + bytes([TABLE_BYTES[-1] ^ 1])
 ROOT = FOX.files.path.joinpath("airgs.json").read_bytes()
-ROOTS = {
-    "right": Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)}),
-    "wrong": Answer(ROOT, headers={REPR_DIGEST: repr_digest(b"another")}),
-    "busy": Answer(status=503),
-    "away": Answer(dropped=True),
-    "missing": Answer(status=404),
-}
 HEADERS = 350  # bytes of each answer, which pages are not told
-
+ROOTS = {  # answer for airgs.json -> what is opened, or why not
+    "right": (Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)}),
+              {"groups": 2, "bytes": len(ROOT) + HEADERS, "retries": []}),
+    "wrong": (Answer(ROOT, headers={REPR_DIGEST: repr_digest(b"another")}), "hash_mismatch"),
+    "busy": (Answer(status=503), "TransportError"),
+    "away": (Answer(dropped=True), "TransportError"),
+    "missing": (Answer(status=404), "missing_file"),
+}  # fmt: skip
 FAULTS = {  # answers for the table of the first group -> (answers that were not taken, why it cannot be had)
     "none": ([], 0, None),
     "wrong bytes": ([Answer(OTHER)], 1, None),
@@ -199,6 +172,11 @@ FAULTS = {  # answers for the table of the first group -> (answers that were not
 ATTEMPTS = 2  # of files that stay wrong, or of a server that is away more often; elsewhere as many as players make
 
 
+def in_turn(*answers):
+    """Answers one after another; once they are used up, the file as it is."""
+    return partial(next, iter(answers), None)
+
+
 @pytest.fixture(scope="module")
 def faults(package_of, tmp_path_factory):
     steps, made, folders = {}, {}, {"long": package_of("chirping")}
@@ -211,14 +189,14 @@ def faults(package_of, tmp_path_factory):
 
     for name, (answers, *_) in FAULTS.items():
         attempts = {"attempts": ATTEMPTS} if name.startswith(("always", "away")) else {}
-        add(name, "fetching", {f"{TABLE}": Flaky(*answers)}, paths=[TABLE], **attempts)
-    late = Flaky(Answer(TABLE_BYTES, wait_s=20))
+        add(name, "fetching", {TABLE: in_turn(*answers)}, paths=[TABLE], **attempts)
+    late = in_turn(Answer(TABLE_BYTES, wait_s=20))
     add("slow", "fetching", {TABLE: late}, paths=[TABLE, "group/2.json.gz"], abortMs=700)
     keep = Answer(TABLE_BYTES, headers={"Cache-Control": "max-age=3600"})
     add("kept", "fetching", {TABLE: keep}, paths=[TABLE], times=2)
     fresh = Answer(TABLE_BYTES, headers={"Cache-Control": "no-store"})
     add("kept here", "fetching", {TABLE: fresh}, paths=[TABLE, KEY], times=3)
-    for name, root in ROOTS.items():
+    for name, (root, _) in ROOTS.items():
         add(f"root {name}", "opening", {"airgs.json": root})
     steps["ahead"] = "ahead", {"url": "long"}
     add("mistakes", "mistakes", {})
@@ -252,15 +230,11 @@ def test_a_batch_that_is_given_up_keeps_what_is_whole(faults):
     assert came["bytes"] == 2 * HEADERS + len(TABLE_BYTES) - 1 + FOX.manifest.entry("group/2.json.gz").bytes
 
 
-def test_what_the_browser_had_kept_says_nothing_of_the_network(faults):
-    first, again = faults["kept"]["came"]
-    assert (first["cached"], again["cached"]) == (False, True)
-    assert first["bytes"] > 0 and again["bytes"] == 0
-    assert first["whole"] == again["whole"] == [TABLE]
-
-
-def test_what_the_player_has_kept_is_not_fetched(faults):
+def test_what_is_kept_by_the_browser_says_nothing_of_the_network_and_by_the_player_is_not_fetched(faults):
     """Of a table and a key file, which can be asked for once the table is there, the key file comes but once."""
+    first, again = faults["kept"]["came"]
+    assert (first["cached"], again["cached"], again["bytes"]) == (False, True, 0) and first["bytes"] > 0
+    assert first["whole"] == again["whole"] == [TABLE]
     _, both, again = faults["kept here"]["came"]
     table, key = len(TABLE_BYTES) + HEADERS, FOX.manifest.entry(KEY).bytes + HEADERS
     assert sorted(both["whole"]) == sorted(again["whole"]) == [TABLE, KEY]
@@ -268,15 +242,11 @@ def test_what_the_player_has_kept_is_not_fetched(faults):
     assert (again["bytes"], again["expected"], again["cached"]) == (table, table, False)
 
 
-def test_the_root_is_checked_by_its_header(faults):
-    assert faults["root right"] == {"groups": 2, "bytes": len(ROOT) + HEADERS, "retries": []}
-    assert faults["root wrong"]["error"]["reason"] == "hash_mismatch"
-
-
-def test_a_server_that_is_not_there_is_named_at_once(faults):
-    for name in ("root busy", "root away"):
-        assert faults[name]["error"]["name"] == "TransportError"
-    assert faults["root missing"]["error"]["reason"] == "missing_file"
+@pytest.mark.parametrize("name", ROOTS)
+def test_the_root_is_checked_by_its_header_and_a_server_that_is_not_there_is_named_at_once(faults, name):
+    came, (_, expected) = faults[f"root {name}"], ROOTS[name]
+    error = came.get("error", {})
+    assert (error.get("reason", error["name"]) if error else came) == expected
 
 
 def test_decoding_waits_for_the_screen(faults, package_of):
@@ -299,4 +269,4 @@ def test_files_that_are_not_at_hand_are_fetched_where_a_table_leads_to_them(faul
 def test_a_growing_package_is_followed_to_its_end(faults):
     report = faults["growing"]
     assert report["seen"] == [[1, True], [2, True], [65, True], [65, False]]
-    assert report["start"] == package("valid/paged").manifest.groups[64].start
+    assert report["start"] == open_pictured("valid/paged").manifest.groups[64].start

@@ -198,7 +198,7 @@ const checks: Record<string, () => Promise<unknown>> = {
     return { ...report(log), during, sought, held };
   },
 
-  /** Closes players at every moment; nothing of them is left. */
+  /** Closes players at every moment, then opens one package while another one is opened; nothing of them is left. */
   async close() {
     const errors: string[] = [];
     for (const wait of [0, 5, 30, 100, 200, 400, 700, 1000]) {
@@ -213,23 +213,18 @@ const checks: Record<string, () => Promise<unknown>> = {
       await opening;
     }
     await sleep(300);
-    return { errors, unhandled, workers: workers.size };
-  },
-
-  /** Opens one package while another one is opened: the last one counts. */
-  async reopen() {
+    const left = workers.size;
     const player = new Player(canvas);
     player.resize(64, 48);
     player.play();
     const opened: number[] = [];
     player.on("open", () => opened.push(player.fps));
-    const other = query.get("other") ?? "";
-    await Promise.all([player.open(src), player.open(other)]);
+    await Promise.all([player.open(src), player.open(query.get("other") ?? "")]);
     await player.open(src);
     await until("a picture", () => player.stats.framesShown > 0);
     const running = workers.size;
     player.close();
-    return { opened, running, workers: workers.size, unhandled };
+    return { errors, left, opened, running, workers: workers.size, unhandled };
   },
 };
 

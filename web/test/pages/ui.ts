@@ -1,6 +1,6 @@
-// The element with a player that pretends, in a situation of the query: `?case=NAME`. The page drives itself with real
-// input through `drive`, which test/open.mjs puts into it, and reports what came of it.
-import { cases } from "../support/ui-cases.ts";
+// The element with a player that pretends, in situations of the query one after another: `?cases=NAME,NAME`. The page
+// drives itself with real input through `drive`, which test/open.mjs puts into it, and reports what came of each.
+import { cases, clear } from "../support/ui-cases.ts";
 
 declare global {
   interface Window {
@@ -8,5 +8,13 @@ declare global {
   }
 }
 
-const name = new URLSearchParams(location.search).get("case") ?? "";
-window.report = cases[name]();
+async function run(names: string[]): Promise<object> {
+  const report: Record<string, unknown> = {};
+  for (const name of names) {
+    report[name] = await cases[name]().catch((error: Error) => ({ error: String(error) }));
+    clear();
+  }
+  return report;
+}
+
+window.report = run((new URLSearchParams(location.search).get("cases") ?? "").split(","));

@@ -55,6 +55,14 @@ async function element(
   return node;
 }
 
+/** Nothing of a case that was; timers, touches and the address stay as it left them. */
+export function clear(): void {
+  document.body.replaceChildren();
+  document.body.removeAttribute("style");
+  scrollTo(0, 0);
+  players.length = 0;
+}
+
 const player = (node: FakeElement) => node.player as FakePlayer;
 const inside = (node: FakeElement) => node.shadowRoot as ShadowRoot;
 const find = (node: FakeElement, selector: string) => inside(node).querySelector<HTMLElement>(selector)!;
