@@ -14,6 +14,7 @@ from tests.support.scenes import random_gaussians
 from tests.support.views import moved, ring, views_of
 
 SIX = ("means", "quaternions", "log_scales", "opacity_logits", "sh_dc", "sh_rest")
+TRUTH = random_gaussians(40, 1)
 LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 
 
@@ -44,13 +45,8 @@ def seen(monkeypatch):
 
 
 def trainer(**settings) -> Trainer:
-    base = TrainSettings(sh_degree=1, budget=60, capacity=90)
-    counts = {"first_iterations": 4, "key_iterations": 4, "frame_iterations": 4}
-    return Trainer(replace(preset("paper", base), **(counts | settings)), scene_extent(ring()))
-
-
-def truth():
-    return random_gaussians(40, 1)
+    base = TrainSettings(sh_degree=1, budget=60, capacity=90, first_iterations=4, key_iterations=4, frame_iterations=4)
+    return Trainer(replace(preset("paper", base), **settings), scene_extent(ring()))
 
 
 def l_3dgs(p, views, name, sh_degree=1):
@@ -67,19 +63,18 @@ def raw_sum(p, base, rows):
 
 
 def test_a_first_frame_starts_from_the_given_points_and_has_the_loss_of_3dgs_alone(seen):
-    g = truth()
-    views = views_of(g, ring(4))
-    fit_first(trainer(), FrameViews(0, views), faces.Points(g.means, None))
+    views = views_of(TRUTH, ring(4))
+    fit_first(trainer(), FrameViews(0, views), faces.Points(TRUTH.means, None))
     expected = [l_3dgs(p, views, n) for p, n in zip(seen.gaussians, seen.cameras, strict=True)]
     assert seen.losses == pytest.approx(expected, rel=1e-4, abs=2e-8)
     assert seen.shrinks == [None] * 4
     start = seen.gaussians[0]["means"].numpy()
-    assert sorted(map(tuple, start)) == sorted(map(tuple, g.means))  # neither random ones beside them nor fewer
+    assert sorted(map(tuple, start)) == sorted(map(tuple, TRUTH.means))  # neither random ones beside them nor fewer
 
 
 @pytest.mark.parametrize(("degree", "count"), [(0, 5), (1, 6)])
 def test_a_frame_in_a_group_moves_by_six_networks_with_a_raw_sum(seen, degree, count):
-    before = truth().with_degree(degree)
+    before = TRUTH.with_degree(degree)
     views = views_of(moved(before, slice(0, 20), (0.05, 0.0, 0.0)), ring(4))
     t = trainer(sh_degree=degree)
     group = t.start_group(before, views)
@@ -100,21 +95,17 @@ def test_a_keyframe_has_the_loss_of_the_paper_until_its_end(seen, monkeypatch):
     """L_3DGS and the surrogate of L_inf are in the loss; L^k_temp is applied by its proximal map, to U rows."""
     for name in ("residual_seeds", "find_wrong"):
         monkeypatch.setattr(f"airgs_codec.trainer.fit.trainer.{name}", lambda *_: pytest.fail("seeds were looked for"))
-    before = truth()
-    rows = len(before)
-    views = views_of(moved(before, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))
+    rows, base = len(TRUTH), from_gaussians(TRUTH)
+    views = views_of(moved(TRUTH, slice(0, 20), (0.1, 0.0, 0.0)), ring(4))
     t = trainer(key_iterations=210)  # rows are added after the hundredth
-    velocity = np.full_like(before.means, 0.1)
-    g = t.fit_keyframe(FrameViews(1, views), InMotion(before, velocity), t.steps(before, views)).gaussians
-    base = from_gaussians(before)
+    before = InMotion(TRUTH, np.full_like(TRUTH.means, 0.1))
+    g = t.fit_keyframe(FrameViews(1, views), before, t.steps(TRUTH, views)).gaussians
     assert all(torch.equal(seen.gaussians[0][name], base[name]) for name in SIX)  # GS_{t-1}
     assert len(seen.gaussians[99]["means"]) == rows < len(seen.gaussians[100]["means"])
     for i in (0, 1, 60, 99, 100, 150, 209):
         p = seen.gaussians[i]
-        l_inf = float(p["opacity_logits"][rows:].sigmoid().double().sum())
-        assert seen.losses[i] == pytest.approx(
-            l_3dgs(p, views, seen.cameras[i]) + LAMBDA_INF * l_inf, rel=1e-4, abs=2e-8
-        )
+        l_inf = LAMBDA_INF * float(p["opacity_logits"][rows:].sigmoid().double().sum())
+        assert seen.losses[i] == pytest.approx(l_3dgs(p, views, seen.cameras[i]) + l_inf, rel=1e-4, abs=2e-8)
     for p, shrink in zip(seen.gaussians, seen.shrinks, strict=True):
         for name in SIX:
             assert shrink[name].shape == p[name].shape

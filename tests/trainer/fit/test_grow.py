@@ -15,15 +15,10 @@ from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_ro
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
 
 
-def rng():
-    return np.random.default_rng(0)
-
-
 def test_growth_ends_at_the_budget_and_never_passes_it():
     growth = grow.Growth(budget=1000, start=0.1, stop=0.6, every=10)
     counts = [growth.target(300, done) for done in np.linspace(0, 1, 101)]
-    assert counts[0] == 300 and counts[-1] == 1000
-    assert counts == sorted(counts)
+    assert counts[0] == 300 and counts[-1] == 1000 and counts == sorted(counts)
     assert growth.target(1200, 0.5) == 1200
     assert [i for i in (20, 300, 305, 700) if growth.due(i, 1000)] == [300]
 
@@ -36,7 +31,7 @@ def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
     p = random_parameters(5)
     p["log_scales"][:] = np.log(0.009)  # no larger than 0.01 of the extent: clones
     for budget, parents in ((1000, [0, 3]), (6, [0])):
-        densifier = grow.Densifier(grow.growth_of_3dgs(budget, pictures=1), 5, rng())
+        densifier = grow.Densifier(grow.growth_of_3dgs(budget, pictures=1), 5, np.random.default_rng(0))
         keep, added = densifier.grow(p, extent=1.0, fixed=0, done=0.5)
         assert added is None and keep.all()  # before a gradient was seen
         densifier.collect(cuda.AbsGrad(signed=lambda: (gradients, torch.ones(5, dtype=torch.bool))))
@@ -47,7 +42,7 @@ def test_3dgs_adds_all_rows_above_its_threshold_and_no_others():
 def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     p = random_parameters(50)
     parents = grow.strongest(torch.linspace(0, 1, 50), 20)
-    keep, added = grow.split_or_clone(p, parents, parents, fixed=40, rng=rng())
+    keep, added = grow.split_or_clone(p, parents, parents, fixed=40, rng=np.random.default_rng(0))
     assert keep[:40].all() and not keep[40:].any()  # splits of kept rows leave the parent
     assert int(keep.sum()) + len(added["means"]) == 70
     assert torch.allclose(added["log_scales"][-1], p["log_scales"][-1] - math.log(1.6))
@@ -55,18 +50,13 @@ def test_growing_adds_what_was_asked_and_leaves_kept_rows_in_place():
     assert 0 < spread < 6 * p["log_scales"][-1].max().exp()
 
 
-@pytest.mark.parametrize(
-    ("score", "count", "chosen"),
-    [([0, 0, 0], 5, []), ([0, 2, 1], 5, [1, 2]), ([3, 2, 1], 2, [0, 1]), ([1, 1, 1], -4, [])],  # -4: above the target
-)
-def test_rows_without_a_gradient_are_never_parents(score, count, chosen):
-    assert grow.strongest(torch.tensor(score).float(), count).nonzero()[:, 0].tolist() == chosen
-
-
-def test_what_is_faint_goes_but_for_kept_rows():
-    p = random_parameters(6)
-    p["opacity_logits"] = torch.tensor([-9.0, 3.0, -9.0, 3.0, -9.0, 3.0])
-    assert grow.is_visible(p, fixed=3).tolist() == [True, True, True, True, False, True]
+def test_rows_without_a_gradient_are_never_parents_and_what_is_faint_goes_but_for_kept_rows():
+    for score, count, chosen in (
+        ([0, 0, 0], 5, []), ([0, 2, 1], 5, [1, 2]), ([3, 2, 1], 2, [0, 1]), ([1, 1, 1], -4, []),  # -4: above the target
+    ):  # fmt: skip
+        assert grow.strongest(torch.tensor(score).float(), count).nonzero()[:, 0].tolist() == chosen
+    faint = {"opacity_logits": torch.tensor([-9.0, 3.0, -9.0, 3.0, -9.0, 3.0])}
+    assert grow.is_visible(random_parameters(6) | faint, fixed=3).tolist() == [True, True, True, True, False, True]
 
 
 def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
@@ -90,7 +80,7 @@ def test_seeds_lie_in_what_appeared():
     old, new = coloured_cloud(), joined(coloured_cloud(), appeared())
 
     def seeds(views, most=120):
-        return grow.residual_seeds(old, views, grow.find_wrong(old, views), most, 1.0, rng())
+        return grow.residual_seeds(old, views, grow.find_wrong(old, views), most, 1.0, np.random.default_rng(0))
 
     found = seeds(views_of(new, ring(8)))
     assert 0 < len(found) <= 120
@@ -112,14 +102,10 @@ def moving():
     return g, views_of(after, cameras), masks
 
 
-def test_active_rows_are_those_that_make_what_moves(moving):
-    rows = active.find_active(*moving).rows
-    assert np.isin(np.arange(20), rows).mean() > 0.9
-    assert len(rows) < 100
-
-
-def test_tiles_hold_all_that_moves_and_views_without_any_are_left_out(moving):
+def test_rows_that_make_what_moves_are_active_in_tiles_that_hold_all_of_it_and_views_without_any_are_left_out(moving):
     g, views, masks = moving
+    rows = active.find_active(*moving).rows
+    assert np.isin(np.arange(20), rows).mean() > 0.9 and len(rows) < 100
     still, name = np.zeros_like(masks[0]), views[1].camera.name
     [shown] = (v for v in active.find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
     pixels = np.repeat(np.repeat(shown.redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
@@ -139,13 +125,11 @@ def test_weights_are_those_of_the_contribution(moving):
 
 
 def test_rows_are_joined_and_picked_again():
-    rows = random_parameters(10)
+    rows, still = random_parameters(10), [0, 1, 3, 4, 6, 8, 9]
     resting = active.Resting(rows, torch.tensor([2, 5, 7]))
-    fitted = {name: value[:5] + 1 for name, value in random_parameters(5, seed=1).items()}
+    fitted = random_parameters(5, seed=1)
     for name, value in resting.joined(fitted).items():
-        assert len(value) == 12
-        assert torch.equal(resting.picked(value), fitted[name])
-        still = [0, 1, 3, 4, 6, 8, 9]
+        assert len(value) == 12 and torch.equal(resting.picked(value), fitted[name])
         assert torch.equal(value[still], rows[name][still])
 
 
@@ -189,10 +173,8 @@ def test_a_floater_before_a_held_out_camera_goes_and_what_is_there_stays(room, f
 
 
 def test_a_fit_removes_it_and_says_how_many(room):
-    cloud = np.concatenate([room.means, rng().normal(FREE, 0.05, (30, 3))])
+    cloud = np.concatenate([room.means, np.random.default_rng(0).normal(FREE, 0.05, (30, 3)).astype(np.float32)])
     trainer = Trainer(faces.TrainSettings(budget=2600, sh_degree=0, first_iterations=20), scene_extent(CAMERAS))
-    found = fit_first(
-        trainer, faces.FrameViews(0, views_of(room, CAMERAS)), faces.Points(cloud.astype(np.float32), None)
-    )
+    found = fit_first(trainer, faces.FrameViews(0, views_of(room, CAMERAS)), faces.Points(cloud, None))
     assert found.cleared >= 10
     assert (np.linalg.norm(found.gaussians.means - FREE, axis=1) < 0.3).sum() < 15

@@ -73,7 +73,7 @@ def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
     assert optimise.halve(views[1]).after == -0.5
 
 
-CAMERA = faces.look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), np.array([0.0, 1.0, 0.0]), 75, 0.9, "odd")
+CAMERA = faces.look_at(np.array([0.3, 0.2, -4.0]), np.zeros(3), np.array([0.0, 1, 0]), size=75, fov_y=0.9, name="odd")
 SCENE = replace(coloured_cloud(60), log_scales=np.full((60, 3), np.log(0.25), np.float32))
 
 

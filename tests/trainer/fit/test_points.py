@@ -13,13 +13,12 @@ from tests.support.views import coloured_cloud, joined, ring, views_of
 
 
 def test_few_points_are_joined_by_random_ones_that_views_see_and_those_that_are_not_finite_are_left_out():
-    few, broken = np.zeros((3, 3), np.float32), np.zeros((200, 3), np.float32)
+    broken, views, rng = np.zeros((200, 3), np.float32), views_of(coloured_cloud(), ring(8)), np.random.default_rng(0)
     broken[7] = np.nan
-    points = initial_points(Points(few, None), views_of(coloured_cloud(), ring(8)), 500, np.random.default_rng(0))
+    points = initial_points(Points(broken[:3], None), views, 500, rng)
     assert 400 < len(points.positions) <= 500
     assert np.isfinite(points.colours).all() and points.colours.shape == points.positions.shape
-    points = initial_points(Points(broken, None), views_of(coloured_cloud(), ring(4)), 100, np.random.default_rng(0))
-    assert len(points.positions) == 199
+    assert len(initial_points(Points(broken, None), views, 100, rng).positions) == 199
 
 
 def test_a_scene_is_as_wide_as_its_rig_or_as_far_as_what_a_narrow_rig_sees():
@@ -29,8 +28,7 @@ def test_a_scene_is_as_wide_as_its_rig_or_as_far_as_what_a_narrow_rig_sees():
     near, far = (Points(places.mean(axis=0) + np.array([[0, 0, z]]), None) for z in (0.1 * rig, 40 * rig))
     assert scene_extent(cameras) == pytest.approx(rig) == scene_extent(cameras, near)
     assert scene_extent(cameras, far) == pytest.approx(40 * rig)
-    assert scene_extent(cameras[:1]) == 1.0
-    assert scene_extent(cameras[:1], Points(cameras[0].position[None], None)) == 1.0
+    assert scene_extent(cameras[:1]) == 1.0 == scene_extent(cameras[:1], Points(cameras[0].position[None], None))
 
 
 def test_cameras_of_a_ring_are_its_angle_apart():
@@ -45,8 +43,7 @@ def pixel(camera, point):
 
 
 def test_rays_intersect_at_the_point_they_come_from():
-    point = np.array([0.3, -0.2, 0.1])
-    cameras = ring(4)[:3]
+    point, cameras = np.array([0.3, -0.2, 0.1]), ring(4)[:3]
     places = np.stack([pixel(c, point) for c in cameras])
     assert intersect(cameras, places) == pytest.approx(point, abs=1e-9)
     wrong = places + np.array([[0, 0], [9, 0], [0, 9]])
@@ -58,8 +55,7 @@ def test_rays_intersect_at_the_point_they_come_from():
 
 def test_tracks_of_real_pictures_lie_on_the_scene():
     views = Pictures(open_scene(FOX_VIEWS)).train(0)
-    points = triangulate(views)
-    given = np.load(FOX_VIEWS / "points3d.npy")
+    points, given = triangulate(views), np.load(FOX_VIEWS / "points3d.npy")
     assert len(points.positions) > 50
     nearest = np.linalg.norm(points.positions[:, None] - given[None], axis=2).min(axis=1)
     assert np.median(nearest) < 0.1  # the floor is 2.4 wide, 2,500 points
@@ -68,14 +64,13 @@ def test_tracks_of_real_pictures_lie_on_the_scene():
 
 def test_projection_agrees_with_what_the_renderer_draws():
     """The convention, end to end: a small Gaussian is drawn where its mean projects to."""
+    point = np.array([[0.21, 0.13, -0.17]])
+    g = from_points(point.astype(np.float32), np.ones((1, 3), np.float32), 0, 0.99, 0.02)
     for camera in [*ring(4), *read_cameras(FOX / "transforms.json")[:4]]:
-        point = np.array([[0.21, 0.13, -0.17]])
-        g = from_points(point.astype(np.float32), np.ones((1, 3), np.float32), 0, 0.99, 0.02)
         rows, columns, inside = project(camera, point)
         picture = render(g, camera).rgb.sum(axis=2)
-        drawn = np.unravel_index(picture.argmax(), picture.shape)
-        assert inside.tolist() == [0]
-        assert abs(drawn[0] - rows[0]) <= 1 and abs(drawn[1] - columns[0]) <= 1
+        row, column = np.unravel_index(picture.argmax(), picture.shape)
+        assert inside.tolist() == [0] and abs(row - rows[0]) <= 1 and abs(column - columns[0]) <= 1
 
 
 RADIUS = 3.0  # of a round room
@@ -118,36 +113,27 @@ def views(room):
 
 
 def test_cameras_surround_what_they_look_at_or_stand_before_it():
-    assert surround(inside())
-    assert not surround(inside(3))
     before = [replace(c, name=f"{i}") for i, c in enumerate(inside()[:2] * 3)]
-    assert not surround(before)
+    assert surround(inside()) and not surround(inside(3)) and not surround(before)
 
 
 def test_walls_are_found_where_cameras_see_them(views):
-    points = surroundings(views)
-    distance = np.linalg.norm(points, axis=1)  # from what the cameras look at
+    distance = np.linalg.norm(surroundings(views), axis=1)  # from what the cameras look at
     assert np.median(np.abs(distance - (RADIUS - DEPTH))) < 0.1 * RADIUS
     assert (distance > 0.6 * RADIUS).mean() > 0.9
 
 
 def test_points_that_cover_a_part_stay_and_the_rest_is_found(views):
-    cloud = sparse_cloud(GIVEN, views, 4000, np.random.default_rng(0))
-    assert len(cloud.points.positions) <= 4000
-    positions = {tuple(p) for p in cloud.points.positions.tolist()}
-    assert {tuple(p) for p in GIVEN.positions.tolist()} <= positions
-    assert (np.linalg.norm(cloud.points.positions, axis=1) > 0.6 * RADIUS).sum() > 1000
+    positions = sparse_cloud(GIVEN, views, 4000, np.random.default_rng(0)).points.positions
+    assert len(positions) <= 4000
+    assert set(map(tuple, GIVEN.positions.tolist())) <= set(map(tuple, positions.tolist()))
+    assert (np.linalg.norm(positions, axis=1) > 0.6 * RADIUS).sum() > 1000
 
 
-def test_cameras_that_stand_close_together_are_no_sparse_rig(room):
-    dense = views_of(room, inside(24))
-    assert surround([view.camera for view in dense])
-    assert sparse_cloud(GIVEN, dense, 4000, np.random.default_rng(0)) is None
-
-
-def test_points_that_tell_the_scene_are_left_alone_and_so_is_what_was_cut_out(views):
+def test_points_that_tell_the_scene_are_left_alone_and_so_is_what_was_cut_out_or_seen_from_close_together(room, views):
     rng = np.random.default_rng(0)
     walls = Points(on_the_walls(rng, 3000).astype(np.float32), None)
     assert sparse_cloud(walls, views, 4000, rng) is None
     assert sparse_cloud(GIVEN, views_of(coloured_cloud(), ring(8)), 4000, rng) is None
     assert sparse_cloud(None, views, 4000, rng) is None, "nobody tells what stands within the walls"
+    assert surround(inside(24)) and sparse_cloud(GIVEN, views_of(room, inside(24)), 4000, rng) is None
