@@ -1,5 +1,7 @@
 """The decoder reads what the vectors say: whole numbers exactly, others as near as FORMAT.md asks, whole packages."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -53,24 +55,23 @@ def read_columns(case):
 
 @each("columns")
 def test_columns(case):
-    for got, expected in read_columns(case):
-        assert got == expected
+    assert all(got == expected for got, expected in read_columns(case))
 
 
-def test_morton_codes():
+def test_morton_codes_and_places_in_a_plane():
     for case in cases("positions", "morton"):
         code, index = np.array([int(case["code"])], np.uint64), np.array([case["index"]])
         assert faces.morton_encode(index) == code
         np.testing.assert_array_equal(faces.morton_decode(code), index)
+    for case in cases("planes", "places"):
+        stride = case["plane_width"]
+        line, column = divmod(int(atlas.row_places(case["row"] + 1, stride, stride)[-1]), stride)
+        assert [column, line] == case["place"]
 
 
 def unpack_sidecar(case, coarsest=0, depths_alone=False):
     cells = Grid(**case["grid"]) if "grid" in case else Grid([0] * 3, 1.0, 0)
     return sidecar.unpack_key_sidecar(data(case["data"]), case["rows"], cells, coarsest, "vector", depths_alone)
-
-
-def unpack_kept(case):
-    return unpack_sidecar(case, depths_alone=True)
 
 
 def read_detail(shared, case, text, *coarser):
@@ -102,7 +103,7 @@ def read_tier(case):
 
 @each("positions", "kept")
 def test_depths_alone(case):
-    found = unpack_kept(case)
+    found = unpack_sidecar(case, depths_alone=True)
     assert found.depths.tolist() == case["depths"] and not len(found.codes) and not len(found.classes)
 
 
@@ -121,7 +122,7 @@ def test_escapes(case):
 REFUSED = [
     *((read_columns, case) for case in cases("columns", "refused")),
     *((read_tier, case) for case in cases("positions", "refused")),
-    *((unpack_kept, case) for case in cases("positions", "kept_refused")),
+    *((partial(unpack_sidecar, depths_alone=True), case) for case in cases("positions", "kept_refused")),
     *((unpack_escapes, case) for case in cases("escapes", "refused")),
 ]
 
@@ -131,13 +132,6 @@ def test_what_is_refused(read, case):
     with pytest.raises(FormatError) as caught:
         read(case)
     assert caught.value.reason == "bad_sidecar"
-
-
-def test_places_in_a_plane():
-    for case in cases("planes", "places"):
-        stride = case["plane_width"]
-        line, column = divmod(int(atlas.row_places(case["row"] + 1, stride, stride)[-1]), stride)
-        assert [column, line] == case["place"]
 
 
 @each("planes")
@@ -180,25 +174,20 @@ def test_keys(case):
     assert_near(names, case)
 
 
-def canonical(case):
-    space = case["canonical"]
-    coded = {name: np.array(space[name], np.float32) for name in ("quaternions", "log_scales", "colours")}
-    return channels.Canonical(
+@each("states")
+def test_states(case):
+    space, width, steps = case["canonical"], CHANNELS[case["sh_degree"]], faces.StateSteps(**case["steps"])
+    base = channels.Canonical(
         means=np.array(space["means"], np.float64),
         motion_units=motion_units(np.array(space["classes"], np.int16)),
         opacity=np.array(space["alpha"], np.float32),
         depths=np.array(space["depths"], np.uint8),
-        transform=unpack_matrix(case["colour_transform"], CHANNELS[case["sh_degree"]]),
-        **coded,
+        transform=unpack_matrix(case["colour_transform"], width),
+        **{name: np.array(space[name], np.float32) for name in ("quaternions", "log_scales", "colours")},
     )
-
-
-@each("states")
-def test_states(case):
-    base, steps = canonical(case), faces.StateSteps(**case["steps"])
     rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
     assert rows.tolist() == case["rows"]
-    widths = STATE.steps(steps, CHANNELS[case["sh_degree"]]) * case["factor"]
+    widths = STATE.steps(steps, width) * case["factor"]
     applier = channels.StateApplier.of(base, rows, steps)
     for place, frame in enumerate(case["frames"]):
         codes = np.array(frame["codes"], np.int32)[:, : len(rows)]
@@ -207,37 +196,28 @@ def test_states(case):
             slopes = from_codes(np.array(case["slopes"], np.int32), widths, case["gain"])
             values += np.float32(atlas.line_times(len(case["frames"]))[place]) * slopes
         assert_near(shown(applier.apply(values)), frame)
+    if not len(rows):  # without states it is shown alike
+        assert_near(shown(base.to_gaussians()), case["frames"][0])
 
 
-def test_a_canonical_space_without_states_is_shown_alike():
-    case = next(case for case in cases("states") if not case["rows"])
-    assert_near(shown(canonical(case).to_gaussians()), case["frames"][0])
-
-
-def test_covariances():
+def test_covariances_and_colours_from_directions():
     for case in cases("shown", "covariances"):
         spread = faces.to_matrices(np.array(case["quaternion"])) * np.exp(case["log_scales"])
         np.testing.assert_allclose(spread @ spread.T, case["covariance"], rtol=0, atol=case["tolerance"])
-
-
-def test_colours_from_directions():
     for case in cases("shown", "colours"):
         directions, sh = (torch.tensor([case[name]], dtype=torch.float64) for name in ("direction", "coefficients"))
         np.testing.assert_allclose(sh_colours(directions, sh)[0], case["colour"], rtol=0, atol=case["tolerance"])
 
 
-def package(case):
-    return faces.open_package(REPOSITORY / case["package"])
-
-
-def show(opened, case):
+def show(case):
+    package = faces.open_package(REPOSITORY / case["package"])
     rung = {"level": case["level"], "key_quality": case["quality"], "tiers": case["tiers"]}
-    return next(faces.decode_frames(opened, case["frame"], case["frame"] + 1, **rung)).gaussians
+    return next(faces.decode_frames(package, case["frame"], case["frame"] + 1, **rung)).gaussians
 
 
 @each("packages", "groups")
 def test_groups_and_their_files(case):
-    m, number = package(case).manifest, case["number"] - 1
+    m, number = faces.open_package(REPOSITORY / case["package"]).manifest, case["number"] - 1
     group, levels = m.groups[number], range(len(m.levels))
     assert (group.start, group.stop, faces.group_path(number + 1)) == (case["start"], case["stop"], case["table"])
     for tier, (key_sidecar, pictures) in enumerate(zip(case["sidecars"], case["pictures"], strict=True)):
@@ -263,7 +243,7 @@ def test_the_way_to_a_group_of_a_long_package(case):
 def test_what_is_fetched_before_the_first_picture(case, monkeypatch):
     opened, read = [], faces.Folder.open
     monkeypatch.setattr(faces.Folder, "open", lambda folder, path: opened.append(path) or read(folder, path))
-    show(package(case), case)
+    show(case)
     asked = opened[1:]  # the MPD is of DASH players
     assert asked == case["files"]
     tables = [path for path in asked if path.startswith("group/")]
@@ -273,7 +253,7 @@ def test_what_is_fetched_before_the_first_picture(case, monkeypatch):
 @each("packages", "frames")
 def test_frames(case):
     at = case["offset"] // 4
-    for name, got in shown(show(package(case), case).take(np.array(case["rows"]))).items():
+    for name, got in shown(show(case).take(np.array(case["rows"]))).items():
         expected = FRAMES[at : at + got.size].reshape(got.shape)
         assert np.abs(got - expected).max() <= case["tolerance"][name], name
         at += got.size
