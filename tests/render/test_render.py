@@ -183,9 +183,8 @@ def test_views_drawn_together_are_those_drawn_alone_and_rows_taken_out_were_neve
     g = random_gaussians(300, 1)
     for share in (0.0, 0.4, 1.0):
         kept = np.random.default_rng(0).random(300) < share
-        expect_same(
-            draw(project(activate(g), camera()).tiles.keep(kept), behind), render(g.take(kept), camera(), behind)
-        )
+        tiles = project(activate(g), camera()).tiles.keep(kept)
+        expect_same(draw(tiles, behind), render(g.take(kept), camera(), behind))
 
 
 def test_two_runs_give_the_same_bits():

@@ -48,10 +48,12 @@ MAKERS = {
 
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
-def test_frames_are_those_that_were_given(make):
+def test_frames_are_those_that_were_given_and_sh_past_dc_may_be_left_out(make):
     sequence = airgs.Sequence.from_arrays(make(), fps=24, cameras=CAMERAS)
     assert (len(sequence), sequence.fps, sequence.sh_degree) == (3, 24, 1)
     assert all(same(sequence)) and all(same(pickle.loads(pickle.dumps(sequence))))
+    without = {name: column for name, column in columns(FRAMES[0]).items() if name != "sh_rest"}
+    assert airgs.Sequence.from_arrays([without]).sh_degree == 0
 
 
 @pytest.mark.parametrize("make", [iter, list])
@@ -79,65 +81,51 @@ def test_an_encode_would_read_the_same_as_of_files(tmp_path):
 
 
 @pytest.mark.parametrize("make", [tensors, as_in_gsplat])
-def test_a_frame_of_other_arrays_is_drawn_and_written(make, tmp_path):
+def test_a_frame_of_other_arrays_is_drawn_and_written_and_gaussians_of_tensors_are_arrays(make, tmp_path):
     frame = {name: column[0] for name, column in make().items()}
     airgs.write(frame, tmp_path / "frame.ply")
     assert (airgs.read(tmp_path / "frame.ply").means == FRAMES[0].means).all()
     assert (airgs.draw(frame, CAMERAS[0]).rgb == airgs.draw(FRAMES[0], CAMERAS[0]).rgb).all()
-
-
-def test_gaussians_of_tensors_are_arrays():
     made = airgs.Gaussians(**{name: column[0] for name, column in tensors().items()})
     assert all(getattr(made, name).dtype == np.float32 for name in NAMES)
-    with pytest.raises(airgs.AirgsError, match=r"^means: expected an array of numbers"):
-        airgs.Gaussians(**columns(FRAMES[0]) | {"means": np.full((60, 3), "x")})
 
 
-def test_sh_past_dc_may_be_left_out():
-    frame = columns(FRAMES[0])
-    del frame["sh_rest"]
-    assert airgs.Sequence.from_arrays([frame]).sh_degree == 0
+def changed(**others):
+    return [FRAMES[0], columns(FRAMES[1]) | others]
 
 
-def changed(**columns_):
-    return [FRAMES[0], columns(FRAMES[1]) | columns_]
+MEANS, SCALES = (getattr(FRAMES[1], name).copy() for name in ("means", "log_scales"))
+MEANS[7], SCALES[7] = np.nan, np.inf
+GIVEN = [
+    ([], "frames: expected at least one, got none"),
+    (5, "frames: expected .*, got int 5"),
+    (FRAMES[0], "frames: expected .*, got Gaussians"),
+    ([FRAMES[0], "x.ply"], "frame 1: expected Gaussians or a mapping of their arrays, got str 'x.ply'"),
+    ([{"means": np.zeros((5, 3))}], "frame 0: expected means, quaternions.* and maybe sh_rest, got means"),
+    (changed(colours=np.zeros(3)), "frame 1: expected means.*, got means.*, colours"),
+    (changed(means="here"), "frame 1: means: expected an array of numbers"),
+    (changed(quaternions=np.zeros((60, 3))), r"frame 1: quaternions: expected .*\(60, 4\), got \(60, 3\)"),
+    (changed(sh_rest=np.zeros((60, 0, 3))), "frame 1: sh_rest: expected SH degree 1 as in frame 0, got 0"),
+    (changed(log_scales=SCALES), "frame 1: log_scales: expected finite numbers, got inf in row 7"),
+    (changed(means=MEANS), "frame 1: means: expected finite numbers, got nan in row 7"),
+    (as_in_gsplat() | dict.fromkeys(("scales", "opacities"), np.ones((3, 60, 3))),
+     "frames: scales, opacities: expected logarithms"),
+    ([FRAMES[0].take(slice(0, 0))], "frame 0: expected at least one Gaussian, got none"),
+    (columns(FRAMES[0]), r"means: expected an array of shape \(T, N, 3\), got \(60, 3\)"),
+    (stacked() | {"sh_dc": np.zeros((2, 60, 3))}, r"sh_dc: expected 3 frames as of means, got the shape \(2, 60, 3\)"),
+]  # fmt: skip
 
 
-def hole(name, value):
-    column = getattr(FRAMES[1], name).copy()
-    column[7] = value
-    return changed(**{name: column})
-
-
-@pytest.mark.parametrize(
-    ("frames", "line"),
-    [
-        ([], "frames: expected at least one, got none"),
-        (5, "frames: expected .*, got int 5"),
-        (FRAMES[0], "frames: expected .*, got Gaussians"),
-        ([FRAMES[0], "x.ply"], "frame 1: expected Gaussians or a mapping of their arrays, got str 'x.ply'"),
-        ([{"means": np.zeros((5, 3))}], "frame 0: expected means, quaternions.* and maybe sh_rest, got means"),
-        (changed(colours=np.zeros(3)), "frame 1: expected means.*, got means.*, colours"),
-        (changed(means="here"), "frame 1: means: expected an array of numbers"),
-        (changed(quaternions=np.zeros((60, 3))), r"frame 1: quaternions: expected .*\(60, 4\), got \(60, 3\)"),
-        (changed(sh_rest=np.zeros((60, 0, 3))), "frame 1: sh_rest: expected SH degree 1 as in frame 0, got 0"),
-        (hole("log_scales", np.inf), "frame 1: log_scales: expected finite numbers, got inf in row 7"),
-        (as_in_gsplat() | dict.fromkeys(("scales", "opacities"), np.ones((3, 60, 3))),
-         "frames: scales, opacities: expected logarithms"),
-        (hole("means", np.nan), "frame 1: means: expected finite numbers, got nan in row 7"),
-        ([FRAMES[0].take(slice(0, 0))], "frame 0: expected at least one Gaussian, got none"),
-        (columns(FRAMES[0]), r"means: expected an array of shape \(T, N, 3\), got \(60, 3\)"),
-        (stacked() | {"sh_dc": np.zeros((2, 60, 3))},
-         r"sh_dc: expected 3 frames as of means, got the shape \(2, 60, 3\)"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("frames", "line"), GIVEN)
 def test_what_cannot_be_is_refused_by_frame_and_argument(frames, line):
     with pytest.raises(airgs.AirgsError, match=f"^{line}") as caught:
         airgs.Sequence.from_arrays(frames)
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("more", [{"fps": 0}, {"fps": "30"}, {"cameras": ["front"]}])
-def test_other_arguments_are_checked(more):
-    with pytest.raises(airgs.AirgsError, match=r"fps|cameras"):
-        airgs.Sequence.from_arrays(FRAMES, **more)
+def test_other_arguments_and_arrays_of_gaussians_are_checked():
+    for more in ({"fps": 0}, {"fps": "30"}, {"cameras": ["front"]}):
+        with pytest.raises(airgs.AirgsError, match=r"fps|cameras"):
+            airgs.Sequence.from_arrays(FRAMES, **more)
+    with pytest.raises(airgs.AirgsError, match=r"^means: expected an array of numbers"):
+        airgs.Gaussians(**columns(FRAMES[0]) | {"means": np.full((60, 3), "x")})

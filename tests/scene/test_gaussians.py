@@ -12,9 +12,8 @@ from scipy.spatial.transform import Rotation
 from tests import faces
 from tests.support.scenes import moving_frames, random_gaussians
 
-unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1)).filter(
-    lambda q: np.linalg.norm(q, axis=1).min() > 1e-3
-)
+unit = npst.arrays(np.float64, (20, 4), elements=st.floats(-1, 1))
+unit = unit.filter(lambda q: np.linalg.norm(q, axis=1).min() > 1e-3)
 
 
 def test_rows_come_from_one_or_the_other_in_all_columns():
@@ -30,49 +29,31 @@ def test_rows_come_from_one_or_the_other_in_all_columns():
 
 @given(unit, unit)
 def test_rotation_vectors_invert_up_to_sign(a, b):
-    a = a / np.linalg.norm(a, axis=1, keepdims=True)
-    b = b / np.linalg.norm(b, axis=1, keepdims=True)
+    a, b = (q / np.linalg.norm(q, axis=1, keepdims=True) for q in (a, b))
     relative = faces.to_rotation_vector(faces.multiply(a, faces.conjugate(b)))
     back = faces.multiply(faces.from_rotation_vector(relative), b)
     np.testing.assert_allclose(np.abs((back * a).sum(axis=1)), 1, atol=1e-7)
     assert np.linalg.norm(relative, axis=1).max() <= np.pi + 1e-9
 
 
-def test_rotation_vectors_at_the_extremes():
-    q = np.array([[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [1, 1e-12, 0, 0]])
-    v = faces.to_rotation_vector(q)
+def test_rotation_vectors_at_the_extremes_and_matrices_of_scipy():
+    v = faces.to_rotation_vector(np.array([[1, 0, 0, 0], [-1, 0, 0, 0], [0, 1, 0, 0], [1, 1e-12, 0, 0]]))
     np.testing.assert_allclose(v, [[0, 0, 0], [0, 0, 0], [np.pi, 0, 0], [2e-12, 0, 0]], atol=1e-15)
-
-
-def test_matrices_are_those_of_scipy():
     q = np.random.default_rng(0).normal(size=(20, 4))
     np.testing.assert_allclose(faces.to_matrices(q), Rotation.from_quat(q, scalar_first=True).as_matrix(), atol=1e-12)
 
 
 @given(npst.arrays(np.int64, st.tuples(st.integers(1, 50), st.just(3)), elements=st.integers(0, 2**21 - 1)))
-def test_morton_codes_invert(index):
+def test_morton_codes_interleave_bits_x_first_and_invert(index):
     np.testing.assert_array_equal(faces.morton_decode(faces.morton_encode(index)), index)
-
-
-def test_morton_bits_interleave_x_first():
-    assert faces.morton_encode(np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])).tolist() == [
-        1,
-        2,
-        4,
-        8,
-        63,
-    ]
+    pinned = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [3, 3, 3]])
+    assert faces.morton_encode(pinned).tolist() == [1, 2, 4, 8, 63]
 
 
 def test_repairs_are_made_in_every_frame_and_named():
-    a, b = moving_frames(6, 2)
-    means = b.means.copy()
-    means[4, 1] = np.nan
-    quaternions = a.quaternions.copy()
-    quaternions[2] = 0
-    logits = a.opacity_logits.copy()
-    logits[0], logits[1] = np.inf, -np.inf
-    done = faces.repair([replace(a, quaternions=quaternions, opacity_logits=logits), replace(b, means=means)], "scene")
+    a, b = (replace(g, **{name: getattr(g, name).copy() for name in g.__slots__}) for g in moving_frames(6, 2))
+    b.means[4, 1], a.quaternions[2], a.opacity_logits[0], a.opacity_logits[1] = np.nan, 0, np.inf, -np.inf
+    done = faces.repair([a, b], "scene")
     assert [len(f) for f in done.frames] == [6, 6]
     assert [f.opacity_logits[4] for f in done.frames] == [a.opacity_logits[4], -20]
     np.testing.assert_array_equal(done.frames[1].means[4], a.means[4])
@@ -80,12 +61,8 @@ def test_repairs_are_made_in_every_frame_and_named():
     assert done.frames[0].opacity_logits[:2].tolist() == [20, -20]
     np.testing.assert_allclose(np.linalg.norm(done.frames[1].quaternions, axis=1), 1, atol=1e-6)
     assert ["not shown" in n for n in done.notes] == [True, False] and "1 Gaussians with zero" in done.notes[1]
-
-
-def test_a_scene_without_a_finite_row_is_refused():
-    g = random_gaussians(3)
     with pytest.raises(faces.SceneError, match="100% of what is opaque in frame 0"):
-        faces.repair([replace(g, means=np.full((3, 3), np.inf, np.float32))], "scene")
+        faces.repair([replace(a, means=np.full((6, 3), np.inf, np.float32))], "scene")
 
 
 def _covariances(g):
@@ -102,21 +79,18 @@ def test_rows_that_lie_anyhow_are_turned_least_and_show_the_same():
     for before, after in zip(frames, turned, strict=True):
         np.testing.assert_allclose(_covariances(after), _covariances(before), rtol=1e-4, atol=1e-6)
         assert np.array_equal(after.means, before.means) and np.array_equal(after.opacity_logits, before.opacity_logits)
-    angles = np.linalg.norm(faces.to_rotation_vector(turned[1].quaternions.astype(np.float64)), axis=1)
-    assert angles.max() < np.radians(62.8)  # no rotation is farther from all of the 24 that bring a cube to itself
-    between = np.abs(
-        np.einsum("ni,ni->n", faces.multiply(turned[1].quaternions, faces.conjugate(turned[0].quaternions)), spin)
-    )
+    first, second = (g.quaternions.astype(np.float64) for g in turned)
+    # no rotation is farther from all of the 24 that bring a cube to itself
+    assert np.linalg.norm(faces.to_rotation_vector(second), axis=1).max() < np.radians(62.8)
+    between = np.abs((faces.multiply(second, faces.conjugate(first)) * spin).sum(axis=1))
     np.testing.assert_allclose(between, 1, atol=1e-5)
 
 
 def test_names_of_axes_that_mean_something_stay():
     """Rows with a thin first axis and any heading: turned least, half of them would have their second one thin."""
-    g = random_gaussians(500)
-    heading = np.random.default_rng(1).uniform(-2.5, 2.5, 500)
-    upright = faces.from_rotation_vector(np.stack([0 * heading, 0 * heading, heading], axis=1)).astype(np.float32)
-    thin = g.log_scales - np.array([3, 0, 0], np.float32)
-    named = faces.Repaired([replace(g, quaternions=upright, log_scales=thin)], [])
+    g, heading = random_gaussians(500), np.random.default_rng(1).uniform(-2.5, 2.5, (500, 1)) * [0, 0, 1]
+    upright = replace(g, quaternions=faces.from_rotation_vector(heading).astype(np.float32))
+    named = faces.Repaired([replace(upright, log_scales=g.log_scales - np.array([3, 0, 0], np.float32))], [])
     assert faces.turn_least(named) is named
-    alike = faces.Repaired([replace(g, quaternions=upright)], [])
+    alike = faces.Repaired([upright], [])
     assert faces.turn_least(alike) is not alike
