@@ -14,7 +14,7 @@ from tests.support.paths import FOX
 DAY_S = 86_400
 
 
-def trace(*rates, starts=None, duration=None, end="loop"):
+def trace(*rates, starts=(), duration=0, end="loop"):
     return link(rates, starts, duration, end=end).trace
 
 
@@ -105,12 +105,9 @@ def test_cuts_that_cannot_be(offset, scale):
         trace(1e6, 1e6).cut(offset, scale)
 
 
-RACA = """Timestamp,State,DL_bitrate
-2017.12.04_15.24.12,D,3000
-2017.12.04_15.24.12,D,1000
-2017.12.04_15.24.13,D,-
-2017.12.04_15.24.15,D,8000
-"""
+RACA = "Timestamp,State,DL_bitrate\n" + "".join(
+    f"2017.12.04_15.24.{row}\n" for row in ("12,D,3000", "12,D,1000", "13,D,-", "15,D,8000")
+)
 PLAIN = "time_s,mbps\n10,2\n12,4\n", "10,2\n12,4", "10 2\r\n12 4\r\n", "\ufefft,r\n10, 2\n12, 4\n\n"
 SABRE = """[{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20},
  {"duration_ms": 1500, "bandwidth_kbps": 4000, "latency_ms": 40}]"""
@@ -135,11 +132,6 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
     t = read(tmp_path, "0\n2\n2\n5\n")
     assert t.duration_s == 0.005
     assert [t.bits_until(at) / 12_000 for at in (0.002, 0.004, 0.005)] == pytest.approx([3, 3, 4])
-
-
-def test_the_embedded_trace_is_read():
-    t = Trace.open(FOX / "trace.csv")
-    assert t.duration_s > 300 and 1e6 < t.mean_bps < 50e6
 
 
 @pytest.mark.parametrize(
@@ -170,20 +162,19 @@ def test_bad_files_get_one_line(tmp_path, content, words):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["none.csv", "."])
-def test_missing_files_and_folders_are_not_read(tmp_path, name):
-    with pytest.raises(TransportError, match="cannot read"):
-        Trace.open(tmp_path / name)
-
-
-def test_constant_and_synthetic_traces():
+def test_what_trace_names_open(tmp_path):
     assert Trace.open("const:5").arrival_s(625_000, 0.0) == pytest.approx(1.0)
     a, b, c = Trace.open("markov:1"), Trace.open("markov:1"), Trace.open("markov:2:3")
     assert a.rates_bps.tolist() == b.rates_bps.tolist() and a.starts_s.tolist() == b.starts_s.tolist()
     assert a.mean_bps == pytest.approx(8e6) and c.mean_bps == pytest.approx(3e6)
     assert (a.rates_bps == 0).any() and a.duration_s == 300
+    embedded = Trace.open(FOX / "trace.csv")
+    assert embedded.duration_s > 300 and 1e6 < embedded.mean_bps < 50e6
     for bad in ("const:", "const:x", "const:1:2", "markov:x", "markov:1:2:3", "const:0", "const:-1", "const:nan"):
         with pytest.raises(TransportError):
             Trace.open(bad)
+    for path in (tmp_path / "none.csv", tmp_path):
+        with pytest.raises(TransportError, match="cannot read"):
+            Trace.open(path)
     with pytest.raises(TransportError, match="expected an end"):
         a.ending("begin")
