@@ -69,13 +69,12 @@ def test_files_that_windows_wrote_are_read_alike(tmp_path, form):
     """With a byte-order mark, lines that end in CR LF, and backslashes in paths."""
     for name in "ab":
         (tmp_path / name).mkdir()
-    plain = read_posed(FORMS[form](tmp_path / "a", ring(4, held_out=1)))
-    place = FORMS[form](tmp_path / "b", ring(4, held_out=1))
+    there, place = (FORMS[form](tmp_path / name, ring(4, held_out=1)) for name in "ab")
     for path in place.parent.rglob("*"):
         if path.suffix in (".json", ".txt"):
             text = path.read_text().replace("images/", "images\\\\").replace("\n", "\r\n")
             path.write_bytes(b"\xef\xbb\xbf" + text.encode())
-    for a, b in zip(plain, read_posed(place), strict=True):
+    for a, b in zip(read_posed(there), read_posed(place), strict=True):
         assert (a.picture, a.camera.name, a.camera.split) == (b.picture, b.camera.name, b.camera.split)
         np.testing.assert_array_equal(a.camera.world_to_camera, b.camera.world_to_camera)
 
@@ -95,12 +94,7 @@ def transforms(**fields):
 
 def llff(old, new):
     """An array of three cameras, its header changed."""
-
-    def write(folder):
-        path = files.write_llff(folder, ring(3))
-        return saved(path, path.read_bytes().replace(old, new))
-
-    return write
+    return lambda folder: saved(path := files.write_llff(folder, ring(3)), path.read_bytes().replace(old, new))
 
 
 def colmap_model(line):
@@ -180,14 +174,14 @@ def test_every_file_cut_short_is_refused_in_one_line(tmp_path, form):
     assert broken >= 4
 
 
-STRETCHED = np.diag([1.0, 2.0, 1.0, 1.0])
-MIRRORED = np.diag([1.0, -1.0, 1.0, 1.0])
+STRETCHED, MIRRORED = np.diag([1.0, 2.0, 1.0, 1.0]), np.diag([1.0, -1.0, 1.0, 1.0])
+BY_QUATERNION = ("colmap text", "colmap binary")  # of any norm
 WRONG = [
     ({"fx": float("nan"), "fy": float("nan")}, "not finite", ()),
     ({"fx": -5.0, "fy": -5.0}, "above 0", ()),
     ({"width": 10**6}, "pixels", ("inria", "splatv")),  # which show wide pictures at another width
-    ({"world_to_camera": STRETCHED}, "rotation", ("colmap text", "colmap binary")),  # quaternions of any norm
-    ({"world_to_camera": MIRRORED}, "rotation", ("colmap text", "colmap binary")),
+    ({"world_to_camera": STRETCHED}, "rotation", BY_QUATERNION),
+    ({"world_to_camera": MIRRORED}, "rotation", BY_QUATERNION),
 ]
 
 
@@ -204,34 +198,29 @@ def test_a_camera_that_is_none_is_refused_in_every_form(tmp_path, form, fields, 
 
 
 def test_a_lens_leaves_the_pinhole_camera_of_undistorted_pictures(tmp_path):
-    plain = read_entries(tmp_path, entries_of(ring(1)))[0]
-    bent = read_entries(tmp_path, entries_of(ring(1), k1=0.1, k2=0.01, camera_model="OPENCV"))[0]
-    fisheye = read_entries(tmp_path, entries_of(ring(1), camera_model="OPENCV_FISHEYE"))[0]
+    bending = {}, {"k1": 0.1, "k2": 0.01, "camera_model": "OPENCV"}, {"camera_model": "OPENCV_FISHEYE"}
+    plain, bent, fisheye = (read_entries(tmp_path, entries_of(ring(1), **fields))[0] for fields in bending)
     assert plain.fx == ring(1)[0].fx and abs(bent.fx - plain.fx) > 0.5 and abs(fisheye.fx - plain.fx) > 0.5
     np.testing.assert_array_equal(bent.world_to_camera, plain.world_to_camera)
 
 
-def test_unnamed_cameras_count_once_for_each_place(tmp_path):
+def test_entries_count_once_for_each_camera_and_what_they_share_may_stand_beside_them(tmp_path):
     """A rig that stands still is seen once, a camera that moves as often as it moved; names are those of pictures."""
+    first, second = entries_of(ring(2))
     over_time = [
-        {**e, "time": t, "file_path": f"cam{i}/{t}.png"} for t in range(3) for i, e in enumerate(entries_of(ring(2)))
+        {**e, "time": t, "file_path": f"cam{i}/{t}.png"} for t in range(3) for i, e in enumerate((first, second))
     ]
-    assert [c.name for c in read_entries(tmp_path, over_time)] == ["cam0", "cam1"]
     moving = [{**e, "time": t, "file_path": f"images/r_{t}"} for t, e in enumerate(entries_of(ring(5)))]
-    assert [c.name for c in read_entries(tmp_path, moving)] == [f"r_{t}" for t in range(5)]
-    assert [c.name for c in read_entries(tmp_path, entries_of(ring(2)))] == ["view000", "view001"]
-
-
-def test_what_entries_share_may_stand_beside_them(tmp_path):
-    shared = intrinsics_of(ring(1)[0]) | {"near": 0.3}
-    entries = [{"transform_matrix": matrix_of(c)} for c in ring(3)]
-    assert [(c.fx, c.near) for c in read_entries(tmp_path, entries, **shared)] == [(ring(1)[0].fx, 0.3)] * 3
-
-
-def test_a_named_camera_that_trembles_has_its_first_pose(tmp_path):
-    a, b = ring(2)
-    entries = [{**e, "camera": "a", "time_index": t} for t, e in enumerate(entries_of([a, b]))]
-    np.testing.assert_allclose([c.position for c in read_entries(tmp_path, entries)], [a.position])
+    for entries, names in (
+        (over_time, ["cam0", "cam1"]),
+        (moving, ["r_0", "r_1", "r_2", "r_3", "r_4"]),
+        ([first, second], ["view000", "view001"]),
+    ):
+        assert [c.name for c in read_entries(tmp_path, entries)] == names
+    shared, poses = intrinsics_of(ring(1)[0]) | {"near": 0.3}, [{"transform_matrix": matrix_of(c)} for c in ring(3)]
+    assert [(c.fx, c.near) for c in read_entries(tmp_path, poses, **shared)] == [(ring(1)[0].fx, 0.3)] * 3
+    trembling = [first | {"camera": "a", "time_index": 0}, second | {"camera": "a", "time_index": 1}]
+    np.testing.assert_allclose([c.position for c in read_entries(tmp_path, trembling)], [ring(2)[0].position])
 
 
 def test_wide_pictures_of_inria_are_shown_as_it_shows_them(tmp_path):
@@ -246,15 +235,14 @@ def test_wide_pictures_of_inria_are_shown_as_it_shows_them(tmp_path):
 def test_panoptic_has_one_camera_for_each_number_and_those_of_its_test_file_are_held_out(tmp_path):
     path = files.write_panoptic_meta(tmp_path, ring(9, held_out=2))
     assert [c.name for c in read_cameras(path)] == [f"cam{i:02d}" for i in range(9)]
-    assert [c.name for c in read_cameras(path.with_name("test_meta.json"))] == ["cam07", "cam08"]
-    assert all(c.held_out for c in read_cameras(path.with_name("test_meta.json")))
+    held_out = read_cameras(path.with_name("test_meta.json"))
+    assert [(c.name, c.held_out) for c in held_out] == [("cam07", True), ("cam08", True)]
 
 
 def test_every_model_has_the_number_and_parameters_that_colmap_gives_it():
     for number, model in enumerate(colmap.MODELS):
         theirs = pycolmap.Camera(model=model.name, width=32, height=24)
-        assert int(theirs.model) == number
-        assert len(theirs.params_info.split(",")) == model.parameters
+        assert (int(theirs.model), len(theirs.params_info.split(","))) == (number, model.parameters)
 
 
 @pytest.mark.parametrize("model", [model for model in colmap.MODELS if model.focals], ids=lambda model: model.name)
@@ -271,18 +259,14 @@ def test_lenses_bend_as_colmap_bends(tmp_path, model, binary):
             file.unlink()
     (posed,) = read_posed(tmp_path)
     assert posed.camera.name == ("a" if binary else "a b")  # COLMAP ends a name at a space
-    ours = project(posed, POINTS)
-    np.testing.assert_allclose(ours, [theirs.img_from_cam(point) for point in POINTS], atol=1e-4)
-
-
-def project(posed, points):
-    """Pixels of (P, 3) points in the picture as it was taken."""
-    if posed.lens is None:
+    if (lens := posed.lens) is None:
         c = posed.camera
-        return points[:, :2] / points[:, 2:] * [c.fx, c.fy] + [c.cx, c.cy]
-    still, bend = np.zeros(3), cv2.fisheye.projectPoints if posed.lens.fisheye else cv2.projectPoints
-    arguments = still, still, posed.lens.matrix - CENTRES, posed.lens.coefficients
-    return bend(points[:, None], *arguments)[0][:, 0] + 0.5
+        ours = POINTS[:, :2] / POINTS[:, 2:] * [c.fx, c.fy] + [c.cx, c.cy]
+    else:  # in the picture as it was taken
+        bend = cv2.fisheye.projectPoints if lens.fisheye else cv2.projectPoints
+        still = np.zeros(3)
+        ours = bend(POINTS[:, None], still, still, lens.matrix - CENTRES, lens.coefficients)[0][:, 0] + 0.5
+    np.testing.assert_allclose(ours, [theirs.img_from_cam(point) for point in POINTS], atol=1e-4)
 
 
 @pytest.mark.parametrize(("form", "points"), [("colmap text", b""), ("colmap binary", bytes(8))])
@@ -300,26 +284,20 @@ def test_what_the_tests_write_is_what_colmap_reads(tmp_path, form, points):
         ("scene", "scene"),
         ("model/point_cloud/iteration_30000", "model"),  # as INRIA's code leaves its models
         ("model/gaussian_pertimestamp", "model"),  # as 4DGaussians adds frames to one
+        ("many/scene", None),  # of another scene
     ],
 )
 def test_cameras_beside_a_scene_are_found(tmp_path, frames, cameras):
     scene = write_sequence(tmp_path / frames, moving_frames(4, 1), cameras=False)
     (tmp_path / "model" / "point_cloud").mkdir(parents=True, exist_ok=True)
+    saved(scene / "notes.json", as_inria(ring(2)))
     assert find_cameras(scene) is None
-    path = files.write_inria(tmp_path / cameras, ring(3))
-    assert find_cameras(scene).resolve() == path.resolve()
-
-
-def test_cameras_of_another_scene_are_not_taken(tmp_path):
-    scene = write_sequence(tmp_path / "many" / "scene", moving_frames(4, 1), cameras=False)
-    files.write_inria(tmp_path / "many", ring(3))
-    (scene / "notes.json").write_text(json.dumps(as_inria(ring(2))))
-    assert find_cameras(scene) is None
+    path = files.write_inria(tmp_path / (cameras or "many"), ring(3))
+    found = find_cameras(scene)
+    assert found is None if cameras is None else found.resolve() == path.resolve()
 
 
 def test_the_first_form_beside_a_scene_is_taken(tmp_path):
-    model = files.write_colmap_text(tmp_path, ring(3))
-    assert find_cameras(tmp_path) == model
-    for write in (files.write_inria, files.write_transforms):
+    for write in (files.write_colmap_text, files.write_inria, files.write_transforms):
         path = write(tmp_path, ring(3))
         assert find_cameras(tmp_path) == path

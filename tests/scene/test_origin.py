@@ -11,24 +11,8 @@ from airgs_codec.scene.camera import cameras_from
 from airgs_codec.scene.formats.table import read
 from airgs_codec.scene.origin import in_world
 from airgs_codec.trainer.record import Model, TrainedFrame
-from tests.faces import (
-    EncodeSettings,
-    FrameRecord,
-    GaussianSequence,
-    Record,
-    SceneError,
-    TrainSettings,
-    airgs_decode,
-    airgs_manifest,
-    encode,
-    join_rows,
-    open_scene,
-    open_sequence,
-    orbit_views,
-    read_ply,
-    repair,
-    write_ply,
-)
+from tests import faces
+from tests.faces import GaussianSequence, SceneError, open_sequence, repair, write_ply
 from tests.support.camera_files import write_colmap_text, write_nerfstudio
 from tests.support.multiview_files import write_cameras
 from tests.support.ply import Column, ply_bytes
@@ -64,15 +48,13 @@ def opened(folder, form, frame, cameras):
 @pytest.mark.parametrize("scale", [1e-3, 1.0])
 def test_nothing_is_lost_far_from_zero(tmp_path, form, scale):
     frame = random_gaussians(60).placed(np.zeros(3), scale)
-    cameras = cameras_from(np.negative(UTM), orbit_views(frame, count=3))
+    cameras = cameras_from(np.negative(UTM), faces.orbit_views(frame, count=3))
     sequence = opened(tmp_path, form, frame, cameras)
-    back = sequence.read(0)
+    back, given = sequence.read(0), frame.means + np.array(UTM)
     assert back.means.dtype == np.float32
-    np.testing.assert_allclose(
-        back.means + np.array(sequence.origin), frame.means + np.array(UTM), atol=1e-7 * scale, rtol=0
-    )
-    for found, given in zip(sequence.cameras, cameras, strict=True):
-        np.testing.assert_allclose(found.position + sequence.origin, given.position, atol=1e-8, rtol=0)
+    np.testing.assert_allclose(back.means + np.array(sequence.origin), given, atol=1e-7 * scale, rtol=0)
+    for found, camera in zip(sequence.cameras, cameras, strict=True):
+        np.testing.assert_allclose(found.position + sequence.origin, camera.position, atol=1e-8, rtol=0)
     assert any("448262" in note and "100%" in note for note in sequence.notes) == (form != "told")
 
 
@@ -83,7 +65,7 @@ def test_what_float32_cannot_hold_is_refused_or_said(tmp_path):
     [note] = open_sequence(tmp_path).notes
     assert "in the files has moved 100% of what is opaque" in note
     parts = [in_world(random_gaussians(20, seed=i), [i * 1e8, 0, 0]) for i in range(3)]
-    write_ply(tmp_path / "a.ply", join_rows(parts))
+    write_ply(tmp_path / "a.ply", faces.join_rows(parts))
     with pytest.raises(SceneError, match=r"a\.ply: .* float32 moves 6\d%"):
         open_sequence(tmp_path).read(0)
     with pytest.raises(SceneError, match="open_sequence"):
@@ -110,26 +92,19 @@ def package(tmp_path_factory):
     frames = moving_frames(80, 2)
     for number, frame in enumerate(frames):
         write_ply(scene / f"{number}.ply", in_world(frame, UTM))
-    write_cameras(scene / "transforms.json", cameras_from(np.negative(UTM), orbit_views(frames[0], count=4, size=64)))
-    encode(scene, out, EncodeSettings(calibrate="none", measure_pictures=0))
+    write_cameras(
+        scene / "transforms.json", cameras_from(np.negative(UTM), faces.orbit_views(frames[0], count=4, size=64))
+    )
+    faces.encode(scene, out, faces.EncodeSettings(calibrate="none", measure_pictures=0))
     return scene, out
-
-
-@pytest.mark.parametrize("form", ["ply", "splat"])
-def test_what_is_decoded_is_where_it_was(package, tmp_path, capsys, form):
-    scene, out = package
-    airgs_decode([str(out), "-o", str(tmp_path / "back"), "--format", form])
-    assert ("sequence.json says it" in capsys.readouterr().out) == (form == "splat")
-    back = open_sequence(tmp_path / "back")
-    assert compare(scene, back).quality.psnr > 30 and compare(back, out).quality.psnr > 45
-    box = [np.median(s.read(1).means + np.array(s.origin), axis=0) for s in (open_sequence(scene), back)]
-    np.testing.assert_allclose(box[1], box[0], atol=0.2, rtol=0)
 
 
 def test_rows_know_which_they_were(package, tmp_path):
     """Of a package whose rows were sorted and left out, frame by frame; rows that are twice are none."""
     scene, out = package
-    airgs_decode([str(out), "-o", str(tmp_path / "back"), "--frames", "1", "--level", "L1", "--against", str(scene)])
+    faces.airgs_decode(
+        [str(out), "-o", str(tmp_path / "back"), "--frames", "1", "--level", "L1", "--against", str(scene)]
+    )
     with np.load(tmp_path / "back" / "rows.npz") as file:
         rows = file["1"]
     back, given = open_sequence(tmp_path / "back"), open_sequence(scene)
@@ -139,23 +114,30 @@ def test_rows_know_which_they_were(package, tmp_path):
     assert np.median(away) < 0.01 and not np.array_equal(rows, np.sort(rows))
 
 
-def test_a_package_far_from_zero_is_valid_and_says_so(package, capsys):
+@pytest.mark.parametrize("form", ["ply", "splat"])
+def test_a_package_far_from_zero_says_so_and_what_is_decoded_is_where_it_was(package, tmp_path, capsys, form):
     scene, out = package
-    assert airgs_manifest(["validate", str(out), "--against", str(scene)]) == 0
-    assert airgs_manifest(["inspect", str(out)]) == 0
+    assert faces.airgs_manifest(["validate", str(out), "--against", str(scene)]) == 0
+    assert faces.airgs_manifest(["inspect", str(out)]) == 0
     assert "origin: positions are from (448262" in capsys.readouterr().out
+    faces.airgs_decode([str(out), "-o", str(tmp_path / "back"), "--format", form])
+    assert ("sequence.json says it" in capsys.readouterr().out) == (form == "splat")
+    back = open_sequence(tmp_path / "back")
+    assert compare(scene, back).quality.psnr > 30 and compare(back, out).quality.psnr > 45
+    box = [np.median(s.read(1).means + np.array(s.origin), axis=0) for s in (open_sequence(scene), back)]
+    np.testing.assert_allclose(box[1], box[0], atol=0.2, rtol=0)
 
 
 @pytest.mark.parametrize("write", [write_colmap_text, write_nerfstudio])
 def test_trainers_begin_there_and_files_are_in_the_world(tmp_path, write):
     cloud = random_gaussians(50)
-    cameras = orbit_views(cloud, count=4)
+    cameras = faces.orbit_views(cloud, count=4)
     for name, shift in (("near", (0, 0, 0)), ("far", UTM)):
         model = write(tmp_path / name, cameras_from(np.negative(shift), cameras))
         if model.is_dir():
             rows = [f"{i} {x!r} {y!r} {z!r} 9 9 9 0" for i, (x, y, z) in enumerate((cloud.means + shift).tolist())]
             (model / "points3D.txt").write_text("\ufeff" + "\r\n".join(rows), encoding="utf-8")
-    near, far = open_scene(tmp_path / "near"), open_scene(tmp_path / "far")
+    near, far = faces.open_scene(tmp_path / "near"), faces.open_scene(tmp_path / "far")
     assert near.origin == (0, 0, 0) and abs(far.origin[0] - UTM[0]) < 4
     away = np.array(far.origin) - UTM
     for a, b in zip(near.cameras, far.cameras, strict=True):
@@ -164,9 +146,9 @@ def test_trainers_begin_there_and_files_are_in_the_world(tmp_path, write):
     if far.points:
         assert far.points.positions.dtype == np.float32
         np.testing.assert_allclose(far.points.positions + away, cloud.means, atol=1e-6)
-    model = Model(tmp_path, Record.of(far, (0, 0, 0), TrainSettings()))
+    model = Model(tmp_path, faces.Record.of(far, (0, 0, 0), faces.TrainSettings()))
     model.write_cameras(far.cameras)
-    model.commit(TrainedFrame(cloud, FrameRecord(0, "first", 50, 0, 30.0, None, None, None, None, 1.0)))
+    model.commit(TrainedFrame(cloud, faces.FrameRecord(0, "first", 50, 0, 30.0, None, None, None, None, 1.0)))
     np.testing.assert_allclose(model.read(0).means, cloud.means, atol=1e-7)
-    np.testing.assert_allclose(read_ply(tmp_path / "000000.ply").means - far.origin, cloud.means, atol=1e-7)
+    np.testing.assert_allclose(faces.read_ply(tmp_path / "000000.ply").means - far.origin, cloud.means, atol=1e-7)
     np.testing.assert_allclose(open_sequence(tmp_path).cameras[0].position, far.cameras[0].position, atol=4)
