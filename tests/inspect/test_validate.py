@@ -24,17 +24,12 @@ from tests.support.refusals import base_files, findings
 
 MOVING = base_files("moving")
 OPENED = open_package(VALID / "moving")
+STATE = "state/L0/1.m4s"
 
 
 def with_file(files: Files, relative: str, data: bytes) -> Files:
     """Write a file and make its entry agree, so that only its content can be refused."""
     return apply(files, add_file(relative, data), honest)
-
-
-def reasons(files: Files) -> set[str]:
-    found = findings(files)
-    assert all("\n" not in str(f) for f in found)
-    return {f.reason for f in found}
 
 
 def test_a_folder_that_is_no_package(tmp_path):
@@ -62,40 +57,16 @@ def test_only_plain_files_belong_to_a_package(tmp_path):
     assert found == {("unsafe_path", "state/L0/1.m4s"), ("unsafe_path", "folder"), ("foreign_file", "pipe")}
 
 
-@pytest.mark.parametrize(
-    ("relative", "damage", "reason"),
-    [
-        *[(f"state/L{j}/1.m4s", lambda data: with_columns(data, bytes(20)), "bad_sidecar") for j in (0, 1)],
-        *[(f"key/T1/Q{q}/1.m4s", lambda data: with_columns(data, bytes(20)), "bad_sidecar") for q in (0, 1)],
-        *[(f"key/T1/Q{q}/1.m4s", lambda data: data[:-30], "bad_picture") for q in (0, 1)],
-    ],
-)
-def test_every_level_and_key_quality_is_decoded_and_its_columns_are_read(relative, damage, reason):
-    found = findings(with_file(MOVING, relative, damage(MOVING[relative])))
-    assert [(f.reason, f.where) for f in found] == [(reason, relative)]
-
-
-def media_of(gop: ClosedGop, size: tuple[int, int], columns: bytes) -> bytes:
-    """A media segment of pictures, with the checksums that they have."""
-    codec = key_codec("veryfast")
-    coded = encode_gop(gop, size, Fraction(24), codec)
-    return with_own_box(coded.fragment, check_gop(coded, gop, codec).checksums, columns)
-
-
-def test_luma_outside_the_limited_range_is_refused():
-    picture = OPENED.manifest.groups[0].tiers[0].qualities[0]
-    bright = ClosedGop([np.full((picture.height, picture.width), 240, np.uint8)], 0, 1000)
-    columns = read_segment(MOVING["key/T0/Q0/1.m4s"]).columns or b""
-    media = media_of(bright, (picture.width, picture.height), columns)
-    (finding,) = findings(with_file(MOVING, "key/T0/Q0/1.m4s", media))
-    assert finding.reason == "bad_picture" and "16 to 235" in str(finding)
+def grey_media(value: int, atlas: faces.Atlas, like: bytes) -> bytes:
+    """A media segment of a picture of one value, with its checksums and the columns of another segment."""
+    gop, codec = ClosedGop([np.full((atlas.height, atlas.width), value, np.uint8)], 0, 1000), key_codec("veryfast")
+    coded = encode_gop(gop, (atlas.width, atlas.height), Fraction(24), codec)
+    return with_own_box(coded.fragment, check_gop(coded, gop, codec).checksums, read_segment(like).columns or b"")
 
 
 def test_fewer_pictures_than_frames_are_refused():
-    atlas, path = OPENED.manifest.groups[0].levels[0], "state/L0/1.m4s"
-    grey = ClosedGop([np.full((atlas.height, atlas.width), 128, np.uint8)], 0, 1000)
-    data = media_of(grey, (atlas.width, atlas.height), read_segment(MOVING[path]).columns or b"")
-    package = faces.open_files(Memory("fewer", with_file(MOVING, path, data)))
+    data = grey_media(128, OPENED.manifest.groups[0].levels[0], MOVING[STATE])
+    package = faces.open_files(Memory("fewer", with_file(MOVING, STATE, data)))
     with pytest.raises(faces.FormatError, match=r"state/L0/1\.m4s: expected 4 pictures, got 0"):
         list(faces.decode_segment(package, 0, faces.decode_canonical(package, 0, 0), 0, range(4)))
 
@@ -148,7 +119,8 @@ ENDLESS += [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)] + [set_v
 )
 def test_tables_and_files_that_do_not_fit_each_other_are_refused(changes, reason):
     assert OPENED.manifest.qualities[1].coarser == 1
-    assert reasons(apply(MOVING, *changes)) == {reason}
+    found = findings(apply(MOVING, *changes))
+    assert {f.reason for f in found} == {reason} and all("\n" not in str(f) for f in found)
 
 
 def resampled(data: bytes, change: Callable[[bytes], bytes]) -> bytes:
@@ -181,36 +153,42 @@ def with_sps(place: int, value: int) -> Callable[[bytes], bytes]:
 
 
 HUGE = struct.pack(">Q", 10**12)
-STATE, KEY, TONE = "state/L0/1.m4s", "key/T1/Q1/1.m4s", "sound/1.m4a"
-WRONG = (
-    {  # what no decoder of ours needs and other players stumble over
-        f"{what} of {path}": (path, change, expected)
-        for path in (STATE, KEY)
-        for what, change, expected in (
-            ("start", field(b"tfdt", 4, HUGE), "box tfdt, byte 12: expected 0, got 1000000000000"),
-            ("track", field(b"tfhd", 4, b"\0\0\0\2"), "box tfhd, byte 12: expected 1, got 2"),
-            ("filler", filler, r"got units \[7, 8, 5, 12\]"),
-            ("level", with_sps(3, 62), "level up to 51 for .*, got 100 and 62"),
-            ("profile", with_sps(1, 110), "got 110 and"),
-            ("tail", lambda data: data[:-8] + box(b"free", bytes(8)) + data[-8:], "bad_picture"),
-        )
-    }
-    | {
-        "duration of sound": (TONE, field(b"tfhd", 8, b"\0\0\0\1"), "box tfhd, byte 16: expected 960, got 1"),
-        "start of sound": (TONE, field(b"tfdt", 4, HUGE), "got .1000000000000, "),
-        "roll of sound": (TONE, field(b"sbgp", 12, b"\0\0\0\1"), "box sbgp"),
-        "zeros for init.mp4": ("init.mp4", lambda data: bytes(len(data)), "bad_picture"),
-        "level of init.mp4": ("init.mp4", field(b"avcC", 3, b"\x3e"), "box stsd"),
-        "time of init.mp4": ("init.mp4", field(b"mdhd", 12, b"\0\0\0\1"), "box mdhd, byte 20: expected 30000, got 1"),
-    }
-)
+
+
+def bright(data: bytes) -> bytes:
+    return grey_media(240, OPENED.manifest.groups[0].tiers[0].qualities[0], data)
+
+
+TONE, INIT, KEYS = "sound/1.m4a", "init.mp4", [f"key/T1/Q{q}/1.m4s" for q in (0, 1)]
+WRONG = {
+    f"{what} of {path}": (path, change, expected)
+    for paths, what, change, expected in (
+        ((STATE, "state/L1/1.m4s", *KEYS), "columns", lambda data: with_columns(data, bytes(20)), r"\[bad_sidecar\]"),
+        (KEYS, "end", lambda data: data[:-30], r"\[bad_picture\]"),
+        (["key/T0/Q0/1.m4s"], "luma", bright, r"16 to 235.*\[bad_picture\]"),
+        # What no decoder of ours needs and other players stumble over
+        ((STATE, KEYS[1]), "start", field(b"tfdt", 4, HUGE), "box tfdt, byte 12: expected 0, got 1000000000000"),
+        ((STATE, KEYS[1]), "track", field(b"tfhd", 4, b"\0\0\0\2"), "box tfhd, byte 12: expected 1, got 2"),
+        ((STATE, KEYS[1]), "filler", filler, r"got units \[7, 8, 5, 12\]"),
+        ((STATE, KEYS[1]), "level", with_sps(3, 62), "level up to 51 for .*, got 100 and 62"),
+        ((STATE, KEYS[1]), "profile", with_sps(1, 110), "got 110 and"),
+        ((STATE, KEYS[1]), "tail", lambda data: data[:-8] + box(b"free", bytes(8)) + data[-8:], r"\[bad_picture\]"),
+        ([TONE], "duration", field(b"tfhd", 8, b"\0\0\0\1"), "box tfhd, byte 16: expected 960, got 1"),
+        ([TONE], "start", field(b"tfdt", 4, HUGE), "got .1000000000000, "),
+        ([TONE], "roll", field(b"sbgp", 12, b"\0\0\0\1"), "box sbgp"),
+        ([INIT], "zeros", lambda data: bytes(len(data)), r"\[bad_picture\]"),
+        ([INIT], "level", field(b"avcC", 3, b"\x3e"), "box stsd"),
+        ([INIT], "time", field(b"mdhd", 12, b"\0\0\0\1"), "box mdhd, byte 20: expected 30000, got 1"),
+    )
+    for path in paths
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_what_other_players_stumble_over_is_found(name):
+def test_what_is_wrong_in_a_file_is_found_for_us_and_for_other_players(name):
     path, change, expected = WRONG[name]
     files = base_files("sound" if path == TONE else "moving")
-    finding, *_ = findings(with_file(files, path, change(files[path])))
+    (finding,) = findings(with_file(files, path, change(files[path])))
     assert finding.where == path and re.search(expected, str(finding))
 
 
@@ -238,13 +216,10 @@ def bomb(tmp_path):
     return write_files(tmp_path / "bomb", apply(MOVING, *changes))
 
 
-def test_groups_that_no_page_leads_to_are_not_looked_for(bomb):
+def test_groups_that_no_page_leads_to_are_not_looked_for_and_commands_say_so_in_a_line(bomb, capsys):
     (finding,) = validate(bomb)
     assert (finding.reason, finding.where) == ("missing_file", PAGE_PATH)
     assert list(faces.find_faults(open_package(bomb))) == [PAGE_PATH]
-
-
-def test_commands_say_so_in_a_line(bomb, capsys):
     assert faces.airgs_manifest(["inspect", str(bomb)]) == 2
     assert PAGE_PATH in (said := capsys.readouterr().err) and said.count("\n") == 1
 
