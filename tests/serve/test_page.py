@@ -261,12 +261,9 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
 @pytest.mark.parametrize(
     ("path", "expected"),
     [
-        ("airgs.json", "application/json"),
-        ("manifest.mpd", "application/dash+xml"),
-        ("index/1/12.json", "application/json"),
-        ("group/7.json.gz", "application/gzip"),
-        ("key/T0/1.bin", "application/octet-stream"),
-        ("init.mp4", "video/mp4"),
+        ("airgs.json", "application/json"),      ("group/7.json.gz", "application/gzip"),
+        ("index/1/12.json", "application/json"), ("key/T0/1.bin", "application/octet-stream"),
+        ("init.mp4", "video/mp4"),               ("manifest.mpd", "application/dash+xml"),
         (STATE, "video/mp4"),
         *((path, None) for path in ("", "notes.json", "airgs.json/", "key", "key/T0/notes.txt", "x/1.bin")),
         *((path, None) for path in ("key/../airgs.json", "key/./1.bin", "/airgs.json", "key//1.bin", "key/.b.bin")),

@@ -26,6 +26,7 @@ from tests.support.servers import ask, say, serving
 PACKAGE = VALID / "two-groups-sh1"
 NAME = PACKAGE.name
 ROOT = f"/{NAME}/airgs.json"
+HEAD = {":method": "GET", ":path": ROOT, ":authority": "localhost"}  # of HTTP/2
 PATIENCE_S = 0.4
 STATE, SIZE = "state/L0/1.m4s", 32 << 20
 
@@ -65,15 +66,16 @@ def test_every_file_is_served_whole(port):
         assert (status, body, headers["Content-Length"]) == (200, b"", str(len(data)))
 
 
-def test_packages_are_listed_in_the_order_of_their_names(port):
+def test_packages_are_listed_in_the_order_of_their_names_and_their_folders_lead_to_the_player(port):
     listed, page = json.loads(ask(port, "/", Accept="application/json")[2]), ask(port, "/")[2].decode()
     assert [entry["name"] for entry in listed] == ["moving", NAME]
     assert 0 < page.index(listed[0]["mpd"]) < page.index(listed[1]["mpd"])
+    status, headers, _ = ask(port, f"/{NAME}/")
+    assert (status, headers["Location"]) == (307, f"../player.html?src={NAME}/")
 
 
 def test_conditions_and_ranges(port):
-    data = (PACKAGE / STATE).read_bytes()
-    target = f"/{NAME}/{STATE}"
+    data, target = (PACKAGE / STATE).read_bytes(), f"/{NAME}/{STATE}"
     tag = ask(port, target)[1]["ETag"]
     for known in (tag, f'"a", W/{tag}', "*"):
         status, headers, body = ask(port, target, If_None_Match=known)
@@ -115,10 +117,7 @@ def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
     "target",
     [
         *("/../../etc/passwd", "/%ff%fe/airgs.json", "/other/airgs.json", "/other/", f"/{NAME}", "*"),
-        *(
-            f"/{NAME}/{path}"
-            for path in ("../moving/airgs.json", "%2e%2e/moving/airgs.json", "..%2fmoving%2fairgs.json")
-        ),
+        *(f"/{NAME}/{to}" for to in ("../moving/airgs.json", "%2e%2e/moving/airgs.json", "..%2fmoving%2fairgs.json")),
         *(f"/{NAME}/{path}" for path in ("/etc/passwd", "key/..%5c..%5cairgs.json", ".airgs.json.part", "key")),
         f"/{NAME}/airgs.json%00.m4s",
     ],
@@ -131,11 +130,6 @@ def test_nothing_else_is_served(port, target):
 def test_other_methods_are_refused(port, method):
     status, headers, _ = ask(port, ROOT, method, Content_Length="0")
     assert status == 405 and set(headers["Allow"].split(", ")) == {"GET", "HEAD", "OPTIONS"}
-
-
-def test_the_folder_of_a_package_leads_to_the_player(port):
-    status, headers, _ = ask(port, f"/{NAME}/")
-    assert (status, headers["Location"]) == (307, f"../player.html?src={NAME}/")
 
 
 @pytest.mark.parametrize(
@@ -279,13 +273,10 @@ def test_an_open_connection_does_not_keep_the_server_from_stopping():
     idle.close()
 
 
-def test_pieces_of_an_answer_do_not_wait_for_acknowledgements():
-    """Nagle's algorithm would hold them back for 40 ms; connections inherit the option."""
+def test_who_listens_does_not_wait_for_acknowledgements_and_needs_a_port_that_is_free(port):
+    """Nagle's algorithm would hold pieces of an answer back for 40 ms; connections inherit the option."""
     with listen("127.0.0.1", 0) as listening:
         assert listening.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-def test_a_port_in_use_and_an_address_that_is_none_are_refused(port):
     for host, number in (("127.0.0.1", port), ("no host", 0), ("127.0.0.1", 1 << 16), ("127.0.0.1", -1)):
         with pytest.raises(ConfigError, match="expected"):
             listen(host, number)
@@ -295,9 +286,8 @@ def test_a_client_that_takes_its_requests_back_is_no_news(port, caplog):
     """HTTP/2's rapid reset: more streams at once than there may be."""
     client = pytest.importorskip("h2.connection").H2Connection()
     client.initiate_connection()
-    head = {":method": "GET", ":path": ROOT, ":scheme": "http", ":authority": "localhost"}
     for stream in range(1, 2400, 2):
-        client.send_headers(stream, list(head.items()), end_stream=True)
+        client.send_headers(stream, [*HEAD.items(), (":scheme", "http")], end_stream=True)
         client.reset_stream(stream)
     with contextlib.suppress(ConnectionError):
         say(port, client.data_to_send())
@@ -328,8 +318,7 @@ def test_https_speaks_http_2(tmp_path):
         assert connection.selected_alpn_protocol() == "h2"
         client, data, ended = h2.H2Connection(), b"", False
         client.initiate_connection()
-        head = {":method": "GET", ":path": ROOT, ":scheme": "https", ":authority": "localhost"}
-        client.send_headers(1, list(head.items()), end_stream=True)
+        client.send_headers(1, [*HEAD.items(), (":scheme", "https")], end_stream=True)
         while not ended:
             connection.sendall(client.data_to_send())
             for event in client.receive_data(connection.recv(1 << 16)):
