@@ -28,11 +28,8 @@ TIGHT_S = 1e-5  # players take the MPD's decimals and float ticks
 GREY = 2  # largest difference of two channels of 8 bits
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
-
-
-PACKAGES = {  # two groups each; in the second one of fox-fine nothing moves, so that its state ends early
-    name: open_package(GOLDEN / name) for name in ("fox", "fox-fine")
-}
+# Two groups each; in the second one of fox-fine nothing moves, so that its state ends early.
+PACKAGES = {name: open_package(GOLDEN / name) for name in ("fox", "fox-fine")}
 ONLY = ("L0", "T0/Q0")
 VISITS = [
     *(("growing", player, "L0") for player in PLAYERS),
@@ -44,18 +41,17 @@ class Growth:
     """The MPD of a package that gains a group a second from the first time that somebody asks, and is then closed."""
 
     def __init__(self, package):
-        self.package = package
+        self.m = package.manifest
 
     @cached_property
     def start(self):
         return datetime.now(UTC) - timedelta(seconds=JOINED)
 
     def mpd(self):
-        m, now = self.package.manifest, datetime.now(UTC)
-        groups = int((now - self.start).total_seconds())
+        groups = int((datetime.now(UTC) - self.start).total_seconds())
         if groups >= GROUPS:
-            return write_mpd(m)
-        text = write_mpd(replace(m, live=True), LiveClock(self.start, now)).decode()
+            return write_mpd(self.m)
+        text = write_mpd(replace(self.m, live=True), LiveClock(self.start, datetime.now(UTC))).decode()
         run = f' r="{GROUPS - 1}"'
         assert text.count(run) == text.count("<S ")  # every timeline is one run
         return text.replace(run, f' r="{groups - 1}"').encode()
@@ -63,7 +59,7 @@ class Growth:
 
 @pytest.fixture(scope="module")
 def report(tmp_path_factory):
-    """A function from a package, a player and one of its Representations ("": all) to what the player reports."""
+    """What players report: (package, player, one of its Representations, or "" for all) -> that."""
     growing, frames = tmp_path_factory.mktemp("growing") / "package", moving_frames(200, 2 * GROUPS)
     groups = [frames[at : at + 2] for at in range(0, 2 * GROUPS, 2)]
     Encoded(lambda: groups, replace(QUICK, levels=(LevelSettings(0.0),)), fps=2, cameras=True)(growing)
@@ -76,16 +72,10 @@ def report(tmp_path_factory):
             folder = f"growing-{player}" if package == "growing" else package
             query = {"mpd": f"/{folder}/{MPD_NAME}"} | ({"only": only} if only else {})
             pages.append((f"{site.url}/web/test/{player}.html?{urlencode(query)}", ""))
-        visits = dict(zip(VISITS, visit_all(pages), strict=True))
+        visits = visit_all(pages)
     assert [answer for answer in site.answers if answer[1] >= 400] == []
-
-    def get(package, player, only=""):
-        seen = visits[package, player, only]
-        assert seen.complaints(KNOWN) == []
-        assert seen.report["errors"] == []
-        return seen.report
-
-    return get
+    assert [(seen.complaints(KNOWN), seen.report["errors"]) for seen in visits] == [([], [])] * len(VISITS)
+    return {visit: seen.report for visit, seen in zip(VISITS, visits, strict=True)}
 
 
 def expected(m):
@@ -106,16 +96,24 @@ def expected(m):
     }
 
 
+def sets_of(streams):
+    """Representations by what their AdaptationSet says of them: the state, or a tier of the key."""
+    kinds = defaultdict(list)
+    for name in sorted(streams):
+        tier = re.match(r"T(\d+)/", name)
+        kinds[f"key;tier={tier[1]}" if tier else "state"].append(name)
+    return kinds
+
+
 def paths(urls):
     return [urlsplit(url).path.split("/", 2)[2] for url in urls]
 
 
 @pytest.mark.parametrize("name", PACKAGES)
 def test_shaka_finds_what_the_tables_say(report, name):
-    seen, package = report(name, "shaka"), PACKAGES[name]
-    streams = expected(package.manifest)
-    assert not seen["live"]
-    assert seen["duration"] == pytest.approx(float(package.manifest.frames / package.manifest.fps), abs=TIGHT_S)
+    seen, package = report[name, "shaka", ""], PACKAGES[name]
+    m, streams = package.manifest, expected(package.manifest)
+    assert not seen["live"] and seen["duration"] == pytest.approx(float(m.frames / m.fps), abs=TIGHT_S)
     assert {r["id"] for r in seen["representations"]} == set(streams)
     sets = defaultdict(list)
     for r in seen["representations"]:
@@ -128,52 +126,40 @@ def test_shaka_finds_what_the_tables_say(report, name):
     assert all((package.files.path / files[0][2]).is_file() for files in streams.values())
 
 
-def sets_of(streams):
-    """Representations by what their AdaptationSet says of them: the state, or a tier of the key."""
-    kinds = defaultdict(list)
-    for name in sorted(streams):
-        tier = re.match(r"T(\d+)/", name)
-        kinds[f"key;tier={tier[1]}" if tier else "state"].append(name)
-    return kinds
-
-
 @pytest.mark.parametrize("name", PACKAGES)
 def test_dashjs_finds_the_sets_and_plays_the_state(report, name):
-    seen, sets = report(name, "dashjs"), sets_of(expected(PACKAGES[name].manifest))
+    seen, sets = report[name, "dashjs", ""], sets_of(expected(PACKAGES[name].manifest))
     found = [(s["role"], sorted(s["representations"])) for s in seen["sets"]]
     assert sorted(found) == sorted(([role], names) for role, names in sets.items())
-    assert {f["id"] for f in seen["fragments"]} <= {*sets["state"]}
-    assert not seen["live"]
+    assert {f["id"] for f in seen["fragments"]} <= {*sets["state"]} and not seen["live"]
 
 
 @pytest.mark.parametrize("player", PLAYERS)
 @pytest.mark.parametrize("only", ONLY)
 @pytest.mark.parametrize("name", PACKAGES)
 def test_a_representation_plays_as_grey_video_to_its_end(report, name, player, only):
-    m, seen = PACKAGES[name].manifest, report(name, player, only)
+    m, seen = PACKAGES[name].manifest, report[name, player, only]
     files, played = expected(m)[only], seen["played"]
     frames = sum(round((stop - start) * m.fps) for start, stop, _ in files) if only[0] == "L" else len(files)
     assert played["frames"] == frames or (played["seeks"] and played["frames"] > frames)
-    assert played["corrupted"] == 0
+    assert played["corrupted"] == 0 and played["colour"] <= GREY
     assert played["stopped"] == pytest.approx(played["duration"], abs=TIGHT_S)
-    assert played["colour"] <= GREY
     still = files[-1][2] in {path for path, _ in still_files(m)}
     assert played["brightest"] == played["darkest"] if still else played["brightest"] - played["darkest"] > 50
     if player == "dashjs":
-        fragments = seen["fragments"]
-        media = [f for f in fragments if f["type"] == "MediaSegment"]
+        media = [f for f in seen["fragments"] if f["type"] == "MediaSegment"]
         assert paths(f["url"] for f in media) == [path for *_, path in files]
         times = [(f["start"], f["end"]) for f in media]
         assert np.array(times) == pytest.approx(np.array([span[:2] for span in files]), abs=TIGHT_S)
-        assert set(paths(f["url"] for f in fragments if f["type"] == "InitializationSegment")) == {INIT_NAME}
+        assert {*paths(f["url"] for f in seen["fragments"] if f["type"] == "InitializationSegment")} == {INIT_NAME}
 
 
 @pytest.mark.parametrize("player", PLAYERS)
 def test_a_growing_package_is_joined_late_and_plays_on_to_its_end(report, player):
-    seen = report("growing", player, "L0")
-    assert seen["live"]
-    assert seen["played"]["stopped"] == seen["played"]["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
-    assert seen["played"]["colour"] <= GREY
+    seen = report["growing", player, "L0"]
+    played = seen["played"]
+    assert seen["live"] and played["colour"] <= GREY
+    assert played["stopped"] == played["duration"] == pytest.approx(GROUPS, abs=TIGHT_S)
     if player == "dashjs":
         media = [f["url"] for f in seen["fragments"] if f["type"] == "MediaSegment"]
         assert paths(media)[-1] == f"state/L0/{GROUPS}.m4s"

@@ -7,18 +7,8 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
-from tests.faces import (
-    JSON_NAME,
-    World,
-    decode,
-    levelled,
-    look_at,
-    open_package,
-    pack_json,
-    render,
-    root_of,
-    world_from,
-)
+from tests import faces
+from tests.faces import decode, levelled, look_at, open_package, render
 from tests.support.browser import WEB, build_pages, missing
 from tests.support.page import decibels, look, pixels_of
 from tests.support.paths import GOLDEN
@@ -38,9 +28,10 @@ def packages(package_of, tmp_path_factory):
     """The fox, a scene with all bands, and that one in a world: turned, scaled and shifted."""
     harmonics = open_package(package_of("harmonics"))
     folder = shutil.copytree(harmonics.files.path, tmp_path_factory.mktemp("placed") / "scene.airgs")
-    transform = world_from((0.3, -1.0, 0.5), 2.5).transform
+    transform = faces.world_from((0.3, -1.0, 0.5), 2.5).transform
     transform[3::4] = [4.0, -2.0, 7.0]
-    (folder / JSON_NAME).write_bytes(pack_json(replace(root_of(harmonics.manifest), world=World(transform, True))))
+    root = replace(faces.root_of(harmonics.manifest), world=faces.World(transform, True))
+    (folder / faces.JSON_NAME).write_bytes(faces.pack_json(root))
     return {"fox": open_package(GOLDEN / "fox"), "harmonics": harmonics, "placed": open_package(folder)}
 
 

@@ -1,13 +1,13 @@
 """The pages that are published: they play with nothing of a test in them, ask nobody else, and are used by people."""
 
 import shutil
-from urllib.parse import quote, urlsplit
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
 from tests.faces import export_page, open_package
-from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit
+from tests.support.browser import WEB, Answer, build_pages, missing, serve, visit_all
 from tests.support.page import SHIPPED, asking, shipped_page
 from tests.support.paths import CORPUS, GOLDEN, VALID
 from tests.support.servers import plainly_serving, serving
@@ -17,70 +17,59 @@ FOX = GOLDEN / "fox"
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
-def check_plays(url):
-    """The page plays, complains of nothing, and asks only the server it came from."""
-    seen = visit(url, asking())
-    assert seen.complaints() == []
-    assert seen.report["frames"] >= 3 and not seen.report["paused"]
-    assert {urlsplit(asked).netloc for asked in seen.report["asked"] if asked.startswith("http")} <= {
-        urlsplit(url).netloc
-    }
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory):
+    """Page -> its server, and what came of a visit."""
+    build_pages()
+    folder, shown = tmp_path_factory.mktemp("pages"), [SHOWCASE / "fox.airgs", SHOWCASE / "head.airgs"]
+    names = ["moving", "a name_" + 9 * "without_room_"]
+    shown += [shutil.copytree(VALID / "moving", folder / "plain" / name) for name in names]
+    export_page([FOX], folder / "some" / "where")
+    export_page(shown, folder / "site")
+    with serving(FOX) as fox, serving(*shown) as many, plainly_serving(folder) as plain:
+        text = (WEB / "examples" / "embed.html").read_text().replace("127.0.0.1:8000", f"127.0.0.1:{fox}")
+        embedded = Answer(text.replace("fox.airgs", "fox").encode(), headers={"Content-Type": "text/html"})
+        made = {"/": embedded, "/page/player.html": shipped_page("page")}
+        with serve({"web": WEB, "page": SHIPPED, "scenes": FOX.parent}, made) as site:
+            own = site.url.removeprefix("http://127.0.0.1:")
+            pages = {
+                "of the server": (fox, "player.html?src=%2Ffox%2F", asking()),
+                "exported": (plain, "some/where/", asking()),
+                "embedded": (own, "", asking()),
+                "list": (many, "", asking(widths=[390, 768, 1280])),
+                "exported list": (plain, "site/", asking(widths=[390, 768, 1280])),
+                "used": (own, "page/player.html?src=/scenes/fox/", ""),
+            }
+            visits = visit_all([(f"http://127.0.0.1:{port}/{path}", script) for port, path, script in pages.values()])
+    assert [one.complaints() for one in visits] == [[]] * len(pages)
+    return {name: (f"127.0.0.1:{pages[name][0]}", one.report) for name, one in zip(pages, visits, strict=True)}
 
 
-def test_the_page_of_the_server_plays():
-    with serving(FOX) as port:
-        check_plays(f"http://127.0.0.1:{port}/player.html?src={quote('/fox/')}")
+@pytest.mark.parametrize("page", ["of the server", "exported", "embedded"])
+def test_it_plays_and_asks_only_the_server_it_came_from(seen, page):
+    server, report = seen[page]
+    assert report["frames"] >= 3
+    if page != "embedded":
+        assert not report["paused"]
+        assert {urlsplit(asked).netloc for asked in report["asked"] if asked.startswith("http")} <= {server}
 
 
-def test_an_exported_site_plays_from_a_folder_of_a_plain_server(tmp_path):
-    export_page([FOX], tmp_path / "some" / "where")
-    with plainly_serving(tmp_path) as port:
-        check_plays(f"http://127.0.0.1:{port}/some/where/")
-
-
-def test_the_example_of_a_page_of_ones_own_plays():
-    with serving(FOX) as port:
-        text = (WEB / "examples" / "embed.html").read_text().replace("127.0.0.1:8000", f"127.0.0.1:{port}")
-        page = Answer(text.replace("fox.airgs", "fox").encode(), headers={"Content-Type": "text/html"})
-        with serve({}, {"/": page}) as site:
-            seen = visit(f"{site.url}/", asking())
-    assert seen.complaints() == []
-    assert seen.report["frames"] >= 3
-
-
-def check_laid_out(url):
+@pytest.mark.parametrize("page", ["list", "exported list"])
+def test_lists_of_packages_fit_phones_tablets_and_desks(seen, page):
     """As many cards abreast as there is room, whatever their names, with posters of one shape."""
-    seen = visit(url, asking(widths=[390, 768, 1280]))
-    assert seen.complaints() == []
-    shown = seen.report["seen"]
+    shown = seen[page][1]["seen"]
     assert [one["abreast"] for one in shown] == [1, 2, 4]
     for one in shown:
         assert one["needs"] <= one["width"] and len(one["loaded"]) == 2 and all(one["loaded"])
         assert {round(picture["width"] / picture["height"], 2) for picture in one["pictures"]} == {1.33}
 
 
-def test_lists_of_packages_fit_phones_tablets_and_desks(tmp_path):
-    shown = [SHOWCASE / "fox.airgs", SHOWCASE / "head.airgs"]
-    names = ["moving", "a name_" + 9 * "without_room_"]
-    plain = [shutil.copytree(VALID / "moving", tmp_path / "plain" / name) for name in names]
-    with serving(*shown, *plain) as port:
-        check_laid_out(f"http://127.0.0.1:{port}/")
-    export_page([*shown, *plain], tmp_path / "site")
-    with plainly_serving(tmp_path / "site") as port:
-        check_laid_out(f"http://127.0.0.1:{port}/")
-
-
 # The page that is shipped, used by mouse and keys (web/test/pages/page.ts)
 
 
-@pytest.fixture(scope="module")
-def report():
-    build_pages()
-    folders = {"web": WEB, "page": SHIPPED, "scenes": FOX.parent}
-    with serve(folders, {"/page/player.html": shipped_page("page")}) as site:
-        seen = visit(f"{site.url}/page/player.html?src=/scenes/{FOX.name}/")
-    assert seen.complaints() == []
-    return seen.report
+@pytest.fixture
+def report(seen):
+    return seen["used"][1]
 
 
 def difference(pictures):
@@ -93,8 +82,7 @@ def test_the_page_bears_the_name_of_the_package_until_there_is_a_picture(report)
 
 def test_a_drag_turns_the_camera_and_the_picture_and_a_key_goes_back(report):
     look = report["look"]
-    first = open_package(FOX).manifest.region.places[0].position
-    assert look["first"] == pytest.approx(first, abs=1e-5)
+    assert look["first"] == pytest.approx(open_package(FOX).manifest.region.places[0].position, abs=1e-5)
     assert np.linalg.norm(np.subtract(look["turned"], look["first"])) > 0.02
     assert difference(look) > 0.5
     assert look["home"] == pytest.approx(look["first"], abs=1e-5)
@@ -108,14 +96,12 @@ def test_scrubbing_shows_another_frame(report):
 
 def test_a_quality_of_the_menu_is_soon_on_the_screen(report):
     choose = report["choose"]
-    assert choose["shown"] == choose["name"] and "+" in choose["name"]
-    assert "dB" in choose["label"]
+    assert choose["shown"] == choose["name"] and "+" in choose["name"] and "dB" in choose["label"]
 
 
 def test_it_fills_the_window_of_a_phone(report):
     phone = report["phone"]
-    sides = ("left", "top", "width", "height")
-    assert [phone["element"][side] for side in sides] == [0, 0, 390, 844]
-    assert phone["bar"]["left"] >= 0 and phone["bar"]["right"] <= 390 and phone["bar"]["bottom"] <= 844
-    assert phone["page"] == [390, 844]
-    assert phone["touchAction"] == "none"
+    bar = phone["bar"]
+    assert [phone["element"][side] for side in ("left", "top", "width", "height")] == [0, 0, 390, 844]
+    assert bar["left"] >= 0 and bar["right"] <= 390 and bar["bottom"] <= 844
+    assert (phone["page"], phone["touchAction"]) == ([390, 844], "none")

@@ -43,21 +43,15 @@ def try_player(package, check, **query):
 
 def test_a_package_without_measured_quality_plays_its_best_rung():
     report = try_player(open_package(VALID / "paged"), "once")
-    assert report["events"][-1] == "ended"
-    assert set(report["rungs"]) == {"Q0+L0"}
+    assert report["events"][-1] == "ended" and set(report["rungs"]) == {"Q0+L0"}
 
 
-SOUGHT = {  # background -> rung, frames
-    None: ((1, 1), [3, 0, 2, 1]),
-    (1, 1, 1): ((0, 0), [3, 0, 2, 1]),
-    (1, 0.5, 0): ((0, 0), [1]),
-}
-
-
-@pytest.mark.parametrize("background", SOUGHT)
-def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(tmp_path, background):
+@pytest.mark.parametrize(
+    ("background", "rung", "frames"),
+    [(None, (1, 1), [3, 0, 2, 1]), ((1, 1, 1), (0, 0), [3, 0, 2, 1]), ((1, 0.5, 0), (0, 0), [1])],
+)
+def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(tmp_path, background, rung, frames):
     """Of a group that keeps rows of another one; before the background of a package."""
-    rung, frames = SOUGHT[background]
     package = open_package(GOLDEN / "room")
     if background:
         package = with_root(tmp_path / "package", lambda root: root["region"].update(background=background))
@@ -69,11 +63,8 @@ def test_a_frame_that_is_sought_is_what_the_cpu_renderer_draws(tmp_path, backgro
     check_sought(package, report, rung, frames)
 
 
-def test_after_the_loss_of_the_webgl_context_it_goes_on():
+def test_after_the_loss_of_the_webgl_context_it_goes_on_and_while_the_page_is_hidden_nothing_is_shown():
     assert try_player(FOX, "lost")["brightness"] > 10
-
-
-def test_nothing_is_shown_while_the_page_is_hidden():
     report = try_player(FOX, "hidden")
     assert report["before"] == report["after"]
 
@@ -88,8 +79,7 @@ def test_frames_that_are_dropped_lower_the_level_unless_the_viewer_has_chosen_on
     assert f"at {held['rung']}: this screen drops frames" in held["panel"]
     stats = held["stats"]
     assert stats["droppedByDisplay"] > 0.15 * (stats["framesShown"] + stats["framesDropped"])
-    assert chosen["rung"] == first and chosen["stats"]["held"] is None
-    assert "drops frames" not in chosen["panel"]
+    assert (chosen["rung"], chosen["stats"]["held"]) == (first, None) and "drops frames" not in chosen["panel"]
 
 
 # In a headset that only pretends, and without
@@ -131,24 +121,19 @@ def eye_of(package, offset, head, turn):
     """The camera of an eye `offset` metres to the right of the middle of a head at `head`, turned to the left."""
     m = package.manifest
     region = levelled(m.region, m.world)
-    place = region.places[0]
-    up = np.array(upright(region))
+    place, up = region.places[0], np.array(upright(region))
     ahead = np.subtract(place.focus, place.position)
     unit = 2.0 if m.world else np.linalg.norm(ahead) / 1.5  # of a metre
-    if m.world is None:  # it is straight ahead
-        up = _across(up, ahead)
+    up = up if m.world else _across(up, ahead)  # without a world it is straight ahead
     back = -_across(ahead, up)
     room = np.array([np.cross(up, back), up, back]).T  # to the scene
     turned = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
-    position = place.position + unit * room @ (head + turned @ [offset, 0, 0])
     axes = (room @ turned * [1, -1, -1]).T  # x right, y down, z ahead
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = axes, -axes @ position
+    matrix[:3, :3], matrix[:3, 3] = axes, -axes @ (place.position + unit * room @ (head + turned @ [offset, 0, 0]))
     half = SIDE / 2
-    cx = half * (1 - np.copysign(OUT, offset))
-    eye = Camera("eye", SIDE, SIDE, half, half, cx, half * (1 + UP), matrix, near=region.near)
-    [before] = before_background(m.region, [eye])
-    return before
+    centre = half * (1 - np.copysign(OUT, offset)), half * (1 + UP)
+    return before_background(m.region, [Camera("eye", SIDE, SIDE, half, half, *centre, matrix, near=region.near)])[0]
 
 
 @pytest.mark.parametrize(("which", "head", "turn"), [("first", np.zeros(3), 0.0), ("moved", MOVED, TURN)])
@@ -162,16 +147,12 @@ def test_each_eye_sees_what_the_cpu_renderer_draws_from_there(worn, which, head,
         assert decibels(half, render(shown, eye_of(package, offset, head, turn)).rgb) >= LEAST_DB
 
 
-def test_a_frame_is_sorted_once_and_drawn_twice(worn):
-    counted = worn[1]["counted"]
+def test_a_frame_is_sorted_once_and_drawn_twice_and_who_leaves_finds_the_page_as_it_was(worn):
+    _, report = worn
+    counted = report["counted"]
     assert counted["draws"] == 2 * counted["frames"]
     assert 1 <= counted["sorts"] <= counted["frames"] + 1  # that of the frame before may have waited
-
-
-def test_a_trigger_plays_and_who_leaves_finds_the_page_as_it_was(worn):
-    _, report = worn
-    assert report["played"] and report["goesOn"]
-    assert report["page"]
+    assert report["played"] and report["goesOn"] and report["page"]  # a trigger plays
     assert report["after"] == pytest.approx(report["before"])
 
 

@@ -2,6 +2,7 @@
 
 import shutil
 import threading
+from functools import partial
 
 import pytest
 
@@ -44,10 +45,8 @@ def test_a_stall_is_silent_and_sound_goes_on_with_the_pictures(chirping):
         told.wait(60)
         return Answer(path.read_bytes())
 
-    made = {
-        f"/package/{path.relative_to(chirping).as_posix()}": lambda path=path: late(path)
-        for path in chirping.glob("state/*/2.m4s")
-    }
+    delayed = chirping.glob("state/*/2.m4s")
+    made = {f"/package/{path.relative_to(chirping).as_posix()}": partial(late, path) for path in delayed}
     report, asked = hear(chirping, "stall", made | {"/go": lambda: told.set() or b"gone"}, loop=0)
     assert report["waiting"]["stalled"] and report["waiting"]["loud"] == 0
     assert report["stats"]["stalls"] == 1 and report["problems"] == []

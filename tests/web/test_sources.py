@@ -19,17 +19,11 @@ ROOT = "the root"
 ORDER = ("generated", "format", "media", "render", "play", "ui", ROOT)
 BESIDE = {("render", "media")}  # pairs that know nothing of each other
 IMPORT = re.compile(r'\b(?:from|import) "(?:worker:)?(\.[^"]+\.ts)"')
-MODULES = {
-    path.relative_to(SOURCES).as_posix(): path for path in sorted(SOURCES.rglob("*.ts")) if path.suffixes == [".ts"]
-}
-MOST_BYTES = {
-    "airgs.js": 46_200,
-    "airgs-frames.js": 23_500,
-    "airgs-player.js": 58_100,
-    "airgs-vr.js": 2_000,
-    "airgs-more.js": 15_700,
-    "airgs-sound.js": 3_700,
-}  # as gzip
+MODULES = {path.relative_to(SOURCES).as_posix(): path for path in SOURCES.rglob("*.ts") if path.suffixes == [".ts"]}
+MOST_BYTES = {  # as gzip
+    "airgs.js": 46_200, "airgs-frames.js": 23_500, "airgs-player.js": 58_100, "airgs-vr.js": 2_000,
+    "airgs-more.js": 15_700, "airgs-sound.js": 3_700,
+}  # fmt: skip
 PERMISSIVE = {"0BSD", "Apache-2.0", "BSD-2-Clause", "BSD-3-Clause", "ISC", "MIT", "PSF-2.0", "Python-2.0"}
 LOCK = json.loads((WEB / "package-lock.json").read_text())["packages"]
 LACKING = [what for what in missing() if what != "chromium"]
@@ -44,13 +38,9 @@ def run(*command):
 
 
 @in_node
-def test_unit_tests_pass():
-    run("node", "scripts/unit.mjs")
-
-
-@in_node
-def test_types_and_lint_are_clean():
-    run("npm", "run", "--silent", "check")
+@pytest.mark.parametrize("command", ["node scripts/unit.mjs", "npm run --silent check"])
+def test_unit_tests_pass_and_types_and_lint_are_clean(command):
+    run(*command.split())
 
 
 # The tree of web/src tells the path: imports go back in the order of folders, never against it nor in circles.
@@ -58,9 +48,8 @@ def test_types_and_lint_are_clean():
 
 def modules_of(module):
     """Modules that one imports, types as well as values, as keys of MODULES."""
-    path = MODULES[module]
-    found = {(path.parent / name).resolve() for name in IMPORT.findall(path.read_text(encoding="utf-8"))}
-    return {name.relative_to(SOURCES).as_posix() for name in found}
+    names = IMPORT.findall(MODULES[module].read_text(encoding="utf-8"))
+    return {(MODULES[module].parent / name).resolve().relative_to(SOURCES).as_posix() for name in names}
 
 
 def folder_of(module):
@@ -78,11 +67,10 @@ def test_every_folder_has_its_place_in_the_order_and_every_import_leads_to_a_mod
 
 @pytest.mark.parametrize("folder", ORDER)
 def test_a_folder_imports_only_from_those_before_it(folder):
-    for module in MODULES:
-        if folder_of(module) == folder:
-            used = {folder_of(other) for other in modules_of(module)}
-            assert not {other for other in used if ORDER.index(other) > ORDER.index(folder)}, module
-            assert not {other for other in used if (folder, other) in BESIDE}, module
+    for module in (module for module in MODULES if folder_of(module) == folder):
+        used = {folder_of(other) for other in modules_of(module)}
+        assert not {other for other in used if ORDER.index(other) > ORDER.index(folder)}, module
+        assert not {other for other in used if (folder, other) in BESIDE}, module
 
 
 # The player that is committed is what the sources build, and small, and a wheel brings it along.
@@ -111,18 +99,14 @@ def test_a_wheel_brings_it_along():
 # What npm installs for the tests in a browser is pinned, and free for all uses.
 
 
-def test_versions_are_exact_and_those_of_the_lock_file():
+def test_versions_are_exact_and_licences_permissive():
     package = json.loads((WEB / "package.json").read_text())
     assert "dependencies" not in package
     versions = package["devDependencies"]
     assert all(re.fullmatch(r"\d+\.\d+\.\d+", version) for version in versions.values())
     assert versions == LOCK[""]["devDependencies"]
     assert versions == {name: LOCK[f"node_modules/{name}"]["version"] for name in versions}
-
-
-def test_every_package_has_a_permissive_licence_and_a_digest():
-    packages = {path: entry for path, entry in LOCK.items() if path}
-    assert packages
-    choices = [set(entry["license"].strip("()").split(" OR ")) for entry in packages.values()]
-    assert all(choice & PERMISSIVE for choice in choices)
-    assert all(entry["integrity"].startswith("sha512-") and entry["dev"] for entry in packages.values())
+    packages = [entry for path, entry in LOCK.items() if path]
+    choices = [set(entry["license"].strip("()").split(" OR ")) for entry in packages]
+    assert choices and all(choice & PERMISSIVE for choice in choices)
+    assert all(entry["integrity"].startswith("sha512-") and entry["dev"] for entry in packages)
