@@ -18,12 +18,13 @@ from tests.support.paths import FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
 
 
-def test_smaller_pictures_keep_their_rays(moving):
+def test_smaller_pictures_keep_their_rays_and_are_within_half_a_level(moving):
     scene = open_scene(moving)
     small, full = Pictures(scene, max_size=24).cameras()[0], scene.cameras[0]
     assert (small.width, small.height) == (24, 24)
     assert (small.cx / small.fx, small.width / small.fx) == pytest.approx((full.cx / full.fx, full.width / full.fx))
-    assert Pictures(scene, max_size=24).train(0)[0].target.rgb.shape == (24, 24, 3)
+    shown, whole = (Pictures(scene, max_size=size).train(0)[0].target.rgb for size in (24, None))
+    assert shown.shape == (24, 24, 3) and 0 < np.abs(shown - resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
 
 
 @dataclass
@@ -31,32 +32,26 @@ class Counted:
     """A place whose pictures are noise of one seed each, and how often they were read."""
 
     seed: int
-    size: tuple[int, int]
     reads: list[int]
 
     def read(self, size):
-        assert size == self.size
         self.reads.append(self.seed)
-        return np.random.default_rng(self.seed).integers(0, 256, (self.size[1], self.size[0], 3), np.uint8)
-
-    def __str__(self):
-        return f"noise {self.seed}"
+        return np.random.default_rng(self.seed).integers(0, 256, (*size[::-1], 3), np.uint8)
 
 
-def noise(cameras, size):
+def noise(cameras, width, height):
     """A frame of many cameras, and the seeds that were read so far."""
     reads: list[int] = []
-    shots = []
-    for i, camera in enumerate(ring(cameras, size=16)):
-        shots.append(faces.Shot(replace(camera, width=size[0], height=size[1]), Counted(i, size, reads)))
-    return faces.MultiviewScene(Path("noise"), Fraction(30), (tuple(shots),)), reads
+    rig = (replace(camera, width=width, height=height) for camera in ring(cameras, size=16))
+    shots = tuple(faces.Shot(camera, Counted(i, reads)) for i, camera in enumerate(rig))
+    return faces.MultiviewScene(Path("noise"), Fraction(30), (shots,)), reads
 
 
 def test_eighty_cameras_are_never_all_in_memory():
     """A tenth of 4K each way, and a hundredth of the memory."""
     whole = 80 * 3840 * 2160 * 3
     assert whole > 1.8 * PICTURE_BYTES and 12 * whole > 11 * TARGET_BYTES
-    scene, reads = noise(80, (384, 216))
+    scene, reads = noise(80, 384, 216)
     taken = Pictures(scene, picture_bytes=PICTURE_BYTES // 100, target_bytes=TARGET_BYTES // 100)
     most = 0
     for view in taken.train(0) + taken.train(0)[::-1]:
@@ -66,32 +61,19 @@ def test_eighty_cameras_are_never_all_in_memory():
     assert 80 < len(reads) < 160  # those that were seen last were at hand on the way back
 
 
-def test_pictures_that_fit_are_read_once():
-    scene, reads = noise(5, (30, 20))
+def test_pictures_that_fit_are_read_once_are_exact_and_exposed_alike():
+    scene, reads = noise(5, 30, 20)
     taken = Pictures(scene)
     taken.check()
     assert reads == [0, 1, 2, 3, 4]
-    for view in taken.train(0) + taken.with_exposure({"cam00": [2.0] * 3 + [0.1] * 3}).train(0):
-        assert view.target.rgb.shape == (20, 30, 3)
-    assert reads == [0, 1, 2, 3, 4]
-    assert taken.nbytes == 5 * 20 * 30 * (3 + 36)
-
-
-def test_opaque_pictures_at_full_size_are_exact_and_others_within_half_a_level(moving):
-    scene, _ = noise(1, (30, 20))
-    view = Pictures(scene).train(0)[0]
-    assert (view.target.rgb == scene.frames[0][0].source.read((30, 20)).astype(np.float32) / np.float32(255)).all()
-    small = Pictures(open_scene(moving), max_size=24).train(0)[0].target.rgb
-    whole = Pictures(open_scene(moving)).train(0)[0].target.rgb
-    assert 0 < np.abs(small - resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
-
-
-def test_pictures_are_exposed_alike(moving):
-    taken = Pictures(open_scene(moving))
-    before = taken.train(0)[0].target.rgb
-    alike = taken.with_exposure({"cam00": [2.0, 2.0, 2.0, 0.1, 0.1, 0.1]})
-    np.testing.assert_allclose(alike.train(0)[0].target.rgb, (before - 0.1) / 2, atol=1e-6)
-    assert (alike.train(0)[1].target.rgb == Pictures(open_scene(moving)).train(0)[1].target.rgb).all()
+    whole, alike = (
+        [view.target.rgb for view in pictures.train(0)]
+        for pictures in (taken, taken.with_exposure({"cam00": [2.0] * 3 + [0.1] * 3}))
+    )
+    assert reads == [0, 1, 2, 3, 4] and taken.nbytes == 5 * 20 * 30 * (3 + 36)
+    for rgb, other, shot in zip(whole, alike, scene.frames[0], strict=True):
+        assert (rgb == shot.source.read((30, 20)).astype(np.float32) / np.float32(255)).all()
+        assert np.abs(other - (rgb - 0.1) / 2).max() < 1e-6 if shot.camera.name == "cam00" else (other == rgb).all()
 
 
 def write_cut_out(folder):
@@ -104,18 +86,15 @@ def write_cut_out(folder):
     return open_scene(folder)
 
 
-@pytest.mark.parametrize(
-    ("background", "left"), [(None, (0, 0, 0)), ("white", (1, 1, 1)), ("0.5,0,1", (0.5, 0, 1)), ("random", (0, 0, 0))]
-)
+@pytest.mark.parametrize(("background", "left"), [
+    (None, (0, 0, 0)), ("white", (1, 1, 1)), ("0.5,0,1", (0.5, 0, 1)), ("random", (0, 0, 0)),
+])  # fmt: skip
 def test_what_is_transparent_shows_the_background(tmp_path, background, left):
     view = Pictures(write_cut_out(tmp_path), background=background).train(0)[0]
-    assert view.camera.background == left
-    assert np.allclose(view.target.rgb[:, :24], left, atol=2e-3) and np.allclose(view.target.rgb[:, 24:], (1, 0, 0))
-    moved = view.before((0.2, 0.4, 0.6))
-    assert moved.camera.background == (0.2, 0.4, 0.6)
-    assert np.allclose(moved.target.rgb[:, :24], (0.2, 0.4, 0.6), atol=3e-3) and np.allclose(
-        moved.target.rgb[:, 24:], (1, 0, 0)
-    )
+    for shown, behind, within in ((view, left, 2e-3), (view.before((0.2, 0.4, 0.6)), (0.2, 0.4, 0.6), 3e-3)):
+        assert shown.camera.background == behind
+        assert np.allclose(shown.target.rgb[:, :24], behind, atol=within)
+        assert np.allclose(shown.target.rgb[:, 24:], (1, 0, 0))
     target = view.target
     assert target.nbytes == target.rgb.nbytes + target.clear.nbytes + sum(part.nbytes for part in moments(target))
 
@@ -133,78 +112,60 @@ SIZE = 48
 NOISE = 1.5  # of 255
 
 
-def background() -> np.ndarray:
-    y, x = np.mgrid[:SIZE, :SIZE]
-    wall = 120 + 40 * np.sin(x / 3) + 30 * np.cos(y / 5)
-    return np.repeat(wall[..., None], 3, axis=2)
+Y, X = np.mgrid[:SIZE, :SIZE]
+WALL = np.repeat((120 + 40 * np.sin(X / 3) + 30 * np.cos(Y / 5))[..., None], 3, axis=2)
 
 
-def filmed(frames: int, add=lambda t, picture: None) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Pictures without noise, and as a camera takes them, after `add` has drawn into frame t."""
-    rng = np.random.default_rng(0)
-    clean, noisy = [], []
-    for t in range(frames):
-        picture = background()
+def filmed(frames, add):
+    """Pictures of the wall without noise and as a camera takes them, after `add` drew into frame t; their plate."""
+    rng, clean, noisy = np.random.default_rng(0), np.stack([WALL] * frames), []
+    for t, picture in enumerate(clean):
         add(t, picture)
-        clean.append(picture)
         noisy.append(np.clip(np.rint(picture + rng.normal(0, NOISE, picture.shape)), 0, 255).astype(np.uint8))
-    return np.stack(clean), noisy
+    return clean, noisy, plate_of(noisy)
 
 
-def ball(t, picture):
-    picture[20:28, 3 * t : 3 * t + 8] = 240
-
-
-def seen(picture: np.ndarray, name="cam00") -> View:
-    return View(replace(ring(1, SIZE)[0], name=name), Target(picture.astype(np.float32) / 255))
-
-
-def settled_one(view, plate):
-    """The picture (H, W, 3) of a view as it is fitted, and where it moves (H, W)."""
-    [settled], [moving] = settle([view], {view.camera.name: plate}, {})
+def settled_one(picture, plate, exposure=None):
+    """A picture (H, W, 3) as it is fitted, and where it moves (H, W)."""
+    view = View(ring(1, SIZE)[0], Target(picture.astype(np.float32) / 255))
+    [settled], [moving] = settle([view], {"cam00": plate}, exposure or {})
     return settled.target.rgb, moving
 
 
-def test_a_plate_shows_the_wall_behind_what_moves_with_less_noise_than_a_picture():
-    _, noisy = filmed(12, ball)
-    plate = plate_of(noisy)
-    assert np.abs(plate.rgb - background()).mean() < 0.6 * np.abs(noisy[0] - background())[:16].mean()
+def test_what_moves_is_kept_and_what_rests_is_the_plate_with_less_noise_through_the_exposure_of_its_camera():
+    def ball(t, picture):
+        picture[20:28, 3 * t : 3 * t + 8] = 240
+
+    clean, noisy, plate = filmed(12, ball)
+    assert np.abs(plate.rgb - WALL).mean() < 0.6 * np.abs(noisy[0] - WALL)[:16].mean()
     assert plate.tolerance < 4.5 / 255
-
-
-def test_what_moves_is_kept_and_what_rests_is_the_plate():
-    clean, noisy = filmed(12, ball)
-    shown, moving = settled_one(seen(noisy[5]), plate_of(noisy))
-    there = np.abs(clean[5] - background()).max(axis=2) > 0
+    shown, moving = settled_one(noisy[5], plate)
+    there = np.abs(clean[5] - WALL).max(axis=2) > 0
     assert moving[there].all() and moving.mean() < 0.3
     assert (shown[there] == noisy[5][there].astype(np.float32) / 255).all()
     assert np.abs(shown * 255 - clean[5])[~moving].mean() < 0.7 * NOISE
-
-
-def shadow(t, picture):
-    """A soft shadow of 8 / 255 at its darkest."""
-    x = np.arange(SIZE)
-    picture -= 8 * np.exp(-(((x - 4 * t) / 6) ** 2))[None, :, None]
-
-
-def checks(t, picture):
-    """A pattern whose mean is that of the wall, in the last frame alone."""
-    if t == 11:
-        y, x = np.mgrid[:16, :16]
-        picture[16:32, 16:32] += np.where((x + y) % 2, 25.0, -25.0)[..., None]
+    _, moving = settled_one((noisy[5] - 0.02 * 255) / 1.2, plate, {"cam00": [1.2, 1.2, 1.2, 0.02, 0.02, 0.02]})
+    assert moving.mean() < 0.3
 
 
 def test_texture_that_moves_is_not_taken_for_noise():
-    _, noisy = filmed(12, checks)
-    _, moving = settled_one(seen(noisy[11]), plate_of(noisy))
+    """A pattern whose mean is that of the wall, in the last frame alone."""
+
+    def checks(t, picture):
+        picture[16:32, 16:32] += np.where((X + Y) % 2, 25.0, -25.0)[:16, :16, None] * (t == 11)
+
+    _, noisy, plate = filmed(12, checks)
+    _, moving = settled_one(noisy[11], plate)
     assert moving[16:32, 16:32].all() and moving.mean() < 0.4
 
 
-def test_a_soft_shadow_is_not_flattened():
-    clean, noisy = filmed(12, shadow)
-    plate = plate_of(noisy)
+def test_a_soft_shadow_of_8_levels_at_its_darkest_is_not_flattened():
+    def shadow(t, picture):
+        picture -= 8 * np.exp(-(((np.arange(SIZE) - 4 * t) / 6) ** 2))[None, :, None]
+
+    clean, noisy, plate = filmed(12, shadow)
     for t in (3, 6, 9):
-        shown, moving = settled_one(seen(noisy[t]), plate)
+        shown, moving = settled_one(noisy[t], plate)
         lost = (shown * 255 - clean[t]).mean(axis=(0, 2))  # down the columns: the shadow's profile
         assert np.abs(lost).max() < 4.0  # of 8
         assert moving[:, 4 * t].all()
@@ -216,29 +177,26 @@ def test_what_drifts_slowly_does_not_rest_for_ever():
     def brighter(t, picture):
         picture += t
 
-    _, noisy = filmed(24, brighter)
-    plate = plate_of(noisy)
-    moving = [settled_one(seen(p), plate)[1].mean() for p in noisy]
+    _, noisy, plate = filmed(24, brighter)
+    moving = [settled_one(picture, plate)[1].mean() for picture in noisy]
     assert moving[0] > 0.9 and moving[-1] > 0.9 and min(moving) < 0.1
 
 
-def test_plates_are_seen_through_the_exposure_of_their_camera():
-    _, noisy = filmed(12, ball)
-    exposure = {"cam00": [1.2, 1.2, 1.2, 0.02, 0.02, 0.02]}
-    alike = View(seen(noisy[5]).camera, Target((noisy[5].astype(np.float32) / 255 - 0.02) / 1.2))
-    assert settle([alike], {"cam00": plate_of(noisy)}, exposure)[1][0].mean() < 0.3
-
-
-def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance():
+def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance_and_kept_within_their_bytes(monkeypatch):
     scene = faces.with_held_out(open_scene(FOX_VIEWS), None)
     capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
     assert set(capture.plates) == {camera.name for camera in scene.cameras if not camera.held_out}
-    for view in capture.pictures.train(3):
-        plate = capture.plates[view.camera.name]
-        shown, moving = settled_one(view, plate)
-        assert np.abs(box_mean(shown - view.target.rgb, 5)).max() <= plate.tolerance + 1e-6
-        assert np.abs(shown - view.target.rgb).max() < 40 / 255
-        assert 0.02 < moving.mean() < 0.7
+    views = capture.pictures.train(3)
+    settled, where = settle(views, capture.plates, {})
+    wanted = [view.target.rgb for view in settled]
+    for view, shown, moving in zip(views, wanted, where, strict=True):
+        tolerance = capture.plates[view.camera.name].tolerance
+        assert np.abs(box_mean(shown - view.target.rgb, 5)).max() <= tolerance + 1e-6
+        assert np.abs(shown - view.target.rgb).max() < 40 / 255 and 0.02 < moving.mean() < 0.7
+    monkeypatch.setattr("airgs_codec.trainer.data.plates.TARGET_BYTES", 3 * 128 * 128 * 36)
+    for view, rgb in zip(settle(views, capture.plates, {})[0], wanted, strict=True):
+        np.testing.assert_array_equal(view.target.rgb, rgb)
+        assert view.picture.buffer.nbytes <= 3 * 128 * 128 * 36
 
 
 CHANGES = {
@@ -259,12 +217,3 @@ def test_cameras_that_move_have_no_plates(change):
     scene = replace(scene, frames=(*scene.frames[:2], tuple(shots), *scene.frames[3:]))
     assert not stands_still(scene)
     assert rested(Capture.of(scene, TrainSettings(), "cpu")).plates == {}
-
-
-def test_settled_targets_are_kept_within_their_bytes(monkeypatch):
-    capture = rested(Capture.of(faces.with_held_out(open_scene(FOX_VIEWS), None), TrainSettings(), "cpu"))
-    wanted = [view.target.rgb for view in settle(capture.pictures.train(3), capture.plates, {})[0]]
-    monkeypatch.setattr("airgs_codec.trainer.data.plates.TARGET_BYTES", 3 * 128 * 128 * 36)
-    for view, rgb in zip(settle(capture.pictures.train(3), capture.plates, {})[0], wanted, strict=True):
-        np.testing.assert_array_equal(view.target.rgb, rgb)
-        assert view.picture.buffer.nbytes <= 3 * 128 * 128 * 36

@@ -14,16 +14,7 @@ import pycolmap
 import pytest
 
 from tests import faces
-from tests.faces import (
-    Pictures,
-    SceneError,
-    is_multiview,
-    load_usage,
-    open_scene,
-    read_cameras,
-    with_held_out,
-    write_png,
-)
+from tests.faces import Pictures, SceneError, is_multiview, load_usage, open_scene, with_held_out, write_png
 from tests.support.camera_files import write_colmap_binary, write_colmap_text, write_llff
 from tests.support.multiview_files import matrix_of, plain, same_camera, write_panoptic, write_video
 from tests.support.paths import FOX, FOX_VIEWS
@@ -96,40 +87,34 @@ def write_n3dv(folder, *names, rows):
 
 def write_ns_process_data(folder, **shared):
     """What `ns-process-data images` leaves: pictures in several sizes, a lens, points of another name."""
-    entries, camera = [], ring(1)[0]
-    for i, c in enumerate(ring(9)):
-        name = f"frame_{i + 1:05d}.png"
-        sizes = (("images", 48), ("images_2", 24), ("images_4", 12))
-        write_pictures(folder, {f"{place}/{name}": plain(90, (size, size)) for place, size in sizes})
-        entries.append({"file_path": f"images/{name}", "transform_matrix": matrix_of(c), "colmap_im_id": i + 1})
-    lens = {"camera_model": "OPENCV", "k1": 0.05, "k2": -0.01, "p1": 0.001, "p2": 0.002}
-    size = {"w": 48, "h": 48, "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy}
-    turned = {"applied_transform": [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0]]}
-    data = {**size, **lens, "frames": entries, **turned, "ply_file_path": "sparse_pc.ply", **shared}
-    (folder / "transforms.json").write_text(json.dumps(data))
+    entries = []
+    for i, c in enumerate(ring(9), start=1):
+        for place, size in (("images", 48), ("images_2", 24), ("images_4", 12)):
+            write_pictures(folder / place, {f"frame_{i:05d}.png": plain(90, (size, size))})
+        name = f"images/frame_{i:05d}.png"
+        entries.append({"file_path": name, "transform_matrix": matrix_of(c), "colmap_im_id": i})
+    data = {
+        "w": 48, "h": 48, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy,
+        "camera_model": "OPENCV", "k1": 0.05, "k2": -0.01, "p1": 0.001, "p2": 0.002, "frames": entries,
+        "applied_transform": [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0]], "ply_file_path": "sparse_pc.ply",
+    }  # fmt: skip
+    (folder / "transforms.json").write_text(json.dumps(data | shared))
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {c}\n" for c in "xyz")
     colours = "".join(f"property uint8 {c}\n" for c in ("red", "green", "blue"))
     (folder / "sparse_pc.ply").write_text(f"{header}{colours}end_header\n0.5 1 1.5 255 0 51\n0 0 0 0 0 0\n")
     return folder
 
 
-def test_frames_are_cut_out_and_points_stay_with_the_first(moving):
-    assert len(open_scene(moving, frames=(1, None))) == 1
-    assert open_scene(moving, frames=(1, None)).points is None
-    with pytest.raises(SceneError, match="frames inside 0:2, got 1:5"):
-        open_scene(moving, frames=(1, 5))
-
-
-def test_what_is_multiview_and_what_is_a_sequence(tmp_path, moving):
-    assert is_multiview(FOX_VIEWS) and is_multiview(moving)
+def test_the_embedded_views_open_with_their_cameras_and_points_which_stay_with_the_first_frame(tmp_path):
+    assert is_multiview(FOX_VIEWS) and not is_multiview(tmp_path)
     assert not is_multiview(FOX)  # .ply frames beside its transforms.json
-    assert not is_multiview(tmp_path)
-
-
-def test_the_embedded_views_open_with_their_cameras_and_points():
     scene = open_scene(FOX_VIEWS)
     assert len(scene) == 6 and len(scene.frames[0]) == 20 and scene.fps == 24
     assert len(scene.points.positions) == 2500
+    cut = open_scene(FOX_VIEWS, frames=(5, None))
+    assert len(cut) == 1 and cut.points is None
+    with pytest.raises(SceneError, match="frames inside 0:6, got 1:9"):
+        open_scene(FOX_VIEWS, frames=(1, 9))
     views = Pictures(scene).train(5)
     assert len(views) == 16 and views[0].target.rgb.shape == (128, 128, 3)
 
@@ -137,7 +122,7 @@ def test_the_embedded_views_open_with_their_cameras_and_points():
 def test_transforms_gives_back_the_cameras_that_were_written(moving):
     """Unnamed ones have the name of the folder of their pictures: what is held out or exposed alike is told by it."""
     scene = open_scene(moving)
-    assert [len(f) for f in scene.frames] == [6, 6]
+    assert is_multiview(moving) and [len(f) for f in scene.frames] == [6, 6]
     assert all(same_camera(a, b) for a, b in zip(scene.cameras, ring(6), strict=True))
     assert [c.split for c in scene.cameras] == ["train"] * 5 + ["test"]
     entries = json.loads((moving / "transforms.json").read_text())["frames"]
@@ -172,13 +157,9 @@ def test_ns_process_data_is_a_scene_of_one_frame(tmp_path):
     view = Pictures(scene).train(0)[0]
     assert view.target.rgb.shape == (48, 48, 3) and view.target.rgb.min() > 0.34  # undistorted, no black borders
     assert sum(c.held_out for c in with_held_out(scene, None).cameras) == 1
-
-
-def test_a_fisheye_of_ns_process_data_is_undistorted(tmp_path):
     fisheye = {"camera_model": "OPENCV_FISHEYE", "k1": 0.02, "k2": 0.0, "k3": 0.0, "k4": 0.001}
     scene = open_scene(write_ns_process_data(tmp_path, **fisheye))
-    assert scene.frames[0][0].lens.fisheye
-    assert Pictures(scene).train(0)[0].target.rgb.min() > 0.3
+    assert scene.frames[0][0].lens.fisheye and Pictures(scene).train(0)[0].target.rgb.min() > 0.3
 
 
 def test_panoptic_brings_cameras_masks_and_points(tmp_path):
@@ -187,21 +168,15 @@ def test_panoptic_brings_cameras_masks_and_points(tmp_path):
     np.savez(folder / "init_pt_cld.npz", data=table)
     scene = open_scene(folder)
     assert all(same_camera(a, b) for a, b in zip(scene.cameras, ring(9), strict=True))
-    assert {c.near for c in scene.cameras} == {0.8}
-    assert {c.near for c in faces.with_near(scene, 2.0).cameras} == {2.0}
+    assert [{c.near for c in s.cameras} for s in (scene, faces.with_near(scene, 2.0))] == [{0.8}, {2.0}]
     assert (scene.points.positions == table[:, :3]).all() and (scene.points.colours == table[:, 3:6]).all()
-    whole = Pictures(scene).train(0)[0].target.rgb
-    cut = Pictures(scene, foreground=True).train(0)[0].target.rgb
-    assert whole[:, :24].min() > 0.7
-    assert cut[:, :24].max() == 0 and cut[:, 24:].min() > 0.7
-
-
-def test_cameras_of_the_test_file_are_held_out(tmp_path):
-    meta = json.loads((write_panoptic(tmp_path, ring(3)) / "train_meta.json").read_text())
-    (tmp_path / "test_meta.json").write_text(json.dumps(meta | {"cam_id": [[7, 8, 9]] * 2}))
-    scene = with_held_out(open_scene(tmp_path), None)
-    assert [(c.name, c.held_out) for c in scene.cameras][2:4] == [("cam02", False), ("cam07", True)]
-    assert [len(frame) for frame in scene.frames] == [6, 6]
+    whole, cut = (Pictures(scene, foreground=f).train(0)[0].target.rgb for f in (False, True))
+    assert whole[:, :24].min() > 0.7 and cut[:, :24].max() == 0 and cut[:, 24:].min() > 0.7
+    meta = json.loads((tmp_path / "train_meta.json").read_text())
+    (tmp_path / "test_meta.json").write_text(json.dumps(meta | {"cam_id": [[*range(11, 20)]] * 2}))
+    scene = with_held_out(open_scene(tmp_path), None)  # those of the test file are
+    assert [(c.name, c.held_out) for c in scene.cameras][8:10] == [("cam08", False), ("cam11", True)]
+    assert [len(frame) for frame in scene.frames] == [18, 18]
 
 
 @pytest.mark.parametrize("binary", [False, True])
@@ -270,11 +245,10 @@ def test_n3dv_as_downloaded(tmp_path):
 
 def test_pictures_may_lie_anywhere(tmp_path):
     """As nerfstudio has it: by absolute paths, and outside the folder."""
-    (tmp_path / "scene").mkdir()
     write_pictures(tmp_path, {"elsewhere/a.png": plain(0, (8, 8))})
     for name in ("../elsewhere/a.png", str(tmp_path / "elsewhere" / "a.png")):
-        entry = {"transform_matrix": UNIT, "file_path": name}
-        (tmp_path / "scene" / "transforms.json").write_text(json.dumps(CAMERA | {"frames": [entry]}))
+        frames = [{"transform_matrix": UNIT, "file_path": name}]
+        saved("scene/transforms.json", json.dumps(CAMERA | {"frames": frames}).encode())(tmp_path)
         Pictures(open_scene(tmp_path / "scene")).check()
 
 
@@ -323,8 +297,8 @@ def inner(write, *words, **fields):
 
 
 def points_of_an_archive(folder):
-    np.savez_compressed(folder / "points.npz", a=np.zeros(9))
-    (folder / "points.npz").rename(folder / "points3d.npy")
+    with (folder / "points3d.npy").open("wb") as file:
+        np.savez_compressed(file, a=np.zeros(9))
 
 
 def cloud_of_other_arrays(folder):
@@ -332,14 +306,16 @@ def cloud_of_other_arrays(folder):
     return folder / "rig"
 
 
-def many_entries(count, shared):
-    text = json.dumps(CAMERA | shared)[:-1]
-    return saved("transforms.json", f'{text}, "frames": [{"{}," * count}{{}}]}}'.encode())
+def many_entries(**shared):
+    text = json.dumps(CAMERA | shared | {"frames": [{}] * 20_001}, separators=(",", ":"))
+    return saved("transforms.json", text.encode())
 
 
 SHOWN = "images/cam01/0000.png"
 NAMES = [".", "/", "a\nb", "a\x1b[2J", "a\0", "a" * 256]
-REFUSED = [
+
+
+@pytest.mark.parametrize(("make", "message"), [
     (inner(lambda folder: None),
      "pictures with train_meta.json, transforms.json, image_white_undistortion/ .HiFi4G., COLMAP.s sparse/ or "),
     (saved("transforms.json", b"{"), "expected JSON"),
@@ -357,8 +333,8 @@ REFUSED = [
     (points_of_an_archive, "expected rows of x, y, z"),
     (cloud_of_other_arrays, r"init_pt_cld\.npz: expected rows of x, y, z"),
     (transforms(ply_file_path="a" * 5000), "expected the points of ply_file_path"),
-    (many_entries(20_000, {"transform_matrix": UNIT}), "no 'transform_matrix'"),
-    (many_entries(20_000, {f"k{i}": 0 for i in range(3_000)}), "no 'transform_matrix'"),
+    (many_entries(transform_matrix=UNIT), "no 'transform_matrix'"),
+    (many_entries(**{f"k{i}": 0 for i in range(3_000)}), "no 'transform_matrix'"),
     (saved("transforms.json", b'{"frames":' + b"[" * 500_000), "expected JSON: maximum recursion"),
     (lambda folder: os.mkfifo(folder / "a.png") or entry()(folder), "a.png: expected a picture: No such file"),
     (inner(write_ns_process_data, ply_file_path="cloud.ply"), "the points of ply_file_path: got no file cloud.ply"),
@@ -373,10 +349,7 @@ REFUSED = [
     (inner(write_n3dv, rows=2), "a row for each of 0 videos, got 2"),
     (inner(write_n3dv, "cam00.mp4", "cam01.mp4", rows=3), "a row for each of 2 videos, got 3"),
     (inner(write_n3dv, "cam00.mp4", "cam01.mp4", "cam01.MOV", rows=3), "one video for each camera, got several of"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("make", "message"), REFUSED)
+])  # fmt: skip
 def test_what_is_no_scene_or_promises_more_than_it_has_is_refused_in_one_line(moving, little_memory, make, message):
     """At the cost of the bytes there are."""
     made = make(moving)
@@ -385,22 +358,19 @@ def test_what_is_no_scene_or_promises_more_than_it_has_is_refused_in_one_line(mo
     assert str(caught.value).isprintable()
 
 
-FILES = [
+@pytest.mark.parametrize(("name", "data", "message"), [
     ("poses_bounds.npy", npy(f"({10**12},17)"), "expected rows of 17 numbers"),
     ("poses_bounds.npy", b"\x93NUMPY\2\0" + struct.pack("<I", 9001) + b"-" * 9000 + b"1", "17 numbers"),
     ("images.bin", struct.pack("<Q", 2**64 - 1), "cameras.bin: expected a COLMAP reconstruction"),
     ("cameras.json", b"[" * 500_000, "expected JSON"),
     ("cameras.json", b"[" + b"1" * 500_000 + b"]", "expected JSON"),
     ("a.splatv", struct.pack("<II", 0x674B, 500_000) + b"[" * 500_000, "expected a .splatv header"),
-]
-
-
-@pytest.mark.parametrize(("name", "data", "message"), FILES)
+])  # fmt: skip
 def test_a_file_that_promises_more_than_it_has_is_refused_in_one_line(tmp_path, little_memory, name, data, message):
     (tmp_path / name).write_bytes(data)
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 2**64 - 1))
     with pytest.raises(SceneError, match=message) as caught:
-        read_cameras(tmp_path / name)
+        faces.read_cameras(tmp_path / name)
     assert "\n" not in str(caught.value)
 
 
