@@ -9,44 +9,33 @@ from airgs_codec.media.mp4 import init_segment
 from airgs_codec.package.dash_check import largest_picture
 from airgs_codec.package.package import write_file
 from airgs_codec.package.tables import Group
-from tests.faces import (
-    INIT_NAME,
-    Folder,
-    Groups,
-    Package,
-    key_media_path,
-    key_sidecar_path,
-    state_media_path,
-    write_tables,
-)
+from tests import faces
+from tests.faces import INIT_NAME, Folder, Groups, Package
 
 
 def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:
     """A package with the groups of another one, so often and at another speed."""
     m, files = package.manifest, Folder(folder)
-    init = write_file(files, INIT_NAME, init_segment(1000 * fps, *largest_picture(m.groups)))
     groups: list[Group] = []
     segments = 0
     for n in range(times * len(m.groups)):
-        source = n % len(m.groups)
-        group = m.groups[source]
-        shift = (n // len(m.groups)) * m.frames
+        repeats, source = divmod(n, len(m.groups))
+        group, shift = m.groups[source], repeats * m.frames
         moved = [replace(s, start=s.start + shift, stop=s.stop + shift) for s in group.segments]
         groups.append(replace(group, start=group.start + shift, stop=group.stop + shift, segments=moved))
         for tier in range(m.tiers):
-            files.write(key_sidecar_path(tier, n + 1), package.read(key_sidecar_path(tier, source + 1)))
+            files.write(faces.key_sidecar_path(tier, n + 1), package.read(faces.key_sidecar_path(tier, source + 1)))
             for quality in range(len(m.qualities)):
-                path = key_media_path(tier, quality, source + 1)
-                files.write(key_media_path(tier, quality, n + 1), package.read(path))
+                path = faces.key_media_path(tier, quality, source + 1)
+                files.write(faces.key_media_path(tier, quality, n + 1), package.read(path))
         for s in m.segments_of(source):
             segments += 1
             for level in range(len(m.levels)):
                 for path in m.state_files(s, level):
-                    files.write(state_media_path(level, segments), package.read(path))
-    write_tables(
-        files,
-        replace(
-            m, frame_rate=[fps, 1], timescale=1000 * fps, frames=groups[-1].stop, groups=Groups.of(groups), init=init
-        ),
+                    files.write(faces.state_media_path(level, segments), package.read(path))
+    init = write_file(files, INIT_NAME, init_segment(1000 * fps, *largest_picture(m.groups)))
+    m = replace(
+        m, frame_rate=[fps, 1], timescale=1000 * fps, frames=groups[-1].stop, groups=Groups.of(groups), init=init
     )
+    faces.write_tables(files, m)
     return folder

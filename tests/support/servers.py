@@ -3,7 +3,7 @@
 import asyncio
 import socket
 import threading
-from collections.abc import Callable, Coroutine, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from http.client import HTTPConnection, HTTPMessage
@@ -17,32 +17,29 @@ from airgs_codec.serve.app import make_app
 from airgs_codec.serve.server import serve
 from tests.faces import Packages, ServerSettings, bucket_at, listen
 
+Around = Callable[[ASGIApp], ASGIApp]
+
 
 @contextmanager
 def serving(
-    *folders: Path,
-    settings: ServerSettings | None = None,
-    port: int = 0,
-    around: Callable[[ASGIApp], ASGIApp] = lambda app: app,
+    *folders: Path, settings: ServerSettings | None = None, port: int = 0, around: Around = lambda app: app
 ) -> Iterator[int]:
     """The project's server, its application in what stands around it; gives its port."""
-    app = around(make_app(Packages(list(folders))))
-    settings = settings or ServerSettings()
+    app, settings = around(make_app(Packages(list(folders)))), settings or ServerSettings()
     loop, stop, listening = asyncio.new_event_loop(), asyncio.Event(), listen("127.0.0.1", port, settings.patience_s)
+
+    def run() -> None:
+        with asyncio.Runner(loop_factory=lambda: loop) as runner:
+            runner.run(serve(app, listening, settings, stop))
+
     port = listening.getsockname()[1]
-    work = serve(app, listening, settings, stop)
-    thread = threading.Thread(target=lambda: _run(loop, work))
+    thread = threading.Thread(target=run)
     thread.start()
     try:
         yield port
     finally:
         loop.call_soon_threadsafe(stop.set)
         thread.join()
-
-
-def _run(loop: asyncio.AbstractEventLoop, work: Coroutine[None, None, None]) -> None:
-    with asyncio.Runner(loop_factory=lambda: loop) as runner:
-        runner.run(work)
 
 
 class _Quiet(SimpleHTTPRequestHandler):

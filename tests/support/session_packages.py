@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any
 
 from airgs_codec.package import tables as mf
@@ -21,47 +21,39 @@ ROWS = 100  # of a tier that are coded, where some are: no player counts them
 def manifest_of(numbers: Numbers, count: int | None = None, live: bool = False) -> Manifest:
     """The tables of a package with its first `count` groups."""
     parts = numbers["groups"][:count]
-    starts = [0]
-    for part in parts:
-        starts.append(starts[-1] + sum(segment["frames"] for segment in part["segments"]))
+    starts = [0, *accumulate(sum(segment["frames"] for segment in part["segments"]) for part in parts)]
     tables = [_group(part, span) for part, span in zip(parts, pairwise(starts), strict=True)]
     tiny = tiny_manifest()
     return replace(
         tiny,
         sound=mf.Sound(1, 312, _file(50)) if "sound" in parts[0] else None,
-        frame_rate=list(numbers["frame_rate"]),
-        frames=starts[-1],
-        live=live,
+        frame_rate=list(numbers["frame_rate"]), frames=starts[-1], live=live, tiers=len(parts[0]["sidecars"]),
         qualities=[replace(tiny.qualities[0], id=name) for name in numbers["qualities"]],
         levels=[replace(tiny.levels[0], **level) for level in numbers["levels"]],
-        tiers=len(parts[0]["sidecars"]),
         groups=_groups(tables, [part["table"] for part in parts], numbers["page_bytes"]),
-    )
+    )  # fmt: skip
 
 
 def _group(part: Numbers, span: tuple[int, int]) -> mf.Group:
     some = tiny_manifest().groups[0]
-    segments: list[mf.Segment] = []
-    start = span[0]
-    for numbers in part["segments"]:
-        levels = [
-            replace(some.segments[0].levels[0], file=_file(size), psnr=psnr)
-            for size, psnr in zip(numbers["bytes"], numbers["psnr"], strict=True)
-        ]
-        segments.append(mf.Segment(start, start + numbers["frames"], levels))
-        start += numbers["frames"]
+    level, tier, atlas = some.segments[0].levels[0], some.tiers[0], some.tiers[0].qualities[0]
+    stops = accumulate((segment["frames"] for segment in part["segments"]), initial=span[0])
+    segments = []
+    for (start, stop), numbers in zip(pairwise(stops), part["segments"], strict=True):
+        rows = zip(numbers["bytes"], numbers["psnr"], strict=True)
+        segments.append(mf.Segment(start, stop, [replace(level, file=_file(size), psnr=psnr) for size, psnr in rows]))
     tiers = [
         replace(
-            some.tiers[0],
-            count=ROWS * (sidecar > 0),
-            sidecar=_file(sidecar),
-            qualities=[replace(some.tiers[0].qualities[0], rows=ROWS * (size > 0)) for size in pictures],
+            tier, count=ROWS * (sidecar > 0), sidecar=_file(sidecar),
+            qualities=[replace(atlas, rows=ROWS * (size > 0)) for size in pictures],
             pictures=[_file(size) for size in pictures],
         )
         for sidecar, pictures in zip(part["sidecars"], part["pictures"], strict=True)
-    ]
-    group = replace(some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=part.get("keeps"))
-    return replace(group, sound=_file(part["sound"]) if "sound" in part else None)
+    ]  # fmt: skip
+    sound = _file(part["sound"]) if "sound" in part else None
+    return replace(
+        some, start=span[0], stop=span[1], tiers=tiers, segments=segments, keeps=part.get("keeps"), sound=sound
+    )
 
 
 def _file(size: int) -> mf.FileEntry:
