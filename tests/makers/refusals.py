@@ -24,24 +24,8 @@ from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.media.mp4 import box, read_boxes, read_segment, sound_segment, with_own_box
 from airgs_codec.package.parse import MAX_TABLE_BYTES
 from tests.faces import JSON_NAME, MPD_NAME, Grid, digest, parse_root
-from tests.support.mutations import (
-    Files,
-    Link,
-    Mutation,
-    add_file,
-    apply,
-    drop_value,
-    edit_tables,
-    edit_text,
-    honest,
-    link_file,
-    pack_table,
-    parse_table,
-    reindexed,
-    remove_file,
-    rewrite,
-    set_value,
-)
+from tests.support import mutations
+from tests.support.mutations import Files, apply, drop_value, honest, parse_table, remove_file, rewrite, set_value
 from tests.support.paths import INVALID
 from tests.support.refusals import Case, base_files, findings
 
@@ -73,9 +57,9 @@ def flip(data: bytes) -> bytes:
     return data[:-1] + bytes([data[-1] ^ 1])
 
 
-def in_table(*mutations: Mutation) -> tuple[Mutation, ...]:
+def in_table(*steps: mutations.Mutation) -> tuple[mutations.Mutation, ...]:
     """Changes to the table of the first group, of which the index knows."""
-    return (*mutations, reindexed)
+    return (*steps, mutations.reindexed)
 
 
 def fragment_of(data: bytes) -> bytes:
@@ -109,7 +93,7 @@ def unpaged(files: Files) -> Files:
 def raised(files: Files) -> Files:
     """Say of the first page that it is one of the second level."""
     groups, pages = parse_table(files[JSON_NAME])["index"]
-    page = add_file("index/2/1.json", files[PAGE_TABLE])
+    page = mutations.add_file("index/2/1.json", files[PAGE_TABLE])
     return apply(files, set_value(("index",), [groups, NO_SPANS, pages]), remove_file(PAGE_TABLE), page)
 
 
@@ -118,10 +102,10 @@ def shortened(files: Files) -> Files:
     page = parse_table(files[PAGE_TABLE])
     sums = {name: [sum(page[name][:2]), *page[name][2:]] for name in ("frames", "segments")}
     entries = {"bytes": page["bytes"][1:], "sha256": page["sha256"][32:]}
-    return repaged(files | {PAGE_TABLE: pack_table(PAGE_TABLE, sums | entries)})
+    return repaged(files | {PAGE_TABLE: mutations.pack_table(PAGE_TABLE, sums | entries)})
 
 
-BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what breaks the valid package
+BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about -> what breaks the valid package
     "too_large": (rewrite(JSON_NAME, lambda text: text.ljust(MAX_TABLE_BYTES + 1)),),
     "not_json": (rewrite(JSON_NAME, lambda text: text[:-1]),),
     "not_json-group": in_table(rewrite(TABLE, gzip.decompress)),
@@ -134,7 +118,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "missing_field-group": in_table(drop_value(("grid",), TABLE)),
     "wrong_type": (set_value(("frames",), "4"),),
     "wrong_type-world": (set_value(("world",), None),),
-    "wrong_type-index": (edit_tables(lambda root: root.update(index={"groups": root["index"][0]})),),
+    "wrong_type-index": (mutations.edit_tables(lambda root: root.update(index={"groups": root["index"][0]})),),
     "wrong_type-live": (set_value(("live",), 1),),
     "wrong_type-group": in_table(set_value(("count",), None, TABLE)),
     "bad_value": (set_value(("sh_degree",), 4),),
@@ -146,7 +130,7 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_value-background-length": (set_value(("region", "background"), [1, 1]),),
     "bad_value-columns": (set_value(("index", 0, "frames"), [2, 2]),),
     "bad_value-index": (set_value(("index",), []),),
-    "bad_value-index-level": (edit_tables(lambda root: root["index"].append(NO_SPANS)),),
+    "bad_value-index-level": (mutations.edit_tables(lambda root: root["index"].append(NO_SPANS)),),
     "bad_value-cover": (set_value(("frames",), 5),),
     "bad_value-page-root": (set_value(("index", 0), NO_SPANS),),
     "bad_value-page-full": (unpaged,),
@@ -182,13 +166,13 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "missing_entry-keeps": in_table(set_value(("tiers", 0, "pictures", 0), NONE, KEPT_TABLE)),
     "bad_sidecar-kept": (kept_sidecar, honest),
     "bad_sidecar-kept-positions": (lambda files: files | {KEPT_SIDECAR: files[KEY_SIDECAR]}, honest),
-    "unsafe_path": (link_file(KEY_SIDECAR, "Q0/1.m4s"),),
+    "unsafe_path": (mutations.link_file(KEY_SIDECAR, "Q0/1.m4s"),),
     "missing_entry": in_table(set_value(("tiers", 0, "pictures", 0), NONE, TABLE), remove_file(KEY_PICTURE)),
     "missing_file": (remove_file(KEY_PICTURE),),
     "missing_file-group": (remove_file(TABLE),),
     "missing_file-page": (remove_file(PAGE_TABLE),),
-    "foreign_file-page": (add_file("index/2/1.json", b"nothing leads to it\n"),),
-    "foreign_file": (add_file("notes.txt", b"not part of the package\n"),),
+    "foreign_file-page": (mutations.add_file("index/2/1.json", b"nothing leads to it\n"),),
+    "foreign_file": (mutations.add_file("notes.txt", b"not part of the package\n"),),
     "size_mismatch": (rewrite(KEY_SIDECAR, lambda b: b + b"\0"),),
     "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),
     "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
@@ -208,10 +192,10 @@ BREAKS: dict[str, tuple[Mutation, ...]] = {  # reason, and what about -> what br
     "bad_picture-no-checksum": (rewrite(KEY_PICTURE, fragment_of), honest),
     "bad_value-picture-width": in_table(set_value(("tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
     "bad_picture-size": in_table(set_value(("tiers", 0, "qualities", 0, "height"), 4096, TABLE)),
-    "doctype": (edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
-    "bad_mpd": (edit_text(MPD_NAME, "</MPD>", ""),),
-    "foreign_url": (edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
-    "mpd_mismatch": (edit_text(MPD_NAME, '<S t="0"', '<S t="1"'),),
+    "doctype": (mutations.edit_text(MPD_NAME, "<MPD", '<!DOCTYPE MPD [<!ENTITY a "b">]><MPD'),),
+    "bad_mpd": (mutations.edit_text(MPD_NAME, "</MPD>", ""),),
+    "foreign_url": (mutations.edit_text(MPD_NAME, 'media="state/', 'media="http://example.com/state/'),),
+    "mpd_mismatch": (mutations.edit_text(MPD_NAME, '<S t="0"', '<S t="1"'),),
     "mpd_mismatch-live": (set_value(("live",), True),),
 }
 
@@ -236,7 +220,7 @@ def change(before: bytes | None, after: bytes | None) -> dict[str, Any] | None:
     """What a case says of a file: whole, if it is not text that was there."""
     if after is None:
         return None
-    if isinstance(after, Link):
+    if isinstance(after, mutations.Link):
         return {"link": after.decode()}
     if before is None or not before.isascii():
         return {"data": base64.b64encode(after).decode()}

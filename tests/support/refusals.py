@@ -33,7 +33,7 @@ class Case:
             if change is None:
                 del files[path]
             else:
-                files[path] = changed(files.get(path, b""), **change)
+                files[path] = changed(files.get(path, b""), change)
         return files
 
 
@@ -42,25 +42,19 @@ def base_files(name: str) -> Files:
     return read_files(VALID / name)
 
 
-def changed(
-    before: bytes,
-    *,
-    replace: list[tuple[str, str]] | None = None,
-    data: str | None = None,
-    link: str | None = None,
-    spaces_to: int = 0,
-) -> bytes:
+def changed(before: bytes, change: Mapping[str, Any]) -> bytes:
     """A file after one of the changes of a case. Raises ValueError where a text to replace is not there once."""
-    if link is not None:
-        return Link(link.encode())
-    if data is not None:
-        return base64.b64decode(data, validate=True)
+    match change:
+        case {"link": link}:
+            return Link(link.encode())
+        case {"data": data}:
+            return base64.b64decode(data, validate=True)
     text = before.decode()
-    for old, new in replace or []:
+    for old, new in change.get("replace", []):
         if text.count(old) != 1:
             raise ValueError(f"expected {old!r} once, got it {text.count(old)} times")
         text = text.replace(old, new)
-    return text.ljust(spaces_to).encode()
+    return text.ljust(change.get("spaces_to", 0)).encode()
 
 
 @cache

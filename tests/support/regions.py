@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -9,7 +11,6 @@ import numpy as np
 
 from airgs_codec.package.region import FORGIVEN_DEGREES, FORGIVEN_SHARE
 from tests.faces import Camera, EncodeSettings, Place, Region
-from tests.makers.vectors.region import departure
 
 
 def place(x: float, *, reach: float = 0.5) -> Place:
@@ -41,11 +42,20 @@ def row(count: int, reach: float) -> Region:
     return region(*[Place([float(i), 0.0, 0.0], [float(i), 0.0, 10.0], [0.0, 1.0, 0.0], reach) for i in range(count)])
 
 
+def departure(region: dict[str, Any], position: Sequence[float], forward: Sequence[float]) -> tuple[float, float]:
+    found, turn = [], region["turn"]
+    for p in region["places"]:
+        distance = max(0.0, math.dist(position, p["position"]) - p["reach"])
+        ahead = [f - x for f, x in zip(p["focus"], position, strict=True)]
+        length = math.hypot(*ahead)
+        cosine = math.fsum(a * f for a, f in zip(ahead, forward, strict=True)) / length if length else 1.0
+        found.append((distance, max(0.0, math.degrees(math.acos(min(max(cosine, -1.0), 1.0))) - turn)))
+    return min(found)
+
+
 def is_inside(region: Region, camera: Camera) -> bool:
     """Whether a camera is inside of a region, by the definition that the vectors of players are made by."""
-    places = [asdict(place) for place in region.places]
-    ahead = camera.world_to_camera[2, :3].tolist()
-    distance, degrees = departure(places, region.turn, camera.position.tolist(), ahead)
+    distance, degrees = departure(asdict(region), camera.position.tolist(), camera.world_to_camera[2, :3].tolist())
     size = max(np.abs(camera.position).max(), *(np.abs(np.subtract(p.focus, p.position)).max() for p in region.places))
     return distance <= FORGIVEN_SHARE * size and degrees <= FORGIVEN_DEGREES
 

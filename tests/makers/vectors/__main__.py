@@ -1,31 +1,33 @@
-"""Write manifests/vectors anew but for its README.md.
+"""Write manifests/vectors anew but for its README.md, a case on a line of its own.
 
 What a case is given is read from the committed file, where new cases are added; what must come of it is made anew.
 """
 
 from __future__ import annotations
 
-from tests.makers.vectors import packages, players, region, values, whole
-from tests.makers.vectors.text import write
-from tests.support.paths import VECTORS
+import json
 
-MADE = {
-    "columns": whole.columns,
-    "positions": whole.positions,
-    "escapes": whole.escapes,
-    "planes": whole.planes,
-    "keys": values.keys,
-    "states": values.states,
-    "shown": values.shown,
-    "region": region.table,
-    "policies": players.policies,
-    "sessions": players.sessions,
-}
+from tests.makers.vectors import packages, players, values, whole
+from tests.support.paths import VECTORS
+from tests.support.vectors import Table
+
+OF_WHOLE_NUMBERS = whole.columns, whole.positions, whole.escapes, whole.planes
+OF_VALUES = values.keys, values.states, values.shown, values.region
+
+
+def write(table: Table) -> bytes:
+    """The bytes of a file: one list of cases after another."""
+    parts = []
+    for name, cases in table.items():
+        lines = ",\n".join("  " + json.dumps(case, separators=(",", ":"), allow_nan=False) for case in cases)
+        parts.append(f" {json.dumps(name)}: [\n{lines}\n ]")
+    return ("{\n" + ",\n".join(parts) + "\n}\n").encode()
 
 
 def make() -> dict[str, bytes]:
     """File name -> bytes of all vectors; the same whenever and wherever it runs."""
-    parts = {f"{name}.json": write(table()) for name, table in MADE.items()}
+    makers = *OF_WHOLE_NUMBERS, *OF_VALUES, players.policies, players.sessions
+    parts = {f"{maker.__name__}.json": write(maker()) for maker in makers}
     table, frames = packages.tables()
     return parts | {"packages.json": write(table), "packages.bin": frames}
 

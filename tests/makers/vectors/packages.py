@@ -20,10 +20,10 @@ from airgs_codec.coding.atlas import line_times
 from airgs_codec.coding.grid import grid_means
 from airgs_codec.media.h264 import open_segment
 from tests.faces import Package, decode_key, decode_pictures, open_package
-from tests.makers.vectors.text import Table, binary
 from tests.makers.vectors.values import ATTRIBUTES, STATIC, Coding, Rows, key_rows, listed, state_rows, unpack_transform
 from tests.support.digests import decode_slopes
 from tests.support.paths import GOLDEN, REPOSITORY, VALID
+from tests.support.vectors import Table, binary
 
 FOX, FINE, ROOM, LINED = GOLDEN / "fox", GOLDEN / "fox-fine", GOLDEN / "room", VALID / "lined"
 INDEXED = (FOX, VALID / "paged", VALID / "live", VALID / "two-groups-sh1", VALID / "kept", ROOM)
@@ -34,6 +34,7 @@ SHOWN: dict[Path, list[tuple[int, int, int, int]]] = {  # frame, key quality, le
     LINED: [(1, 0, 0, 2), (5, 1, 1, 2)],
 }
 INDEX = (65, 4095, 4096, 4097, 86_400)  # groups of packages that are no more than their index
+SOME = 0, 63, 64  # of many groups, those that are in the vectors
 EVERY = 16  # rows of which one is in the vectors
 PAGE = 64  # groups, or pages of the level below, on a page of the index
 
@@ -107,26 +108,19 @@ class Tables:
 
 def tables() -> tuple[Table, bytes]:
     """The table of cases, and the float32 values of frames."""
-    frames: list[dict[str, Any]] = []
-    data = b""
-    for folder, views in SHOWN.items():
-        for view in views:
-            case, numbers = _frame(folder, *view)
-            frames.append({**case, "offset": len(data)})
-            data += numbers
+    frames, data = [], b""
+    for folder, view in ((folder, view) for folder, views in SHOWN.items() for view in views):
+        case, numbers = _frame(folder, *view)
+        frames.append({**case, "offset": len(data)})
+        data += numbers
     indexed = [Tables.of(folder) for folder in INDEXED]
     return {
-        "groups": [{"package": t.name, **_group(t, g)} for t in indexed for g in _some(len(t.groups))],
+        "groups": [_group(t, g) for t in indexed for g in range(len(t.groups)) if len(t.groups) < 5 or g in SOME],
         "index": [_place(count, group) for count in INDEX for group in sorted({0, count // 2, count - 65, count - 1})],
-        "startup": [{"package": t.name, **start} for t in indexed for start in _startups(t)],
+        "startup": [start for t in indexed for start in _startups(t)],
         "units": [_unit(of, path) for of in (FOX, VALID / "kept") for path in sorted(of.rglob("*.m4s"))],
         "frames": frames,
     }, data
-
-
-def _some(count: int) -> list[int]:
-    """Of few all; else the first, and those about the end of a page."""
-    return list(range(count)) if count < 5 else [0, 63, 64]
 
 
 def _group(t: Tables, group: int) -> dict[str, Any]:
@@ -137,15 +131,11 @@ def _group(t: Tables, group: int) -> dict[str, Any]:
         for number, s in enumerate(table["segments"])
     ]
     return {
-        "number": group + 1,
-        "start": table["start"],
-        "stop": table["stop"],
-        "pages": pages_to(group, len(t.groups)),
-        "table": f"group/{group + 1}.json.gz",
+        "package": t.name, "number": group + 1, "start": table["start"], "stop": table["stop"],
+        "pages": pages_to(group, len(t.groups)), "table": f"group/{group + 1}.json.gz",
         "sidecars": [t.sidecar(group, k) for k in tiers],
-        "pictures": [[t.picture(group, k, q) for q in qualities] for k in tiers],
-        "segments": segments,
-    }
+        "pictures": [[t.picture(group, k, q) for q in qualities] for k in tiers], "segments": segments,
+    }  # fmt: skip
 
 
 def _place(count: int, group: int) -> dict[str, Any]:
@@ -156,27 +146,23 @@ def _place(count: int, group: int) -> dict[str, Any]:
 
 def _startups(t: Tables) -> list[dict[str, Any]]:
     """The first frame of the package and the last, at the best rung and at the least."""
-    worst = len(t.root["qualities"]) - 1, len(t.root["levels"]) - 1
-    out = []
-    for frame in sorted({0, t.root["frames"] - 1}):
-        for quality, level in sorted({(0, 0), worst}):
-            for tiers in sorted({1, t.root["levels"][level]["tiers"]}):
-                files = t.first_files(frame, quality, level, tiers)
-                out.append({"frame": frame, "quality": quality, "level": level, "tiers": tiers, "files": files})
-    return out
+    rungs = sorted({(0, 0), (len(t.root["qualities"]) - 1, len(t.root["levels"]) - 1)})
+    views = [
+        {"frame": frame, "quality": quality, "level": level, "tiers": tiers}
+        for frame in sorted({0, t.root["frames"] - 1})
+        for quality, level in rungs
+        for tiers in sorted({1, t.root["levels"][level]["tiers"]})
+    ]
+    return [{"package": t.name, **view, "files": t.first_files(**view)} for view in views]
 
 
 def _unit(folder: Path, file: Path) -> dict[str, Any]:
     columns, shown = open_segment(file.read_bytes(), file.name)
     pictures = list(shown)
-    return {
-        "package": folder.relative_to(REPOSITORY).as_posix(),
-        "path": file.relative_to(folder).as_posix(),
-        "columns": None if columns is None else binary(columns),
-        "width": pictures[0].shape[1],
-        "height": pictures[0].shape[0],
-        "luma": [sha256(picture.tobytes()).hexdigest() for picture in pictures],
-    }
+    height, width = pictures[0].shape
+    names = {"package": folder.relative_to(REPOSITORY).as_posix(), "path": file.relative_to(folder).as_posix()}
+    size = {"columns": None if columns is None else binary(columns), "width": width, "height": height}
+    return names | size | {"luma": [sha256(picture.tobytes()).hexdigest() for picture in pictures]}
 
 
 def _frame(folder: Path, frame: int, quality: int, level: int, tiers: int) -> tuple[dict[str, Any], bytes]:

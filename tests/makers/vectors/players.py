@@ -17,11 +17,10 @@ from airgs_codec.play.policies.mpc import discounted_throughput
 from airgs_codec.play.policies.state import Coming, estimate_throughput
 from tests import faces
 from tests.faces import NONE, Arrived, FormatError, Link, Lost, Offers, PlayerState, Replaced, SimulatedDownloader
-from tests.makers.vectors.text import Table, plain
 from tests.support.manifests import keys
 from tests.support.paths import GOLDEN
 from tests.support.session_packages import Numbers, growing_offers, offers_of
-from tests.support.vectors import Case, cases
+from tests.support.vectors import Case, Table, cases, plain
 
 
 def policies() -> Table:
@@ -122,17 +121,11 @@ def _of_golden(numbers: Numbers) -> Case:
         return dict(numbers)
     package = faces.open_package(GOLDEN / numbers["name"])
     groups = []
-    for number, group in enumerate(package.manifest.groups, 1):
-        segments = [
-            {
-                "frames": segment.stop - segment.start,
-                "bytes": [level.file.bytes for level in segment.levels],
-                "psnr": [level.psnr for level in segment.levels],
-            }
-            for segment in group.segments
-        ]
+    for number, g in enumerate(package.manifest.groups, 1):
+        parts = [(s.stop - s.start, [v.file.bytes for v in s.levels], [v.psnr for v in s.levels]) for s in g.segments]
+        segments = [dict(zip(("frames", "bytes", "psnr"), part, strict=True)) for part in parts]
         table = package.manifest.entry(faces.group_path(number)).bytes
-        sidecars = [tier.sidecar.bytes for tier in group.tiers]
-        pictures = [[picture.bytes for picture in tier.pictures] for tier in group.tiers]
+        sidecars = [tier.sidecar.bytes for tier in g.tiers]
+        pictures = [[picture.bytes for picture in tier.pictures] for tier in g.tiers]
         groups.append({"table": table, "sidecars": sidecars, "pictures": pictures, "segments": segments})
     return {**numbers, "root_bytes": package.root_bytes, "groups": groups}

@@ -1,11 +1,10 @@
-"""Values of rows by the formulas of FORMAT.md, sections 4 and 5, in float64: keys, states, and what is shown.
+"""Values of rows by the formulas of FORMAT.md, sections 4, 5 and 8, in float64: keys, states, what is shown, viewers.
 
 Every result comes with what a decoder in float32 may be off by (FORMAT.md, "Precision"). n rows, C colour channels.
 """
 
 from __future__ import annotations
 
-import base64
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -15,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tests.faces import Grid
-from tests.makers.vectors.text import Table, plain
-from tests.support.vectors import Case, cases
+from tests.support.regions import departure
+from tests.support.vectors import Case, Table, cases, data, plain
 
 Floats = NDArray[np.float64]
 ATTRIBUTES = ("means", "quaternions", "log_scales", "alpha", "colours")
@@ -112,13 +111,8 @@ def listed(rows: Rows, *, limit: bool) -> dict[str, Any]:
     (alpha, alpha_sizes), (colours, colour_sizes) = rows.alpha[..., 0], rows.colours
     alpha = np.clip(alpha, LEAST_ALPHA, 1 - LEAST_ALPHA) if limit else alpha
     values = means, rows.quaternions, log_scales, alpha, colours
-    ulps = (
-        8 * sizes.max(axis=1),
-        8 * (6 + rows.angles[:, 0]),
-        8 * scale_sizes.max(axis=1),
-        8 * np.maximum(alpha_sizes, LEAST_ALPHA),
-        (8 + colours.shape[1]) * colour_sizes.max(axis=1),
-    )
+    ulps = [8 * sizes.max(axis=1), 8 * (6 + rows.angles[:, 0]), 8 * scale_sizes.max(axis=1)]
+    ulps += [8 * np.maximum(alpha_sizes, LEAST_ALPHA), (8 + colours.shape[1]) * colour_sizes.max(axis=1)]
     tolerance = ([float(f"{1.05 * ulp * ULP:.1e}") for ulp in one.tolist()] for one in ulps)
     return {
         "values": dict(zip(ATTRIBUTES, (plain(one.tolist()) for one in values), strict=True)),
@@ -135,9 +129,8 @@ def coding_of(case: Case) -> Coding:
 
 def unpack_transform(text: str) -> Floats:
     """What a `colour_transform` decodes to, row by row."""
-    entries = np.frombuffer(base64.b64decode(text), "<i2") / 32767
-    side = math.isqrt(len(entries))
-    return entries.reshape(side, side)
+    entries = np.frombuffer(data(text), "<i2") / 32767
+    return entries.reshape(math.isqrt(len(entries)), -1)
 
 
 def keys() -> Table:
@@ -193,6 +186,17 @@ def basis(x: float, y: float, z: float) -> Floats:
     return np.array(bands)
 
 
+def region() -> Table:
+    """Regions with viewers: where they are, the unit vector along which they look, and how far they are outside."""
+    return {"cases": [case | {"viewers": [_viewer(case, one) for one in case["viewers"]]} for case in cases("region")]}
+
+
+def _viewer(case: Case, one: Case) -> Case:
+    distance, degrees = departure(case, one["position"], one["forward"])
+    degrees = 0.0 if degrees < 1e-4 else degrees  # rounding
+    return one | {"distance": plain(distance), "degrees": plain(degrees), "inside": distance == 0 and degrees == 0}
+
+
 def shown() -> Table:
     """Covariances of rows; colours of coefficients, r g b of each, from directions."""
     return {
@@ -209,12 +213,10 @@ def _covariance(case: Case) -> Any:
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
     ]
     squares = [math.exp(2 * size) for size in case["log_scales"]]
-    return plain(
-        [[math.fsum(a * s * b for a, s, b in zip(i, squares, j, strict=True)) for j in matrix] for i in matrix]
-    )
+    entries = [[[a * s * b for a, s, b in zip(i, squares, j, strict=True)] for j in matrix] for i in matrix]
+    return plain([[math.fsum(terms) for terms in line] for line in entries])
 
 
 def _colour(case: Case) -> Any:
     rows = np.array(case["coefficients"])
-    sums = 0.5 + basis(*case["direction"])[: len(rows)] @ rows
-    return plain(np.maximum(0, sums).tolist())
+    return plain(np.maximum(0, 0.5 + basis(*case["direction"])[: len(rows)] @ rows).tolist())

@@ -14,8 +14,7 @@ import numpy as np
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar
 from tests.faces import Grid
-from tests.makers.vectors.text import Table, binary, runs, wide
-from tests.support.vectors import Case, cases, numbers
+from tests.support.vectors import Case, Table, binary, cases, numbers, runs, wide
 
 Columns = Sequence[tuple[Sequence[int], int]]  # numbers and the order that they are coded in
 ANY = Grid([0, 0, 0], 1.0, 0)
@@ -28,6 +27,7 @@ def _coded(*columns: tuple[Sequence[int], int]) -> str:
 def columns() -> Table:
     """Cases to read, and cases to refuse as bad_sidecar while or after reading columns of those lengths."""
     coded = [_coded(*((numbers(one["numbers"]), one["order"]) for one in case["columns"])) for case in cases("columns")]
+    found = [one | {"data": data} for one, data in zip(cases("columns"), coded, strict=True)]
     whole = encode_columns([(np.arange(50), 0)])
     broken = {
         "no bytes": b"",
@@ -44,8 +44,7 @@ def columns() -> Table:
         {"name": name, "data": binary(data), "columns": [{"order": 0, "count": 40 if data == whole else 50}]}
         for name, data in broken.items()
     ]
-    return {"cases": [one | {"data": data} for one, data in zip(cases("columns"), coded, strict=True)],
-            "refused": refused}  # fmt: skip
+    return {"cases": found, "refused": refused}
 
 
 BROKEN_ESCAPES = {  # each has two frames of one plane of three rows, six samples
