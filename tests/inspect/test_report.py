@@ -1,9 +1,9 @@
 """The page of an encode: what came out beside what was given, and what it concludes."""
 
-import dataclasses
 import html
 import math
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -14,9 +14,8 @@ from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
 from tests.support.views import moved
 
-DONE = faces.EncodeReport(
-    tiny_manifest(), 0, faces.Restored(None), 0.1, 2.0, 3.0, 0.0, 6.0, 3.0, False, uncertainty=0.03
-)
+SECONDS = (0.1, 2.0, 3.0, 0.0, 6.0, 3.0)
+DONE = faces.EncodeReport(tiny_manifest(), 0, faces.Restored(None), *SECONDS, cached=False, uncertainty=0.03)
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +25,8 @@ def page(tmp_path_factory):
     frames = [frame.gaussians for frame in decode_frames(package, 0, 4)]
     frames[2] = moved(frames[2], slice(0, 12), (0.4, 0.2, 0.0))
     folder = tmp_path_factory.mktemp("report") / "made"
-    done = dataclasses.replace(DONE, manifest=package.manifest)
-    write_report(folder, faces.GaussianSequence.from_arrays(frames, fps=package.manifest.fps), package, done)
+    sequence = faces.GaussianSequence.from_arrays(frames, fps=package.manifest.fps)
+    write_report(folder, sequence, package, replace(DONE, manifest=package.manifest))
     return folder
 
 
@@ -43,22 +42,17 @@ def test_the_page_names_the_worst_frame_and_shows_it_and_a_film_of_both_sides(pa
     assert text.count("<figure") == 4 and html.escape(bought(DONE.stages())).split(".")[0] in text
 
 
-def rungs(*figures):
-    """Rungs of two key qualities and two levels from (kB a frame, dB) of Q0+L0, Q0+L1, Q1+L0 and Q1+L1."""
-    known = [rung for rung in faces.summarise(tiny_manifest(), 0).rungs if rung.state != "L2"]
-    return [
-        dataclasses.replace(rung, bytes_per_frame=1e3 * kb, psnr=psnr)
-        for rung, (kb, psnr) in zip(known, figures, strict=True)
-    ]
-
-
 def test_keys_or_states_hold_it_back_whichever_costs_more_of_a_kilobyte():
-    states = holds_back(rungs((12.0, 44.0), (11.0, 40.0), (10.0, 42.0), (9.0, 39.0)))
+    known = [rung for rung in faces.summarise(tiny_manifest(), 0).rungs if rung.state != "L2"]
+
+    def words(*psnr):
+        """Of Q0+L0, Q0+L1, Q1+L0 and Q1+L1, which cost 12, 11, 10 and 9 kB a frame."""
+        return holds_back([replace(known[i], bytes_per_frame=1e3 * (12 - i), psnr=db) for i, db in enumerate(psnr)])
+
+    states, keys = words(44.0, 40.0, 42.0, 39.0), words(44.0, 43.0, 38.0, 37.0)
     assert states.startswith("Its states hold it back") and "costs 4.0 dB, of its keys 1.0 dB" in states
-    keys = holds_back(rungs((12.0, 44.0), (11.0, 43.0), (10.0, 38.0), (9.0, 37.0)))
     assert keys.startswith("Its keys hold it back") and "costs 3.0 dB, of its states 1.0 dB" in keys
-    assert holds_back(rungs((12.0, None), (11.0, None), (10.0, None), (9.0, None))) == ""
-    assert holds_back(rungs((12.0, 44.0), (11.0, 43.0), (10.0, 38.0), (9.0, 37.0))[:2]) == ""
+    assert words(None, None, None, None) == words(44.0, 43.0) == ""
 
 
 def test_what_each_second_bought_begins_with_what_took_longest():
@@ -67,20 +61,21 @@ def test_what_each_second_bought_begins_with_what_took_longest():
     assert "Order of rows" not in told and "Calibration took 3.0 s: nothing" in told
     assert "good to 0.3 dB" in told
     top = DONE.manifest.bytes_of(DONE.manifest.rung_files(0, 0)) / DONE.manifest.frames
-    more = dataclasses.replace(DONE, saved=top / 3, cached=True, search_s=12.0, goal=Goal(PSNR, 40.0), repairs=("L1",))
-    more = dataclasses.replace(more, trials=((1.0, 42.0), (1.3, 40.05), (1.2, 41.0)))
+    trials = ((1.0, 42.0), (1.3, 40.05), (1.2, 41.0))
+    found = replace(DONE, search_s=12.0, goal=Goal(PSNR, 40.0), trials=trials)
+    more = replace(found, saved=top / 3, cached=True, repairs=("L1",))
     told = bought(more.stages())
     assert "Search took 12.0 s: 3 trials for 40 PSNR, from 42 to 41. Encoding took 6.0 s: L1." in told
     assert "save about 25 % of the bytes at equal error, which an earlier run found" in told
     assert "--quality 1.3 " in advice(more)
-    colours = dataclasses.replace(more, goal=Goal(DELTA_E, 0.5), trials=((1.0, 0.6), (0.8, 0.5)))
+    colours = replace(more, goal=Goal(DELTA_E, 0.5), trials=((1.0, 0.6), (0.8, 0.5)))
     assert "3 trials" not in bought(colours.stages()) and advice(colours) == ""  # a factor alone does not give it again
 
 
 def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():
     assert advice(DONE) == ""
-    assert "Fewer --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0))
+    assert "Fewer --measure-pictures" in advice(replace(DONE, measure_s=60.0))
     for uncertainty in (0.2, math.inf):  # infinite: of one picture
-        assert "more --measure-pictures" in advice(dataclasses.replace(DONE, measure_s=60.0, uncertainty=uncertainty))
+        assert "more --measure-pictures" in advice(replace(DONE, measure_s=60.0, uncertainty=uncertainty))
     assert faces.certainty_words(math.inf).startswith("of a single picture")
-    assert "--calibrate none" in advice(dataclasses.replace(DONE, calibrate_s=60.0))
+    assert "--calibrate none" in advice(replace(DONE, calibrate_s=60.0))
