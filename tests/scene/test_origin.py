@@ -92,9 +92,8 @@ def package(tmp_path_factory):
     frames = moving_frames(80, 2)
     for number, frame in enumerate(frames):
         write_ply(scene / f"{number}.ply", in_world(frame, UTM))
-    write_cameras(
-        scene / "transforms.json", cameras_from(np.negative(UTM), faces.orbit_views(frames[0], count=4, size=64))
-    )
+    rig = faces.orbit_views(frames[0], count=4, size=64)
+    write_cameras(scene / "transforms.json", cameras_from(np.negative(UTM), rig))
     faces.encode(scene, out, faces.EncodeSettings(calibrate="none", measure_pictures=0))
     return scene, out
 
@@ -102,9 +101,8 @@ def package(tmp_path_factory):
 def test_rows_know_which_they_were(package, tmp_path):
     """Of a package whose rows were sorted and left out, frame by frame; rows that are twice are none."""
     scene, out = package
-    faces.airgs_decode(
-        [str(out), "-o", str(tmp_path / "back"), "--frames", "1", "--level", "L1", "--against", str(scene)]
-    )
+    options = ["--frames", "1", "--level", "L1", "--against", str(scene)]
+    faces.airgs_decode([str(out), "-o", str(tmp_path / "back"), *options])
     with np.load(tmp_path / "back" / "rows.npz") as file:
         rows = file["1"]
     back, given = open_sequence(tmp_path / "back"), open_sequence(scene)

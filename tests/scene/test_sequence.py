@@ -1,6 +1,5 @@
 """What `open_sequence` opens: files, folders of any format and those that grow; what is refused and told."""
 
-import json
 from dataclasses import replace
 from fractions import Fraction
 
@@ -38,8 +37,7 @@ def test_a_folder_of_any_format_in_natural_order(tmp_path, names, suffix):
 
 @pytest.mark.parametrize("suffix", [".v4.spz", ".glb"])
 def test_one_static_file_of_any_format_is_a_scene_without_cameras(tmp_path, suffix):
-    path = tmp_path / f"a{suffix}"
-    path.write_bytes(splat_bytes(random_gaussians(30, 1), suffix))
+    path = saved(tmp_path / f"a{suffix}", splat_bytes(random_gaussians(30, 1), suffix))
     sequence = open_sequence(path)
     assert (len(sequence), sequence.sh_degree, sequence.cameras, sequence.alone) == (1, 1, (), True)
     np.testing.assert_array_equal(sequence.read(0).means, read_frame(path).means)
@@ -62,39 +60,32 @@ def test_settings_given_to_open_take_precedence_and_paths_may_be_words(tmp_path)
             open_sequence(tmp_path / "scene", fps=fps)
 
 
-def test_bands_above_the_largest_degree_are_not_read(tmp_path):
-    frames = moving_frames(4, 2, degree=2)
-    sequence = replace(open_sequence(write_sequence(tmp_path, frames)), max_sh_degree=1)
-    assert sequence.sh_degree == 1
-    np.testing.assert_array_equal(sequence.read(1).sh_rest, frames[1].sh_rest[:, :3])
-
-
-def test_frames_are_loaded_together(tmp_path):
-    frames = moving_frames(6, 3)
+def test_frames_are_loaded_together_without_bands_above_the_largest_degree(tmp_path):
+    frames = moving_frames(6, 3, degree=2)
     means = frames[2].means.copy()
     means[4] = np.nan
     sequence = open_sequence(write_sequence(tmp_path, [*frames[:2], replace(frames[2], means=means)]))
-    assert [len(f) for f in sequence.load([0, 2]).frames] == [6, 6]
-    assert [f.opacities()[4] > 0.01 for f in sequence.load([0, 2]).frames] == [frames[0].opacities()[4] > 0.01, False]
-    assert "frames 0-2: 1 Gaussians that are not finite" in sequence.load([0, 2]).notes[0]
+    low, loaded = replace(sequence, max_sh_degree=1), sequence.load([0, 2])
+    assert low.sh_degree == 1
+    np.testing.assert_array_equal(low.read(1).sh_rest, frames[1].sh_rest[:, :3])
+    assert [len(f) for f in loaded.frames] == [6, 6]
+    assert [f.opacities()[4] > 0.01 for f in loaded.frames] == [frames[0].opacities()[4] > 0.01, False]
+    assert "frames 0-2: 1 Gaussians that are not finite" in loaded.notes[0]
 
 
-@pytest.mark.parametrize(
-    ("names", "says"),
-    [
-        ("f_1 f_2 f_3", ""),
-        ("f_01_lod0 f_02_lod0", ""),
-        ("first second", ""),
-        ("frame_1 frame_3 frame_10", "frame_#: 7 numbers are missing, the first between 1 and 3: frames are taken as"),
-        (
-            "frame_1 frame_2 take2-frame_3",
-            "frames have names of 2 kinds, frame_# (2), take2-frame_# (1): all are taken",
-        ),
-        ("t1_f1 t1_f2 t2_f1", "frames have names of 2 kinds, t1_f# (2), t2_f# (1)"),
-        ("f1 f01 f2", "f#: some frames have the same number, such as 1"),
-        ("f1 f2 background", "frames have names of 2 kinds, background (1), f# (2)"),
-    ],
-)
+ODD = [
+    ("f_1 f_2 f_3", ""),
+    ("f_01_lod0 f_02_lod0", ""),
+    ("first second", ""),
+    ("frame_1 frame_3 frame_10", "frame_#: 7 numbers are missing, the first between 1 and 3: frames are taken as"),
+    ("frame_1 frame_2 take2-frame_3", "frames have names of 2 kinds, frame_# (2), take2-frame_# (1): all are taken"),
+    ("t1_f1 t1_f2 t2_f1", "frames have names of 2 kinds, t1_f# (2), t2_f# (1)"),
+    ("f1 f01 f2", "f#: some frames have the same number, such as 1"),
+    ("f1 f2 background", "frames have names of 2 kinds, background (1), f# (2)"),
+]
+
+
+@pytest.mark.parametrize(("names", "says"), ODD)
 def test_odd_names_are_told(tmp_path, names, says):
     write_names(tmp_path, " ".join(f"{name}.ply" for name in names.split()))
     notes = open_sequence(tmp_path).notes
@@ -141,28 +132,23 @@ def test_of_a_model_the_newest_iteration_is_taken(tmp_path, inner):
     assert len(open_sequence(tmp_path / inner).read(0)) == 300
 
 
-def test_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
-    for i, g in enumerate(moving_frames(20, 3)):
-        write_ply(tmp_path / f"{i}.ply", g)
-    (tmp_path / "sequence.json").write_text('{"fps": 12, "keyframes": [0, 2]}')
-    sequence = open_sequence(tmp_path / "1.ply")
-    assert (len(sequence), sequence.fps, sequence.keyframes) == (1, 30, None)
-
-
-def test_hidden_files_are_no_frames_and_capitals_are_and_equal_numbers_have_an_order(tmp_path):
+def test_hidden_files_are_no_frames_and_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
+    """Capitals are frames, and equal numbers have an order."""
     write_names(tmp_path, "2.ply 1.PLY 01.ply 001.ply")
     (tmp_path / "._1.ply").write_bytes(b"\0\5\x16\7")
     assert names_of(tmp_path) == ["001.ply", "01.ply", "1.PLY", "2.ply"]
+    saved(tmp_path / "sequence.json", {"fps": 12, "keyframes": [0, 2]})
+    sequence = open_sequence(tmp_path / "2.ply")
+    assert (len(sequence), sequence.fps, sequence.keyframes) == (1, 30, None)
 
 
 def written(*frames, **files):
     """Frames in .ply, and JSON by its name."""
 
     def write(folder):
-        write_sequence(folder, list(frames), cameras=False)
         for name, text in files.items():
-            (folder / f"{name}.json").write_text(text)
-        return folder
+            saved(folder / f"{name}.json", text.encode())
+        return write_sequence(folder, list(frames), cameras=False)
 
     return write
 
@@ -197,18 +183,17 @@ def test_what_is_no_sequence_is_refused(tmp_path, name):
 
 def test_a_mixture_is_refused_and_ply_goes_first(tmp_path):
     for suffix in (".splat", ".v3.spz"):
-        (tmp_path / f"a{suffix}").write_bytes(splat_bytes(random_gaussians(9), suffix))
+        saved(tmp_path / f"a{suffix}", splat_bytes(random_gaussians(9), suffix))
     with pytest.raises(SceneError, match=r"one format, got \.splat, \.spz"):
         open_sequence(tmp_path)
     assert names_of(write_names(tmp_path, "a.ply")) == ["a.ply"]
 
 
-def test_a_frame_of_a_growing_folder_is_taken_once_it_is_whole(tmp_path):
+def test_a_frame_of_a_growing_folder_is_taken_once_it_is_whole_and_keyframes_when_they_are_named(tmp_path):
     first, second = moving_frames(20, 2)
-    folder = GrowingFolder(tmp_path / "scene", fps=24)
+    folder, path = GrowingFolder(tmp_path / "scene", fps=24), tmp_path / "scene" / "frame1.ply"
     assert folder.look() is None
-    (tmp_path / "scene").mkdir()
-    path = tmp_path / "scene" / "frame1.ply"
+    path.parent.mkdir()
     write_ply(path, first)
     data = path.read_bytes()
     for size in (0, 10, len(data) // 2, len(data) - 1):
@@ -216,40 +201,27 @@ def test_a_frame_of_a_growing_folder_is_taken_once_it_is_whole(tmp_path):
         assert folder.look() is None
     path.write_bytes(data)
     assert len(folder.look()) == 1
-    write_ply(tmp_path / "scene" / "frame2.ply", second)
+    write_ply(path.with_name("frame2.ply"), second)
     sequence = folder.look()
     assert [p.name for p in sequence.paths] == ["frame1.ply", "frame2.ply"] and sequence.fps == 24
-    assert folder.look() is sequence
+    assert folder.look() is sequence and sequence.keyframes is None
+    saved(path.with_name("sequence.json"), {"fps": 25, "keyframes": [0, 1]})
+    assert folder.look().keyframes == (0, 1)
     folder.check_finished()
 
 
-def test_a_later_frame_waits_for_the_one_before(tmp_path):
-    frames = moving_frames(20, 3)
-    folder = GrowingFolder(tmp_path)
-    write_ply(tmp_path / "1.ply", frames[0])
-    (tmp_path / "2.ply").write_bytes(b"ply\n")
-    write_ply(tmp_path / "3.ply", frames[2])
-    assert len(folder.look()) == 1
-    with pytest.raises(SceneError, match=r"2\.ply"):
-        folder.check_finished()
-    write_ply(tmp_path / "2.ply", frames[1])
-    assert len(folder.look()) == 3
-
-
-def test_keyframes_that_are_named_later_are_seen(tmp_path):
-    folder = GrowingFolder(write_sequence(tmp_path, moving_frames(20, 3), cameras=False))
-    assert folder.look().keyframes is None
-    (tmp_path / "sequence.json").write_text(json.dumps({"fps": 25, "keyframes": [0, 2]}))
-    assert folder.look().keyframes == (0, 2)
-
-
-def test_frames_out_of_order_and_none_at_all_are_refused(tmp_path):
-    folder = GrowingFolder(tmp_path)
+def test_a_later_frame_waits_for_the_one_before_and_none_comes_before_what_was_taken(tmp_path):
+    frames, folder = moving_frames(20, 3), GrowingFolder(tmp_path)
     with pytest.raises(SceneError, match="at least one"):
         folder.check_finished()
-    first, second = moving_frames(20, 2)
-    write_ply(tmp_path / "7.ply", first)
-    folder.look()
-    write_ply(tmp_path / "6.ply", second)
+    write_ply(tmp_path / "7.ply", frames[0])
+    (tmp_path / "8.ply").write_bytes(b"ply\n")
+    write_ply(tmp_path / "9.ply", frames[2])
+    assert len(folder.look()) == 1
+    with pytest.raises(SceneError, match=r"8\.ply"):
+        folder.check_finished()
+    write_ply(tmp_path / "8.ply", frames[1])
+    assert len(folder.look()) == 3
+    write_ply(tmp_path / "6.ply", frames[1])
     with pytest.raises(SceneError, match=r"6\.ply: expected frames to come in the order of their names"):
         folder.look()
