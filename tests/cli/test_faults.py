@@ -8,6 +8,7 @@ import signal
 import stat
 import subprocess
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -31,14 +32,9 @@ def target(tmp_path):
 def test_a_full_disk_leaves_the_old_package(target, tmp_path, tmp_path_factory):
     """The process may write files of at most 4000 bytes."""
     scene = write_sequence(tmp_path_factory.mktemp("scene"), moving_frames(3000, 1))
-    words = ["--x264-preset", "ultrafast", "--calibrate", "none", "--measure-pictures", "0"]
-    done = subprocess.run(
-        [*ENCODE, str(scene), "-o", str(target), *words],
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4000, 4000)),
-        check=False,
-    )
+    words = f"{scene} -o {target} --x264-preset ultrafast --calibrate none --measure-pictures 0".split()
+    limit = partial(resource.setrlimit, resource.RLIMIT_FSIZE, (4000, 4000))
+    done = subprocess.run([*ENCODE, *words], capture_output=True, text=True, preexec_fn=limit, check=False)
     assert done.returncode == 2 and done.stderr.count("\n") == 1
     assert "airgs-encode: /" in done.stderr and ("too large" in done.stderr or "disk full" in done.stderr)
     assert read_files(target) == read_files(MOVING) and faces.validate(target) == []
@@ -73,24 +69,21 @@ def test_what_would_be_read_without_an_end_is_refused_before_it_is_opened(kind, 
     else:
         os.mknod(path, stat.S_IFIFO if kind == "pipe" else stat.S_IFSOCK)
     option = [name, str(path)] if name.startswith("--") else []
-    main, words = (
-        (faces.airgs_play, [MOVING]) if name == "--trace" else (faces.airgs_encode, [scene, "-o", "out.airgs"])
-    )
-    assert main([*map(str, words), *option]) == 2
+    main, words = faces.airgs_encode, [str(scene), "-o", "out.airgs"]
+    if name == "--trace":
+        main, words = faces.airgs_play, [str(MOVING)]
+    assert main([*words, *option]) == 2
     told = capsys.readouterr().err
     assert f"{path}: " in told and f"expected a plain file, got a {kind}" in told and told.count("\n") == 1
 
 
-@pytest.mark.parametrize(
-    ("where", "value"),
-    [
-        (("count",), 1 << 24),
-        (("tiers", 0, "count"), 1 << 24),
-        (("stop",), 10**6),
-        (("levels", 0, "width"), 16384),
-        (("tiers", 0, "qualities", 0, "width"), 16384),
-    ],
-)
+ABSURD = {
+    ("count",): 1 << 24, ("tiers", 0, "count"): 1 << 24, ("stop",): 10**6, ("levels", 0, "width"): 16384,
+    ("tiers", 0, "qualities", 0, "width"): 16384,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("where", "value"), ABSURD.items())
 def test_absurd_counts_are_refused_with_little_memory(target, where, value):
     bomb = on_disk(target, set_value(where, value, TABLE), reindexed)
     with pytest.raises(faces.FormatError):

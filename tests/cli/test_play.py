@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import urllib.request
+from contextlib import contextmanager
 
 import pytest
 
@@ -26,28 +27,25 @@ def play(capsys, *options, package=PACKAGE):
 
 def test_a_url_is_played_over_http(capsys, tmp_path):
     film, report = tmp_path / "seen.mp4", tmp_path / "report"
-    options = ["--policy", "fixed:Q1+L0", "--player.loops", "1", "--video", str(film), "--report", str(report)]
+    options = f"--http.as-fast --policy fixed:Q1+L0 --player.loops 1 --video {film} --report {report} --json"
     with plainly_serving(PACKAGE) as port:
-        status = airgs_play([f"http://127.0.0.1:{port}/", "--http.as-fast", *options, "--json"])
+        assert airgs_play([f"http://127.0.0.1:{port}/", *options.split()]) == 0
     result = json.loads(capsys.readouterr().out)
-    assert status == 0 and film.read_bytes()[4:8] == b"ftyp" and (report / "index.html").exists()
+    assert film.read_bytes()[4:8] == b"ftyp" and (report / "index.html").exists()
     assert result["startup_requests"] == 7 and result["startup_bytes"] > result["startup_table_bytes"] > 0
     assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
 
 
 def test_json_repeats_exactly(capsys):
-    runs = [play(capsys, "--policy", "fixed:0", "--json") for _ in range(2)]
-    assert runs[0] == runs[1]
-    status, out, err = runs[0]
+    (status, out, err), again = (play(capsys, "--policy", "fixed:0", "--json") for _ in range(2))
+    assert (status, out, err) == again == (0, out, "")
     result = json.loads(out)
-    assert (status, err) == (0, "")
     assert result["trace_scale"] == 1.0 and result["trace"] == "trace.csv" and result["frames"] > 0
 
 
 def test_report_and_film(capsys, tmp_path):
     report, film = tmp_path / "report", tmp_path / "out.mp4"
-    options = ["--policy", "fixed:0", "--player.loops", 1, "--report", report, "--video", film, "--json"]
-    status, out, _ = play(capsys, *options)
+    status, out, _ = play(capsys, "--policy=fixed:0", "--player.loops=1", "--report", report, "--video", film, "--json")
     assert status == 0 and json.loads(out)["region"]["source"] == "orbit"
     assert (report / "index.html").exists() and film.read_bytes()[4:8] == b"ftyp"
 
@@ -55,53 +53,51 @@ def test_report_and_film(capsys, tmp_path):
 def test_defaults_are_those_of_the_settings(monkeypatch, capsys):
     taken = []
 
-    def opened(url, http, *_):
-        taken.append(http)
-        raise ConfigError("not over HTTP here")
-
-    def simulated(package, link, policy, settings, faults):
-        taken.append(settings)
+    def take(*arguments):
+        taken.extend(settings for settings in arguments if isinstance(settings, HttpSettings | SessionSettings))
         raise ConfigError("not played here")
 
-    monkeypatch.setattr("airgs_codec.cli.play.HttpDownloader", opened)
-    monkeypatch.setattr("airgs_codec.cli.play.simulate", simulated)
+    monkeypatch.setattr("airgs_codec.cli.play.HttpDownloader", take)
+    monkeypatch.setattr("airgs_codec.cli.play.simulate", take)
     assert airgs_play(["http://nowhere"]) == 2
     assert play(capsys)[0] == 2
     changed = {"buffer": 3, "startup": 2, "resume": 1, "decode-frame": 0.005, "loops": 4, "budget": 9}
-    words = [word for name, value in changed.items() for word in (f"--player.{name}", value)]
+    words = [f"--player.{name}={value}" for name, value in changed.items()]
     assert play(capsys, *words, "--player.no-replace", "--player.no-abandon", "--player.no-pipelined")[0] == 2
     changed = SessionSettings(3.0, 2.0, 1.0, 0.005, False, False, False, 4, 9)
     assert taken == [HttpSettings(), SessionSettings(), changed]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_it_serves_until_it_is_told_to_stop(number):
+@contextmanager
+def serving(path, number):
+    """airgs-serve with an address, which it says first, and what it says then, until a signal of this number."""
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen([*SERVE, str(PACKAGE), "--port", "0"], **pipes) as process:
-        address = process.stdout.readline().split()[-1]
-        folder = process.stdout.readline().strip()
-        assert folder == f"{address}{PACKAGE.name}/"
-        with urllib.request.urlopen(f"{folder}airgs.json", timeout=10) as answer:
-            assert answer.read() == (PACKAGE / "airgs.json").read_bytes()
-        opened = process.stdout.readline().split()[-1]
-        assert not is_built() or opened == f"{address}player.html?src={PACKAGE.name}/"
+    with subprocess.Popen([*SERVE, str(path), "--port", "0"], **pipes) as process:
+        yield process.stdout.readline().split()[-1], process.stdout
         process.send_signal(number)
         out, errors = process.communicate(timeout=20)
-    assert process.returncode == 0 and out == "stopped\n"
-    assert not errors
+    assert (process.returncode, out, errors) == (0, "stopped\n", "")
+
+
+def root_at(address):
+    with urllib.request.urlopen(f"{address}airgs.json", timeout=10) as answer:
+        return answer.read()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_serves_until_it_is_told_to_stop(number):
+    with serving(PACKAGE, number) as (address, said):
+        assert said.readline() == f"{address}{PACKAGE.name}/\n"
+        assert root_at(f"{address}{PACKAGE.name}/") == (PACKAGE / "airgs.json").read_bytes()
+        opened = said.readline().split()[-1]
+        assert not is_built() or opened == f"{address}player.html?src={PACKAGE.name}/"
 
 
 def test_a_server_may_be_there_before_its_first_package(tmp_path):
-    pipes = {"stdout": subprocess.PIPE, "text": True}
-    with subprocess.Popen([*SERVE, str(tmp_path), "--port", "0"], **pipes) as process:
-        address = process.stdout.readline().split()[-1]
-        assert "no package yet" in process.stdout.readline()
+    with serving(tmp_path, signal.SIGTERM) as (address, said):
+        assert "no package yet" in said.readline()
         shutil.copytree(PACKAGE, tmp_path / "later")
-        with urllib.request.urlopen(f"{address}later/airgs.json", timeout=10) as answer:
-            assert answer.read() == (PACKAGE / "airgs.json").read_bytes()
-        process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=20)
-    assert process.returncode == 0
+        assert root_at(f"{address}later/") == (PACKAGE / "airgs.json").read_bytes()
 
 
 def test_a_port_that_is_taken_is_one_line_and_2(capsys):

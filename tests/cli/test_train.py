@@ -44,8 +44,7 @@ def test_airgs_encode_trains_multi_view_scenes_first(blobs, tmp_path, capsys, mo
     quick = replace(SETTINGS, first_iterations=30, key_iterations=20, frame_iterations=5)
     monkeypatch.setattr("airgs_codec.cli.train.default_settings", lambda device: quick)
     shutil.copytree(blobs, tmp_path / "blobs")
-    quickly = ["--x264-preset", "ultrafast", "--measure-pictures", "2", "--calibrate", "none"]
-    words = [str(tmp_path / "blobs"), *quickly]
+    words = f"{tmp_path}/blobs --x264-preset ultrafast --measure-pictures 2 --calibrate none".split()
     assert faces.airgs_encode(words) == 0
     assert "first frame" in capsys.readouterr().out
     package = faces.open_package(tmp_path / "blobs.airgs")
@@ -81,15 +80,13 @@ def asked(blobs, tmp_path, monkeypatch):
     return ask
 
 
-@pytest.mark.parametrize(
-    ("words", "iterations"),
-    [
-        ("", (2500, 1000, 300)),
-        ("--effort quick", (1000, 400, 120)),
-        ("--effort high", (6250, 2500, 750)),
-        ("--effort high --iterations 9,8,7", (9, 8, 7)),
-    ],
-)
+EFFORTS = {
+    "": (2500, 1000, 300), "--effort quick": (1000, 400, 120), "--effort high": (6250, 2500, 750),
+    "--effort high --iterations 9,8,7": (9, 8, 7),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("words", "iterations"), EFFORTS.items())
 def test_effort_is_iterations_of_every_frame(asked, words, iterations):
     _, found = asked("--device", "cpu", "--sync", "off", *words.split())
     assert (found.iterations_from_scratch(6), found.key_iterations, found.frame_iterations) == iterations
@@ -111,8 +108,7 @@ def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, caps
     shutil.copytree(blobs, tmp_path / "scene")
     for path in (tmp_path / "scene" / "images").rglob("*.png"):
         faces.write_png(path, np.zeros_like(faces.read_picture(path)))
-    words = [str(tmp_path / "scene"), "-o", str(tmp_path / "m"), "--iterations", "90,20,8", *QUICK[2:]]
-    assert faces.airgs_train(words) == 2
+    assert faces.airgs_train([*f"{tmp_path}/scene -o {tmp_path}/m --iterations 90,20,8".split(), *QUICK[2:]]) == 2
     err = capsys.readouterr().err
     assert "expected pictures that show something" in err and err.count("\n") == 1
     assert not list(tmp_path.glob("m/*.ply"))
@@ -120,10 +116,10 @@ def test_pictures_without_anything_are_one_line_and_exit_2(blobs, tmp_path, caps
 
 def test_a_report_shows_pictures_as_they_were_trained_on(blobs, tmp_path):
     """Without held-out cameras it shows a training picture, and that was exposed as the average camera would have."""
-    folder, words = tmp_path / "m", ["--frames", "0:1", "--hold-out", "none", "--match-exposure", "on", *QUICK]
-    assert faces.airgs_train([str(blobs), "-o", str(folder), "--report", str(tmp_path / "r"), *words]) == 0
+    words = f"{blobs} -o {tmp_path}/m --report {tmp_path}/r --frames 0:1 --hold-out none --match-exposure on"
+    assert faces.airgs_train([*words.split(), *QUICK]) == 0
     pictures = faces.Pictures(faces.with_held_out(faces.open_scene(blobs, frames=(0, 1)), []))
-    alike = pictures.with_exposure(faces.read_model(folder).record.exposure)
+    alike = pictures.with_exposure(faces.read_model(tmp_path / "m").record.exposure)
     plain, exposed = (faces.to_bytes(p.train(0)[0].target.rgb)[20:] for p in (pictures, alike))  # under the label
     shown = faces.read_picture(tmp_path / "r" / "frame-000000.png")[20:, : plain.shape[1]]
     assert (shown == exposed).all() and (shown != plain).any()
