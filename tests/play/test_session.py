@@ -237,20 +237,16 @@ def test_a_better_key_serves_the_rest_of_its_group():
     assert len(keys) == 2 and log.metrics.bytes["key"] == 1500 + 4000
 
 
-def test_a_corrupt_file_travels_before_it_is_found_wrong():
-    path = "state/L0/2.m4s"
+def test_what_was_lost_is_told_once_and_a_corrupt_file_travels_before_it_is_found_wrong():
+    group, path, key = "group/2.json.gz", "state/L0/2.m4s", "key/T0/1.bin"
     broken = {path: faces.FormatError("hash_mismatch", path, "the SHA-256 differs")}
     absent, corrupt = (play(TINY, link([8e6]), "paper-no-cliff", faults=f) for f in (missing(path), broken))
     assert corrupt.fetches[4].bytes == absent.fetches[4].bytes + 2100
     assert corrupt.fetches[4].wasted > absent.fetches[4].wasted
-
-
-def test_what_was_lost_is_told_once():
-    paths = "group/2.json.gz", "state/L0/2.m4s", "key/T0/1.bin"
-    table, state, key = (play(ALIKE, link([8e6]), "robust-mpc", faults=missing(path)) for path in paths)
-    assert sum("group/2.json.gz" in line for line in table.lost) == 1 and "state/L0/2.m4s" in state.lost[0]
-    assert "key/T0/1.bin" in key.lost[0] and "frames 0-9" in key.lost[-1] and "lost" in faces.format_metrics(key)
-    assert faces.session_bound(key) is None
+    table, state, lost = (play(ALIKE, link([8e6]), "robust-mpc", faults=missing(p)) for p in (group, path, key))
+    assert sum(group in line for line in table.lost) == 1 and path in state.lost[0]
+    assert key in lost.lost[0] and "frames 0-9" in lost.lost[-1] and "lost" in faces.format_metrics(lost)
+    assert faces.session_bound(lost) is None
 
 
 def test_policies_of_ones_own_and_packages_are_taken_as_they_are():

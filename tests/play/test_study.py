@@ -1,6 +1,7 @@
 """Studies and reports of sessions: every sentence they conclude has data that say the opposite, and then it does."""
 
 import html
+import itertools
 import json
 from dataclasses import replace
 
@@ -103,23 +104,19 @@ def test_a_report_is_written_where_it_can_be(tmp_path):
         faces.write_report(log, tmp_path / "file")
 
 
-def study(qoe, traces=8, feasible=True, rungs=("Q0+L0",), waits=None):
+def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
     """A study in which every policy has a QoE that is a little better on later traces; the default is one of them.
 
-    With `waits`, quality was not measured, and policies wait for these shares of the time.
+    Where quality was not measured, the values are the shares of the time that policies wait.
     """
-    rows = [
-        {"trace": f"t{t}", "policy": policy, "feasible": feasible or t > 0, "qoe": value + 0.1 * t, "psnr_mean": 40.0}
-        | {"stall_ratio": 0.0 if feasible or t else 0.5, "regret": 1.0, "rungs": {"Q0+L0": 3}}
-        | ({} if waits is None else {"stall_ratio": waits[policy], "qoe": None, "psnr_mean": None, "regret": None})
-        for t in range(traces)
-        for policy, value in qoe.items()
-    ]
-    return Study(StudySettings(tuple(qoe), ("t",)), "p", tuple(rows), rungs)
-
-
-def unmeasured(waits, traces=8):
-    return study(dict.fromkeys(waits, 0.0), traces, waits=waits)
+    rows = []
+    for t, (policy, value) in itertools.product(range(traces), values.items()):
+        fits = feasible or t > 0
+        row = {"qoe": value + 0.1 * t, "psnr_mean": 40.0, "stall_ratio": 0.0 if fits else 0.5, "regret": 1.0}
+        if not measured:
+            row = {"qoe": None, "psnr_mean": None, "stall_ratio": value, "regret": None}
+        rows.append(row | {"trace": f"t{t}", "policy": policy, "feasible": fits, "rungs": {"Q0+L0": 3}})
+    return Study(StudySettings(tuple(values), ("t",)), "p", tuple(rows), rungs)
 
 
 BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1": 0.1}
@@ -134,11 +131,11 @@ BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1
          ["robust-mpc does best", "Stay with robust-mpc, the default."], ["Play with", "--levels"]),
         (study(BOLA, traces=2), ["may be chance", "Give more --traces"], ["Play with"]),
         # Of a package that was not measured waiting alone is told.
-        (unmeasured(WAITING),
+        (study(WAITING, measured=False),
          ["fixed:1 does best on 8 links: what it shows was not measured, and it waits 10.0 %",
           "robust-mpc, the next, waits 10.0 % more", "Play with --policy fixed:1."], ["nan", "dB", "chance"]),
-        (unmeasured(WAITING, traces=2), ["may be chance", "10.0 % less waiting than robust-mpc"], ["nan", "dB"]),
-        (unmeasured({"fixed:1": 0.0}), ["Nothing: nobody waits."], ["nan"]),
+        (study(WAITING, 2, measured=False), ["may be chance", "10.0 % less waiting than robust-mpc"], ["nan", "dB"]),
+        (study({"fixed:1": 0.0}, measured=False), ["Nothing: nobody waits."], ["nan"]),
         (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
         (study({"robust-mpc": 38.0}, feasible=False),
          ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
@@ -152,16 +149,14 @@ def test_what_a_study_recommends(some, expected, absent):
 
 
 def test_offsets_are_seeded_and_a_traces_own():
-    trace = faces.Trace.open("markov:1")
-    assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2)
-    assert offsets_of(trace, 4, 1) != offsets_of(faces.Trace.open("markov:2"), 4, 1)
+    trace, other = faces.Trace.open("markov:1"), faces.Trace.open("markov:2")
+    assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2) != offsets_of(other, 4, 2)
     assert all(0 <= o < trace.duration_s for o in offsets_of(trace, 100, 3))
 
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
-    c = Offers(TINY, 0, root_bytes=1000)
-    assert is_feasible(c, link([8 * 2300]), rules(buffer_s=10.0), 10)  # exactly what a second of Q1+L2 takes
-    assert not is_feasible(c, link([8 * 2000]), rules(buffer_s=10.0), 30)
+    for rate, loops, expected in ((2300, 10, True), (2000, 30, False)):  # exactly what a second of Q1+L2 takes, or less
+        assert is_feasible(Offers(TINY, 0, 1000), link([8 * rate]), rules(buffer_s=10.0), loops) is expected
 
 
 def test_intervals_are_over_traces():
