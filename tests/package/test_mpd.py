@@ -33,14 +33,18 @@ def with_a_still_segment(levels=(0, 1, 2), number=1):
 
 TINY = tiny_manifest()
 LIVE = replace(TINY, live=True)
-MANIFESTS = {
-    "equal groups": TINY,
-    "unequal groups": tiny_manifest(groups=(10, 10, 3, 20, 20, 7)),
-    "a level without files": tiny_manifest(state_bytes=(2000, 0)),
-    "still segments": with_a_still_segment(),
-    "a still segment of one level": with_a_still_segment(levels=[2]),
-    "a late level": with_a_still_segment(levels=[2], number=0),
-}
+STILL, LATE = with_a_still_segment(), with_a_still_segment(levels=[2], number=0)
+TWO = [{"t": "0", "d": "1000", "r": "1"}]
+ALL = [{"t": "0", "d": "1000"}, {"d": "500"}, {"d": "1000"}]
+MANIFESTS = {  # and the timelines of their states: in the set, and in each representation
+    "equal groups": (TINY, [TWO], []),
+    "unequal groups": (tiny_manifest(groups=(10, 10, 3, 20, 20, 7)),
+                       [[*TWO, {"d": "300"}, {"d": "2000", "r": "1"}, {"d": "700"}]], []),
+    "a level without files": (tiny_manifest(state_bytes=(2000, 0)), [TWO], []),
+    "still segments": (STILL, [ALL], []),
+    "a still segment of one level": (with_a_still_segment(levels=[2]), [ALL], []),
+    "a late level": (LATE, [], [ALL, ALL, [{"t": "1000", "d": "500"}, {"d": "1000"}]]),
+}  # fmt: skip
 
 
 def files_of(representation):
@@ -56,11 +60,20 @@ def reason_of(data, m=TINY):
     return refused.value.reason
 
 
-@pytest.mark.parametrize("m", MANIFESTS.values(), ids=MANIFESTS)
-def test_what_is_written_is_accepted_and_so_with_nothing_inherited_and_every_file_in_an_s_of_its_own(m):
+@pytest.mark.parametrize(("m", "shared", "own"), MANIFESTS.values(), ids=MANIFESTS)
+def test_equal_timelines_stand_once_in_the_set_and_others_in_each_representation(m, shared, own):
+    state = ET.fromstring(write_mpd(m)).find(STATE_SET)
+    timeline = f"{NS}SegmentTemplate/{NS}SegmentTimeline"
+    assert [[s.attrib for s in t] for t in state.findall(timeline)] == shared
+    assert [[s.attrib for s in t] for t in state.findall(f"{NS}Representation/{timeline}")] == own
+
+
+@pytest.mark.parametrize("m", [m for m, *_ in MANIFESTS.values()], ids=MANIFESTS)
+def test_what_is_written_is_accepted_and_so_with_nothing_inherited_and_sets_and_files_spelt_out(m):
     check_mpd(write_mpd(m), m)
     root = ET.fromstring(write_mpd(m))
     for row in root.iter(f"{NS}AdaptationSet"):
+        row.set("id", "9" + row.attrib["id"])  # ids of sets are free
         shared = row.findall(f"{NS}SegmentTemplate")
         for element in row.iter(f"{NS}Representation"):
             element.extend(copy.deepcopy(shared))
@@ -78,28 +91,6 @@ def test_what_is_written_is_accepted_and_so_with_nothing_inherited_and_every_fil
     check_mpd(ET.tostring(root), m)
 
 
-TWO = [{"t": "0", "d": "1000", "r": "1"}]
-ALL = [{"t": "0", "d": "1000"}, {"d": "500"}, {"d": "1000"}]
-LATE = [{"t": "1000", "d": "500"}, {"d": "1000"}]
-
-
-@pytest.mark.parametrize(
-    ("name", "shared", "own"),
-    [
-        ("equal groups", [TWO], []),
-        ("unequal groups", [[*TWO, {"d": "300"}, {"d": "2000", "r": "1"}, {"d": "700"}]], []),
-        ("still segments", [ALL], []),
-        ("a still segment of one level", [ALL], []),
-        ("a late level", [], [ALL, ALL, LATE]),
-    ],
-)
-def test_equal_timelines_stand_once_in_the_set_and_others_in_each_representation(name, shared, own):
-    state = ET.fromstring(write_mpd(MANIFESTS[name])).find(STATE_SET)
-    timeline = f"{NS}SegmentTemplate/{NS}SegmentTimeline"
-    assert [[s.attrib for s in t] for t in state.findall(timeline)] == shared
-    assert [[s.attrib for s in t] for t in state.findall(f"{NS}Representation/{timeline}")] == own
-
-
 def test_a_growing_package_names_its_time_and_whose_clock_counts():
     with pytest.raises(ConfigError, match="available"):
         write_mpd(LIVE)
@@ -115,21 +106,18 @@ def test_a_growing_package_names_its_time_and_whose_clock_counts():
 
 def test_a_still_segment_leaves_no_gap_in_a_timeline_and_nothing_stands_for_a_level_before_its_first_file():
     """Files are numbered as shaka and dash.js number them: from startNumber on, one after the other."""
-    m, late = MANIFESTS["still segments"], MANIFESTS["a late level"]
-    state, tier, _ = (row.representations for row in Streams.of(m).sets())
+    state, tier, _ = (row.representations for row in Streams.of(STILL).sets())
     assert files_of(state[0]) == files_of(tier[0]) == [(1, 0, 1000), (2, 1000, 500), (3, 1500, 1000)]
     assert state[0].timeline == tier[0].timeline
-    assert not [s for s in ET.fromstring(write_mpd(m)).iter(f"{NS}S") if s.get("n") or s.get("t", "0") != "0"]
-    levels = next(iter(Streams.of(late).sets())).representations
-    assert files_of(levels[2]) == [(2, 1000, 500), (3, 1500, 1000)] and not list(still_files(late))
+    assert not [s for s in ET.fromstring(write_mpd(STILL)).iter(f"{NS}S") if s.get("n") or s.get("t", "0") != "0"]
+    levels = next(iter(Streams.of(LATE).sets())).representations
+    assert files_of(levels[2]) == [(2, 1000, 500), (3, 1500, 1000)] and not list(still_files(LATE))
 
 
 def test_a_still_file_is_a_picture_for_as_long_as_nothing_moves_in_growing_and_whole_packages():
-    m = MANIFESTS["still segments"]
-    stills = dict(still_files(m))
+    stills, streams = dict(still_files(STILL)), Streams(STILL)
     assert list(stills) == ["state/L0/2.m4s", "state/L1/2.m4s", "state/L2/2.m4s"]
-    streams = Streams(m)
-    assert [list(streams.add(group)) for group in m.groups] == [[], list(stills), []]
+    assert [list(streams.add(group)) for group in STILL.groups] == [[], list(stills), []]
     with av.open(io.BytesIO(init_segment(1000, 64, 64) + stills["state/L1/2.m4s"])) as container:
         (frame,) = container.decode(video=0)
         stream = container.streams.video[0]
@@ -145,7 +133,7 @@ def test_a_level_without_files_is_not_listed_and_a_regular_sequence_makes_no_lon
     assert len(write_mpd(long)) - len(write_mpd(short)) < 50
 
 
-@pytest.mark.parametrize("m", [tiny_manifest(groups=(10, 3, 20, 7)), with_a_still_segment()])
+@pytest.mark.parametrize("m", [tiny_manifest(groups=(10, 3, 20, 7)), STILL])
 def test_every_run_of_segments_fits_its_bandwidth(m):
     root = ET.fromstring(write_mpd(m))
     stated = {r.get("id"): int(r.get("bandwidth", "0")) for r in root.iter(f"{NS}Representation")}
@@ -201,10 +189,6 @@ EDITS = {
 @pytest.mark.parametrize(("old", "new", "reason"), EDITS.values(), ids=EDITS)
 def test_an_mpd_that_leads_elsewhere_is_refused(old, new, reason):
     assert reason_of(apply({"mpd": write_mpd(TINY)}, edit_text("mpd", old, new))["mpd"]) == reason
-
-
-def test_ids_of_sets_are_free():
-    check_mpd(write_mpd(TINY).replace(b'<AdaptationSet id="2"', b'<AdaptationSet id="9"'), TINY)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-32"])

@@ -122,23 +122,19 @@ def test_foreign_objects_are_never_touched(before, name):
     assert files(store) == there
 
 
-def test_players_are_told_what_files_are():
-    store = store_with(OLD)
+def test_players_are_told_what_files_are_and_reading_checks_as_on_disk():
+    store, fresh = store_with(OLD), {"Cache-Control": "no-cache"}
     publish(store, OTHER)
-    for name, kind, more in [
-        (JSON_NAME, "application/json", {"Cache-Control": "no-cache"}),
-        (MPD_NAME, "application/dash+xml", {"Cache-Control": "no-cache"}),
-        ("init.mp4", "video/mp4", {}),
-        ("group/1.json.gz", "application/gzip", {}),
-    ]:
-        assert store.get(name).attributes == {"Content-Type": kind} | more
-
-
-def test_reading_checks_as_on_disk():
-    store = store_with(OLD)
+    for name, told in {
+        JSON_NAME: {"Content-Type": "application/json"} | fresh,
+        MPD_NAME: {"Content-Type": "application/dash+xml"} | fresh,
+        "init.mp4": {"Content-Type": "video/mp4"},
+        "group/1.json.gz": {"Content-Type": "application/gzip"},
+    }.items():
+        assert store.get(name).attributes == told
     package = faces.open_files(Bucket("memory", store))
-    assert package.mpd_bytes == (OLD / MPD_NAME).stat().st_size
-    assert package.read("key/T0/1.bin") == (OLD / "key/T0/1.bin").read_bytes()
+    assert package.mpd_bytes == (OTHER / MPD_NAME).stat().st_size
+    assert package.read("key/T0/1.bin") == (OTHER / "key/T0/1.bin").read_bytes()
     store.delete("key/T0/1.bin")
     with pytest.raises(FormatError, match="missing_file"):
         package.read("key/T0/1.bin")
