@@ -8,15 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from airgs_codec.analysis.importance import (
-    CostSums,
-    RowPruning,
-    estimate_cost,
-    importance,
-    pooled_error,
-    pooled_within,
-    select_omissions,
-)
+from airgs_codec.analysis import importance
+from airgs_codec.analysis.importance import RowPruning, estimate_cost, pooled_error, pooled_within, select_omissions
 from airgs_codec.analysis.sensitivity import measure_sensitivity, measure_views
 from airgs_codec.coding.motion import channel_weights, motion_classes, motion_units, withheld_error
 from tests import faces
@@ -37,14 +30,13 @@ def scene():
 
 def test_removed_rows_cost_what_was_allowed(scene):
     cameras, frames = scene
-    rank = importance(frames, measure_usage(frames, cameras), measure_sensitivity(frames, cameras))
+    rank = importance.importance(frames, measure_usage(frames, cameras), measure_sensitivity(frames, cameras))
     chosen = cameras[:: len(cameras) // 5][:6]
     pruning = RowPruning(list(zip(itertools.cycle(frames), chosen, strict=False)), rank, {})
     counts = []
     for allowed in (0.0, 0.002, 0.005, 0.02):
         kept = pruning.within(allowed)
-        assert kept.error <= allowed**2
-        assert not kept.rows[rank[kept.rows] == 0].size
+        assert kept.error <= allowed**2 and not kept.rows[rank[kept.rows] == 0].size
         counts.append(len(kept.rows))
     assert counts == sorted(counts, reverse=True) and counts[0] > counts[-1]
     pictures = [mse(render(frames[1].take(kept.rows), c).rgb, render(frames[1], c).rgb) for c in cameras]
@@ -55,14 +47,11 @@ def test_rows_that_no_ranking_picture_showed_stay_if_others_show_them(scene):
     cameras, frames = scene
     views = [(frames[0], camera) for camera in cameras[:3]]
     shown = np.flatnonzero(measure_usage([frames[0]], cameras[:3]).total > 0)
-    rank = np.ones(len(frames[0]))
-    rank[shown[::3]] = 0  # as if those that ranked had missed them
-    kept = RowPruning(views, rank, {}).within(0.001)
-    assert kept.error <= 0.001**2 and np.intersect1d(kept.rows, shown[::3]).size
-    assert RowPruning(views, rank, {}).error_of(len(rank)) == 0
-    rank[:] = 1
-    rank[np.setdiff1d(np.arange(len(rank)), shown)] = 0
-    assert RowPruning(views, rank, {}).within(0.0).rows.tolist() == shown.tolist()
+    rows = np.arange(len(frames[0]))
+    missed = RowPruning(views, 1.0 - np.isin(rows, shown[::3]), {})  # as if those that ranked had missed them
+    kept = missed.within(0.001)
+    assert kept.error <= 0.001**2 and np.intersect1d(kept.rows, shown[::3]).size and missed.error_of(len(rows)) == 0
+    assert RowPruning(views, 1.0 * np.isin(rows, shown), {}).within(0.0).rows.tolist() == shown.tolist()
 
 
 def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
@@ -71,9 +60,7 @@ def test_a_small_thing_that_is_plainly_seen_stays_whatever_the_mean_says(scene):
     g = frames[0]
     centre = g.means[np.argmax(measure_usage([g], cameras[:1]).peak)]
     eye = np.argsort(np.linalg.norm(g.means - centre, axis=1))[:12]
-    rank = np.ones(len(g))
-    rank[eye] = 0
-    pruning = RowPruning([(g, camera) for camera in cameras[:4]], rank, {})
+    pruning = RowPruning([(g, camera) for camera in cameras[:4]], 1.0 - np.isin(np.arange(len(g)), eye), {})
     least = pruning.within(0.05)
     without = replace(least, rows=np.setdiff1d(least.rows, eye), error=0.0)
 
@@ -94,11 +81,11 @@ def test_a_row_is_as_important_as_it_is_seen_and_as_its_alpha_counts():
     g = random_gaussians(2)
     frames = [replace(g, opacity_logits=np.array([logit, 0.0], np.float32)) for logit in (0.0, 100.0)]
     usage, s = SimpleNamespace(peak=np.array([0.5, 0.0]), total=np.array([8.0, 3.0])), SimpleNamespace(opacity=4.0)
-    assert importance(frames, usage, s).tolist() == [0.5 * 8.0 * 4.0 * 0.625, 0.0]
+    assert importance.importance(frames, usage, s).tolist() == [0.5 * 8.0 * 4.0 * 0.625, 0.0]
 
 
-def test_the_worst_pictures_weigh_more_in_a_pooled_error():
-    """No more are drawn of what is sure to be beyond: the first two of four suffice for the root of 0.25 / 4, 0.25."""
+def test_the_worst_pictures_weigh_more_in_a_pooled_error_and_what_is_sure_to_be_beyond_is_drawn_no_further():
+    """The first two of four suffice for the root of 0.25 / 4, 0.25."""
     assert pooled_error([2.0, 2.0, 2.0]) == pytest.approx(2.0)
     assert pooled_error([0.0, 0.0, 0.0, 4.0]) == pooled_within([0.0, 0.0, 0.0, 4.0], 4, 2.0) == pytest.approx(2.0)
     for allowed, drawn, rest in ((0.28, True, []), (0.249, False, [0.1, 0.2])):
@@ -114,37 +101,34 @@ def test_where_no_line_tells_the_number_of_rows_it_is_found_to_one_per_cent(monk
     assert len(pruning.within(2.0).rows) == 1
 
 
-def test_things_go_as_long_as_they_pay():
-    sizes, errors = np.array([10.0, 10.0, 10.0]), np.array([1.0, 100.0, 3.0])
+def test_things_go_as_long_as_they_pay_most_first_and_half_of_them_where_all_is_too_dear():
+    sizes, errors, none = np.full(3, 10.0), np.array([1.0, 100.0, 3.0]), np.zeros(3)
 
     def error(chosen, most):
         assert most == 0.5 * sizes[chosen].sum()
         return float(errors[chosen].sum())
 
-    def chosen(guesses, error):
+    def chosen(guesses, error, sizes=sizes):
         return select_omissions(sizes, guesses, error, 1.0)[0].tolist()
 
-    assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(np.zeros(3)), 0.0)
+    assert select_omissions(sizes, errors, error, 0.0) == (pytest.approx(none), 0.0)
     assert chosen(errors, error) == [True, False, True]
-    assert chosen(np.zeros(3), error) == [True, False, False]  # guesses that are too low: fewer are left out
+    assert chosen(none, error) == [True, False, False]  # guesses that are too low: fewer are left out
     assert chosen(sizes, lambda some, _: 0.0) == [False] * 3  # a guess that is no less than the price
     for price, kept in ((1e9, False), (5.0, True), (5.1, False)):  # at half of what their bytes are worth, no dearer
-        assert chosen(np.zeros(3), lambda some, _, price=price: price * some.sum()) == [kept] * 3
-
-
-def test_what_pays_most_goes_first_and_the_half_of_it_where_all_is_too_dear():
-    sizes, guesses = np.array([100.0, 10.0]), np.array([40.0, 5.0])
-    chosen, cost = select_omissions(sizes, guesses, lambda chosen, _: 60.0 if chosen.all() else 40.0, 1.0)
-    assert (chosen.tolist(), cost) == ([True, False], 40.0) and chosen.dtype == bool
-    alike = select_omissions(np.ones(64), np.zeros(64), lambda chosen, _: 0.0 if chosen.sum() < 40 else 1e9, 1.0)[0]
-    assert alike.tolist() == [True] * 32 + [False] * 32  # the first of equals
+        assert chosen(none, lambda some, _, price=price: price * some.sum()) == [kept] * 3
+    two = np.array([100.0, 10.0]), np.array([40.0, 5.0])
+    first, cost = select_omissions(*two, lambda some, _: 60.0 if some.all() else 40.0, 1.0)
+    assert (first.tolist(), cost) == ([True, False], 40.0) and first.dtype == bool
+    alike = chosen(np.zeros(64), lambda some, _: 0.0 if some.sum() < 40 else 1e9, np.ones(64))
+    assert alike == [True] * 32 + [False] * 32  # the first of equals
 
 
 def test_sums_of_costs_are_those_of_all_rows():
     random = np.random.default_rng(0)
     values, centres = 3 * random.normal(size=(4, 2, 30)) + 5, np.array([5.0, -7.0])
     weights = random.uniform(size=(2, 30))
-    sums = CostSums.of(centres)
+    sums = importance.CostSums.of(centres)
     for rows in (slice(0, 10), slice(10, 30)):
         sums.add(values[:, :, rows], weights[:, rows])
     sizes, errors = estimate_cost(values, centres, weights)
@@ -156,25 +140,20 @@ def test_sums_of_costs_are_those_of_all_rows():
 
 
 def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_the_largest():
-    ones, still = np.ones((1, 8)), np.zeros((2, 1, 8))
-    assert estimate_cost(still[:, :, :1], np.zeros(1), ones[:, :1])[0].tolist() == [0.0]  # one row is no news
-    changing = still.copy()
-    changing[0, 0, :4] = 9  # a bit a row at first, then another that it goes back
-    assert estimate_cost(changing, np.zeros(1), ones)[0].tolist() == [2.0]
-    far, wide = ([[[-a, a, 0, b, -a, a, 0, b]]] for a, b in ((9000, 300), (255, 255)))
-    assert (
-        estimate_cost(np.array(far, float), np.zeros(1), ones)[0]
-        == estimate_cost(np.array(wide, float), np.zeros(1), ones)[0]
-    )
-    seldom = np.arange(8.0)[None, None]  # each of them once: three bits a row
-    assert estimate_cost(seldom, np.zeros(1), ones)[0].tolist() == [3.0]
+    def size(*frames):
+        values = np.array(frames, float)[:, None]
+        return estimate_cost(values, np.zeros(1), np.ones_like(values[0]))[0].tolist()
+
+    assert size([0], [0]) == [0.0]  # one row is no news
+    assert size([9] * 4 + [0] * 4, [0] * 8) == [2.0]  # a bit a row at first, then another that it goes back
+    assert size([-9000, 9000, 0, 300] * 2) == size([-255, 255, 0, 255] * 2)
+    assert size(range(8)) == [3.0]  # each of them once: three bits a row
 
 
 @pytest.fixture(scope="module")
 def measured():
     sequence = open_sequence(FOX)
-    frame = sequence.load([4]).frames[0]
-    cameras = list(sequence.cameras)[:4]
+    frame, cameras = sequence.load([4]).frames[0], list(sequence.cameras)[:4]
     return frame, cameras, measure_sensitivity([frame] * 8, cameras)
 
 
@@ -229,16 +208,12 @@ def test_what_is_behind_the_scene_counts(measured):
     assert measure_sensitivity([black], cameras).opacity.max() == 0 < measure_sensitivity([black], white).opacity.max()
 
 
-def test_views_and_frames_are_averaged(measured):
+def test_pictures_are_averaged_each_of_a_frame_and_a_camera_of_its_own(measured):
+    """A row counts in the frames in which it is seen, by the camera that was paired with them."""
     frame, cameras, _ = measured
     once, twice = (measure_sensitivity(frames, cameras[:1]) for frames in ([frame], [frame, frame]))
     assert twice.sh_dc.sum() == pytest.approx(once.sh_dc.sum(), rel=0.1)
     assert replace(once).take(np.array([2, 0])).opacity.tolist() == [once.opacity[2], once.opacity[0]]
-
-
-def test_every_picture_has_a_frame_and_a_camera_of_its_own(measured):
-    """A row counts in the frames in which it is seen, by the camera that was paired with them."""
-    frame, cameras, _ = measured
     away = replace(frame, means=frame.means + np.float32(1e5))
     seen, unseen = measure_usage([frame], cameras[:1]), measure_usage([frame], cameras[1:2])
     usage, s = measure_views([(frame, cameras[0]), (away, cameras[1])])

@@ -30,10 +30,6 @@ def in_memory(frames, **changes):
     return replace(GaussianSequence.from_arrays(frames, fps=24), **changes)
 
 
-def means(sequence):
-    return [sequence.read(frame).means for frame in range(len(sequence))]
-
-
 def lattice():
     """Equal rows that move faster and faster, in the end by more than they are apart."""
     places = np.stack(np.meshgrid(*[np.arange(6.0)] * 3), axis=-1).reshape(-1, 3)
@@ -57,38 +53,32 @@ TURNED = [*MOVING[:3], *(g.take(np.random.default_rng(0).permutation(300)) for g
     ],
     ids=["shuffled", "turned", "match", "lattice"],
 )
-def test_rows_come_back_in_the_order_of_the_first_frame(frames, given, mode, matched, orders):
+def test_rows_come_back_in_the_order_of_the_first_frame_and_it_is_said_how_surely(frames, given, mode, matched, orders):
     restored = restore_rows(in_memory(given), mode)
-    np.testing.assert_array_equal(means(restored.sequence), [g.means for g in frames])
-    assert (restored.matched, sorted(restored.sequence.orders), restored.unmatched) == (matched, orders, ())
-
-
-def test_it_is_said_how_surely_rows_were_matched():
-    restored = restore_rows(in_memory(shuffled(MOVING[:5], {1, 2, 4})))
-    assert restored.sure == 1.0 and plan_groups(restored.sequence).spans == [(0, 5)]
-    assert restored.notes == ["frames 1-4: rows were out of order; matched again, 100.0% of them with confidence"]
+    sequence = restored.sequence
+    np.testing.assert_array_equal([sequence.read(t).means for t in range(len(sequence))], [g.means for g in frames])
+    assert (restored.matched, sorted(sequence.orders), restored.unmatched) == (matched, orders, ())
+    if matched == (1, 2, 3, 4):
+        assert restored.sure == 1.0 and plan_groups(sequence).spans == [(0, 5)]
+        assert restored.notes == ["frames 1-4: rows were out of order; matched again, 100.0% of them with confidence"]
 
 
 @pytest.mark.parametrize(
-    ("frames", "changes", "mode"),
+    ("sequence", "mode", "breaks"),
     [
-        (MOVING[:4], {}, "auto"),
-        (MOVING[:4], {}, "match"),
-        (MOVING[:1], {}, "auto"),
-        (MOVING[:2], {}, "auto"),
-        (moving_frames(90, 2) + moving_frames(120, 2), {}, "auto"),
-        (MOVING[:2] + moving_frames(300, 2, seed=1), {"keyframes": (0, 2)}, "auto"),
+        (in_memory(MOVING[:4]), "auto", ()),
+        (in_memory(MOVING[:4]), "match", ()),
+        (in_memory(MOVING[:1]), "auto", ()),
+        (in_memory(MOVING[:2]), "auto", ()),
+        (in_memory(moving_frames(90, 2) + moving_frames(120, 2)), "auto", (2,)),
+        (in_memory(MOVING[:2] + moving_frames(300, 2, seed=1), keyframes=(0, 2)), "auto", ()),
+        (open_sequence(FOX), "auto", ()),
     ],
-    ids=["tracked", "matched", "one frame", "two frames", "grown", "another scene at a keyframe"],
+    ids=["tracked", "matched", "one frame", "two frames", "grown", "another scene at a keyframe", "embedded"],
 )
-def test_where_nothing_is_lost_all_stays_as_it_is(frames, changes, mode):
-    restored = restore_rows(in_memory(frames, **changes), mode)
-    assert not restored.sequence.orders and restored.notes == []
-    assert restored.sequence.breaks == ((2,) if len(frames[0]) < len(frames[-1]) else ())
-
-
-def test_the_rows_of_the_embedded_scene_stay_as_they_are():
-    assert restore_rows(open_sequence(FOX)).notes == []
+def test_where_nothing_is_lost_all_stays_as_it_is(sequence, mode, breaks):
+    found = restore_rows(sequence, mode)
+    assert (found.notes, found.sequence.breaks, bool(found.sequence.orders)) == ([], breaks, False)
 
 
 def test_frames_that_nothing_joins_start_groups():
@@ -131,12 +121,11 @@ def test_a_run_ends_where_most_of_its_gaussians_are_gone():
     rows = random_gaussians(1000)
     frames = [rows.take(slice(100 * t, 100 * t + 300 + t % 2)) for t in range(7)]
     restored = restore_rows(in_memory(frames))
-    counts = [restored.sequence.count(t) for t in range(7)]
-    assert restored.sequence.breaks and max(counts) <= 602 and restored.alone == ()
+    assert restored.sequence.breaks and restored.alone == ()
     for t, g in enumerate(frames):
         shown = restored.sequence.read(t)
-        seen = shown.take(shown.opacities() > 1e-8)
-        assert sorted(seen.means[:, 0]) == sorted(g.means[:, 0])
+        assert len(shown) == restored.sequence.count(t) <= 602
+        assert sorted(shown.means[shown.opacities() > 1e-8, 0]) == sorted(g.means[:, 0])
 
 
 def test_a_broken_row_does_not_stand_in_for_those_that_are_missing(tmp_path):
@@ -147,15 +136,11 @@ def test_a_broken_row_does_not_stand_in_for_those_that_are_missing(tmp_path):
     assert len(loaded.frames[0]) == restored.sequence.count(0) and len(loaded.notes) == 1
 
 
-def test_only_the_frames_that_are_asked_for_are_looked_at_and_none_where_rows_are_to_be_kept():
-    sequence = in_memory(shuffled(MOVING, {1, 4}))
+def test_only_the_frames_asked_for_are_looked_at_and_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
+    monkeypatch.setattr("airgs_codec.scene.sequence.load_usage", lambda *_: "known")
+    sequence = open_sequence(write_sequence(tmp_path, shuffled(MOVING, {1, 4})))
     assert restore_rows(sequence, frames=range(3, 6)).matched == (4, 5)
     assert restore_rows(sequence, "keep").sequence is sequence
-
-
-def test_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.scene.sequence.load_usage", lambda *_: "known")
-    sequence = open_sequence(write_sequence(tmp_path, shuffled(moving_frames(300, 4), {1})))
     (tmp_path / "usage.npz").touch()
     assert sequence.usage(0, 2) == "known"
     assert restore_rows(sequence).sequence.usage(0, 2) is None
@@ -172,56 +157,54 @@ def test_a_row_that_was_away_is_not_expected_to_go_on():
     assert found.orders[4][-2:].tolist() == [61, 60]
 
 
-OTHERS = [predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])]
-
-
 @pytest.mark.parametrize(
-    ("frames", "words"),
+    ("frames", "words", "shared"),
     [
-        (MOVING[:4], ""),
-        (shuffled(MOVING[:4], {1}), "rows: out of order"),
-        (thinned(MOVING[:4], 0.03)[0], "rows: out of order"),
-        (thinned(MOVING[:4], 0.3)[0], "rows: of those of the first 3 frames, each lacks "),
-        (OTHERS, "rows: of those of the first 3 frames, each lacks "),
-        ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
-        ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them"),
+        (MOVING[:4], "", True),
+        (shuffled(MOVING[:4], {1}), "rows: out of order", True),
+        (thinned(MOVING[:4], 0.03)[0], "rows: out of order", True),
+        (thinned(MOVING[:4], 0.3)[0], "rows: of those of the first 3 frames, each lacks ", False),
+        ([predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])], "rows: of those of the", False),
+        ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
+        ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
     ],
 )
-def test_the_first_frames_tell_what_rows_will_cost(frames, words):
+def test_the_first_frames_tell_what_rows_will_cost(frames, words, shared):
     found = faces.outlook(in_memory(frames))
-    assert found.words.startswith(words) and bool(found.words) == bool(words)
-    assert found.shared == (words in ("", "rows: out of order"))
+    assert found.words.startswith(words) and (bool(found.words), found.shared) == (bool(words), shared)
 
 
-COUNTS = moving_frames(9, 2) + moving_frames(12, 2)
+NINE = moving_frames(9, 33)
+GROWN = in_memory(NINE[:8] + moving_frames(12, 2))
 
 
 @pytest.mark.parametrize(
-    ("frames", "changes", "most", "spans", "note"),
+    ("sequence", "most", "spans", "note"),
     [
-        (moving_frames(9, 33) + moving_frames(12, 4), {}, (), [(0, 16), (16, 33), (33, 37)], ""),  # cut evenly
-        (COUNTS, {"keyframes": (0,)}, (), [(0, 2), (2, 4)], "frame 2"),  # the count changes inside of a group
-        (moving_frames(9, 7), {"breaks": (2,)}, (3,), [(0, 2), (2, 4), (4, 7)], ""),  # rows are those of other things
-        (moving_frames(9, 7), {"breaks": (2,), "keyframes": (0, 4)}, (), [(0, 2), (2, 4), (4, 7)], ""),
-        (moving_frames(9, 8) + moving_frames(12, 2), {}, (3,), [(0, 2), (2, 5), (5, 8), (8, 10)], ""),
+        (in_memory(NINE + moving_frames(12, 4)), (), [(0, 16), (16, 33), (33, 37)], ""),  # cut evenly
+        (in_memory(NINE[:2] + moving_frames(12, 2), keyframes=(0,)), (), [(0, 2), (2, 4)], "frame 2"),  # in a group
+        (in_memory(NINE[:7], breaks=(2,)), (3,), [(0, 2), (2, 4), (4, 7)], ""),  # rows are those of other things
+        (in_memory(NINE[:7], breaks=(2,), keyframes=(0, 4)), (), [(0, 2), (2, 4), (4, 7)], ""),
+        (GROWN, (3,), [(0, 2), (2, 5), (5, 8), (8, 10)], ""),
+        (open_sequence(FOX), (), [(0, 5), (5, 10)], ""),  # its keyframes
     ],
 )
-def test_groups_start_at_keyframes_and_where_rows_change_and_long_runs_are_cut(frames, changes, most, spans, note):
-    grouping = plan_groups(in_memory(frames, **changes), *most)
+def test_groups_start_at_keyframes_and_where_rows_change_and_long_runs_are_cut(sequence, most, spans, note):
+    grouping = plan_groups(sequence, *most)
     assert grouping.spans == spans and [note in line for line in grouping.notes] == [True] * bool(note)
 
 
-def test_keyframes_of_the_embedded_scene_start_its_groups():
-    assert plan_groups(open_sequence(FOX)).spans == [(0, 5), (5, 10)]
-
-
-def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them():
-    sequence = in_memory(moving_frames(9, 8) + moving_frames(12, 2))
-    assert closed_groups(sequence, 0, 3, done=False) == [(0, 3), (3, 6), (6, 9)]  # whether rows match is seen later
-    assert closed_groups(sequence, 6, 3, done=True) == [(6, 9), (9, 10)]
-    named = in_memory(moving_frames(9, 8), keyframes=(0, 5))
-    assert closed_groups(named, 0, 3, done=False) == [(0, 5)]
-    assert closed_groups(named, 5, 3, done=True) == [(5, 8)]
+@pytest.mark.parametrize(
+    ("sequence", "start", "done", "spans"),
+    [
+        (GROWN, 0, False, [(0, 3), (3, 6), (6, 9)]),  # whether rows match is seen later
+        (GROWN, 6, True, [(6, 9), (9, 10)]),
+        (in_memory(NINE[:8], keyframes=(0, 5)), 0, False, [(0, 5)]),
+        (in_memory(NINE[:8], keyframes=(0, 5)), 5, True, [(5, 8)]),
+    ],
+)
+def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(sequence, start, done, spans):
+    assert closed_groups(sequence, start, 3, done=done) == spans
 
 
 FOX_FRAMES = [faces.read_ply(path) for path in sorted(FOX.glob("*.ply"))]  # five a group
@@ -238,19 +221,26 @@ def going_on(before, last):
     return replace(last, means=2 * last.means - before.means)
 
 
+def alike(g):
+    """The same places, and the looks of the first row everywhere."""
+    return Gaussians(g.means, *(getattr(g, name)[:1].repeat(len(g), 0) for name in g.__slots__[1:]))
+
+
 def test_rows_that_all_look_alike_are_found_where_they_were_going():
     """They move by many times what is between them, so that where they were is no help."""
-    g = random_gaussians(300)
-    looks = [getattr(g, name)[:1].repeat(300, 0) for name in g.__slots__[1:]]
+    before = alike(random_gaussians(300))
     speed = np.random.default_rng(1).normal(size=(300, 3)).astype(np.float32)
-    before, last, now = (Gaussians(g.means + t * speed, *looks) for t in range(3))
+    last, now = (replace(before, means=before.means + t * speed) for t in (1, 2))
     other, where = in_disorder(now)
     np.testing.assert_array_equal(match_rows(going_on(before, last), other).order, where)
     assert (match_rows(last, other).order == where).mean() < 0.5
 
 
 @pytest.mark.parametrize("start", [0, 5])
-def test_rows_of_a_trained_sequence_are_found_frame_after_frame(start):
+def test_rows_of_a_trained_sequence_are_found_frame_after_frame_and_left_alone_where_they_are_tracked(start):
+    """Tracked ones up to four frames apart: as fast as an animal that runs."""
+    for a, b in combinations(FOX_FRAMES[start : start + 5], 2):
+        assert compare_order(a, b)[0] == matching.IN_ORDER
     last, before = FOX_FRAMES[start], None
     for number in range(start + 1, start + 5):
         other, where = in_disorder(FOX_FRAMES[number], number)
@@ -260,15 +250,7 @@ def test_rows_of_a_trained_sequence_are_found_frame_after_frame(start):
         before, last = last, other.take(matched.order)
 
 
-def test_tracked_rows_are_left_alone():
-    """Up to four frames apart: as fast as an animal that runs."""
-    for a, b in combinations(range(10), 2):
-        if a // 5 == b // 5:
-            assert compare_order(FOX_FRAMES[a], FOX_FRAMES[b])[0] == matching.IN_ORDER
-
-
-G = random_gaussians(400)
-ALIKE = Gaussians(G.means, *(getattr(G, name)[:1].repeat(400, 0) for name in G.__slots__[1:]))
+G, ALIKE = random_gaussians(400), alike(random_gaussians(400))
 ELSEWHERE = (G.means + np.random.default_rng(0).normal(size=(400, 3))).astype(np.float32)
 
 
@@ -300,20 +282,16 @@ def test_a_neighbour_in_place_of_every_row_is_lost_order():
 
 def test_broken_and_equal_rows_are_each_given_one_row_and_are_told_apart(monkeypatch):
     """Dead rows at one place would make a tree a list; NaN has no place in one."""
-    count = 20_000
+    count, searched = 20_000, []
     g = random_gaussians(count)
     columns = [getattr(g, name).copy() for name in g.__slots__]
     for column in columns:
         column[: count // 2] = column[0]
-    columns[0][-3:] = np.nan
-    columns[3][-5:] = -np.inf
-    columns[2][-7] = 1e38
+    columns[0][-3:], columns[3][-5:], columns[2][-7] = np.nan, -np.inf, 1e38
     dead = Gaussians(*columns)
-    searched = []
     monkeypatch.setattr(matching, "cKDTree", lambda points: searched.append(points) or cKDTree(points))
     matched = match_rows(dead, in_disorder(dead)[0])
-    assert searched
-    assert all(np.isfinite(points).all() for points in searched)
+    assert searched and all(np.isfinite(points).all() for points in searched)
     assert all(len(np.unique(points, axis=0)) == len(points) for points in searched if points.shape[1] > 3)
     np.testing.assert_array_equal(np.sort(matched.order), np.arange(count))
 

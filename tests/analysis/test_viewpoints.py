@@ -13,6 +13,8 @@ from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
 from tests.support.views import joined, ring
 
+UP, FOCUS = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 4.0])
+
 
 def _gaussians(means, quaternions, log_scales, logits, dc):
     columns = (means, quaternions, log_scales, logits, dc, np.zeros((len(means), 0, 3)))
@@ -29,10 +31,14 @@ def discs(means, normals, size, thickness=0.05):
     return _gaussians(means, quaternions, np.tile(scales, (count, 1)), np.full(count, 4.0), colours)
 
 
-def ball(count=3000, radius=0.5):
-    directions = np.random.default_rng(1).normal(size=(count, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    return discs(radius * directions, directions, 2 * radius / np.sqrt(count))
+def directions(count, seed):
+    found = np.random.default_rng(seed).normal(size=(count, 3))
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+def ball(count=3000):
+    around = directions(count, 1)
+    return discs(0.5 * around, around, 1 / np.sqrt(count))
 
 
 def floor(height, count=2000):
@@ -41,9 +47,9 @@ def floor(height, count=2000):
     return discs(np.stack([x, np.full(count, height), z], axis=1), np.tile([0.0, 1.0, 0.0], (count, 1)), 0.05)
 
 
-def needles(count=3000, seed=0, length=0.5):
+def needles(count, length=0.5):
     """What is left of a scene in which nothing was understood: long needles in every direction."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     scales = np.log(length * np.array([1, 0.06, 0.06])) + rng.normal(size=(count, 3)) * 0.2
     means, quaternions, colours = rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
     return _gaussians(means, quaternions, scales, rng.normal(size=count) + 1, colours)
@@ -55,11 +61,9 @@ def filmed_room():
     x, y = rng.uniform(-4, 4, (2, 6000))
     depth = 4 + 0.3 * np.sin(x) + 0.2 * np.cos(2 * y)
     wall = discs(np.stack([x, y, depth], axis=1), np.tile([0.0, 0.0, -1.0], (6000, 1)), 0.07)
-    shell = needles(3000, length=1.5)
-    around = rng.uniform(-5, 5, (3000, 3))
-    side = rng.integers(0, 3, 3000)
+    around, side = rng.uniform(-5, 5, (3000, 3)), rng.integers(0, 3, 3000)
     around[np.arange(3000), side] = rng.choice([-1, 1], 3000) * rng.uniform(4.5, 5.5, 3000)
-    return joined(wall, replace(shell, means=around.astype(np.float32)))
+    return joined(wall, replace(needles(3000, 1.5), means=around.astype(np.float32)))
 
 
 def places_of(found):
@@ -71,13 +75,12 @@ def directions_of(found):
 
 
 def test_an_object_is_seen_from_all_around_and_neither_from_straight_above_nor_from_below():
-    found = find_viewpoints([ball()], np.array([0.0, 1.0, 0.0]))
+    found = find_viewpoints([ball()], UP)
     assert found.confident and "-30° to 60° above the horizon" in found.story
     sides = -directions_of(found)
     low, high = np.sin(np.radians([-30, 60]))
     assert low <= sides[:, 1].min() < 0 and 0.5 < sides[:, 1].max() <= high
-    anywhere = np.random.default_rng(0).normal(size=(200, 3))
-    anywhere /= np.linalg.norm(anywhere, axis=1, keepdims=True)
+    anywhere = directions(200, 0)
     there = anywhere[(anywhere[:, 1] > low) & (anywhere[:, 1] < high)]
     assert (there @ sides.T).max(axis=1).min() > np.cos(np.radians(40))
 
@@ -99,17 +102,10 @@ def test_an_object_stands_as_it_is_told(up, above):
     assert (places_of(found)[:, 1] > (-0.7 if above else -0.55)).all() == above == ("over its floor" in found.story)
 
 
-def test_the_fox_is_seen_as_it_was_trained():
+def test_the_fox_is_seen_as_it_was_trained_and_a_place_from_where_it_was_filmed():
     found = find_viewpoints([faces.read_ply(path) for path in sorted(FOX.glob("*.ply"))[:2]])
     assert found.confident and (places_of(found)[:, 1] > 0).all()
-
-
-@pytest.fixture(scope="module")
-def room():
-    return find_viewpoints([filmed_room()])
-
-
-def test_a_place_is_seen_from_where_it_was_filmed(room):
+    room = find_viewpoints([filmed_room()])
     first = slice(8)  # of the best ones, from which viewers begin; the others are from all over it
     assert room.confident and len(room.cameras) > 16
     assert (places_of(room)[first, 2] < 4).all() and (directions_of(room)[first, 2] > 0.5).all()
@@ -117,18 +113,14 @@ def test_a_place_is_seen_from_where_it_was_filmed(room):
     assert np.ptp(places_of(room), axis=0).min() > 1.5 * np.ptp(places_of(room)[first], axis=0).min()
 
 
-def test_where_nothing_is_clear_it_says_so_and_looks_from_everywhere():
+def test_where_nothing_is_clear_it_says_so_and_an_object_in_a_haze_is_not_taken_for_a_place():
     found, again = (find_viewpoints([needles(800)]) for _ in range(2))
     assert not found.confident and "unclear" in found.story
     np.testing.assert_array_equal(places_of(again), places_of(found))
-
-
-def test_an_object_in_a_haze_is_not_taken_for_a_place():
-    haze = needles(100, length=0.6)
+    haze = needles(100, 0.6)
     thin = replace(haze, means=(0.7 * haze.means).astype(np.float32), opacity_logits=np.full(100, -2, np.float32))
     found = find_viewpoints([joined(ball(), thin)])
-    assert not found.confident and "haze" in found.story
-    assert found.cameras[0].name == "front"
+    assert not found.confident and "haze" in found.story and found.cameras[0].name == "front"
 
 
 def test_broken_rows_huge_numbers_and_scenes_that_cannot_be_seen_have_views():
@@ -143,13 +135,9 @@ def test_broken_rows_huge_numbers_and_scenes_that_cannot_be_seen_have_views():
         find_viewpoints([replace(unseen, means=np.full((10, 3), np.nan, np.float32))])
 
 
-UP = np.array([0.0, 1.0, 0.0])
-
-
 def tube(centre, half, count):
     """The surface of an ellipsoid with half axes (3,)."""
-    normals = np.random.default_rng(count).normal(size=(count, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = directions(count, count)
     return discs(np.array(centre) + np.array(half) * normals, normals, 0.05)
 
 
@@ -163,13 +151,9 @@ def animal():
 
 
 def turned(g, turn):
-    quaternion = np.roll(turn.as_quat(), 1)
-    turns = np.tile(quaternion, (len(g), 1))
-    return replace(
-        g,
-        means=(g.means @ turn.as_matrix().T).astype(np.float32),
-        quaternions=faces.multiply(turns, g.quaternions.astype(np.float64)).astype(np.float32),
-    )
+    turns = np.tile(np.roll(turn.as_quat(), 1), (len(g), 1))
+    quaternions = faces.multiply(turns, g.quaternions.astype(np.float64)).astype(np.float32)
+    return replace(g, means=(g.means @ turn.as_matrix().T).astype(np.float32), quaternions=quaternions)
 
 
 @pytest.mark.parametrize("turn", list(Rotation.create_group("O"))[::5], ids=lambda turn: str(turn.as_quat().round(1)))
@@ -191,18 +175,15 @@ def test_what_rests_is_below_what_moves(ordered, lost):
     assert guess_up(Subject.of([still, swayed])) == pytest.approx([1, 0, 0])
 
 
-def test_a_floor_has_everything_on_one_side():
+def test_a_floor_has_everything_on_one_side_and_a_place_that_was_filmed_is_lighter_above():
     up = find_floor(joined(ball(), floor(-0.55)))
-    assert up is not None and up @ [0, 1, 0] > 0.99
+    assert up is not None and up @ UP > 0.99
     assert find_floor(ball()) is None
     assert find_floor(joined(ball(), floor(0.0))) is None, "as much below as above"
-
-
-@pytest.mark.parametrize("up", [[0, 1, 0], [0, -1, 0]])
-def test_a_place_that_was_filmed_is_lighter_above(up):
     room = filmed_room()
-    light = np.where((room.means @ up)[:, None] > 0, 1.0, -1.0).astype(np.float32) * np.ones_like(room.sh_dc)
-    assert guess_up(Subject.of([replace(room, sh_dc=light)]), filmed=True) == pytest.approx(up)
+    for up in (UP, -UP):
+        light = np.where((room.means @ up)[:, None] > 0, 1.0, -1.0).astype(np.float32) * np.ones_like(room.sh_dc)
+        assert guess_up(Subject.of([replace(room, sh_dc=light)]), filmed=True) == pytest.approx(up)
 
 
 def places_in(camera, points):
@@ -245,9 +226,6 @@ def around(degrees, rise=0.0):
     return [FOCUS + 4 * np.array([np.sin(turn), -rise, -np.cos(turn)]) for turn in turns]
 
 
-FOCUS = np.array([0.0, 0.0, 4.0])
-
-
 def reaches(region):
     return [place.reach for place in region.places]
 
@@ -264,15 +242,9 @@ def test_places_stand_at_the_cameras_and_look_at_the_content():
         assert view.fy == pytest.approx(camera.fy)
 
 
-@pytest.mark.parametrize(
-    ("half", "margin"),
-    [
-        (0.1, 0.4),  # a tenth of the distance of 4
-        (1.2, 0.6),  # a quarter of the rig of 2.4
-        (2.4, 1.0),  # a quarter of the distance, though the rig is 4.8
-    ],
-)
+@pytest.mark.parametrize(("half", "margin"), [(0.1, 0.4), (1.2, 0.6), (2.4, 1.0)])
 def test_the_default_margin(half, margin):
+    """A tenth of the distance of 4, a quarter of the rig of 2.4, and of the distance where the rig is 4.8."""
     found = region_around(row(-half, half), wall(4.0, side=6.0))
     assert reaches(found) == pytest.approx([margin] * 2, rel=0.03) and found.turn == 5
     found = region_around(row(-half, half), wall(4.0), margin=0.0)
@@ -296,12 +268,6 @@ def test_a_ring_of_cameras_has_no_middle():
     assert np.allclose(found[0].position, places[0], atol=0.01) and len(found) == 13
 
 
-@pytest.mark.parametrize(("pole", "margin", "reach"), [(True, 1.5, 0.5), (False, 1.5, 1.5), (False, 9.0, 2.0)])
-def test_nobody_walks_into_what_he_sees(pole, margin, reach):
-    scene = joined(wall(4.0), wall(1.0, side=0.15)) if pole else wall(4.0)
-    assert reaches(region_around(row(0.0), scene, margin=margin)) == pytest.approx([reach], rel=0.05)
-
-
 def test_many_cameras_leave_as_many_places_as_are_allowed():
     cameras = ring(150)
     found = region_around(cameras, wall(0.0, side=0.5))
@@ -317,13 +283,16 @@ def test_many_cameras_leave_as_many_places_as_are_allowed():
 def test_a_camera_that_sees_nothing_and_a_scene_far_from_the_origin_give_directions():
     behind = region_around(row(0.0), wall(-4.0))
     assert behind.places[0].focus[2] > 0 and np.isfinite(reaches(behind)).all()
-    far, g = np.array([1e6, 0.0, 0.0]), wall(4.0)
-    moved = replace(g, means=(g.means + far).astype(np.float32))
-    (place,) = region_around([eye(far, (1e6, 0, 1))], moved).places
+    g = wall(4.0)
+    far = replace(g, means=np.add(g.means, [1e6, 0, 0]).astype(np.float32))
+    (place,) = region_around([eye((1e6, 0, 0), (1e6, 0, 1))], far).places
     assert place.position == pytest.approx([1e6, 0, 0], abs=1e-4) and place.focus[2] == pytest.approx(4, abs=0.2)
 
 
-@pytest.mark.parametrize("margin", [-0.1, float("nan"), float("inf")])
-def test_a_margin_that_is_no_length_is_refused(margin):
-    with pytest.raises(faces.ConfigError, match="margin: expected 0 or more world units"):
-        region_around(row(0.0), wall(4.0), margin=margin)
+@pytest.mark.parametrize(("pole", "margin", "reach"), [(True, 1.5, 0.5), (False, 1.5, 1.5), (False, 9.0, 2.0)])
+def test_nobody_walks_into_what_he_sees_and_a_margin_is_a_length(pole, margin, reach):
+    scene = joined(wall(4.0), wall(1.0, side=0.15)) if pole else wall(4.0)
+    assert reaches(region_around(row(0.0), scene, margin=margin)) == pytest.approx([reach], rel=0.05)
+    for wrong in (-0.1, np.nan, np.inf):
+        with pytest.raises(faces.ConfigError, match="margin: expected 0 or more world units"):
+            region_around(row(0.0), scene, margin=wrong)
