@@ -21,14 +21,9 @@ FLOAT = 1e-6  # of logarithms and logits that went through their inverses
 CHUNK = 256
 
 
-def fitted(form, g):
-    return Losses(form.holds, form.name).fit(g, "a")
-
-
 def written(tmp_path, form, g):
     """What was written, its rows in the order of those that are read, and what is read."""
-    path = tmp_path / f"a.{form.key}"
-    g = fitted(form, g)
+    path, g = tmp_path / f"a.{form.key}", Losses(form.holds, form.name).fit(g, "a")
     form.write(path, g)
     assert faces.format_of(path) is form
     back = read_frame(path)
@@ -124,58 +119,51 @@ def test_extremes_are_written_without_a_warning_and_counted(tmp_path, form):
     g = Gaussians(*(getattr(random_gaussians(300, 1), name).copy() for name in Gaussians.__slots__))
     g.opacity_logits[:100], g.opacity_logits[100:200] = np.inf, -np.inf
     g.sh_dc.clip(-1.7, 1.7, out=g.sh_dc)
-    g.sh_dc[:7], g.sh_rest[:5], g.log_scales[:3] = 9, -5, 100
-    g.quaternions[0] = 0
-    losses = Losses(form.holds, form.name)
-    form.write(tmp_path / f"a.{form.key}", losses.fit(g, "frame 0"))
-    back = read_frame(tmp_path / f"a.{form.key}")
+    g.sh_dc[:7], g.sh_rest[:5], g.log_scales[:3], g.quaternions[0] = 9, -5, 100, 0
+    path, losses = tmp_path / f"a.{form.key}", Losses(form.holds, form.name)
+    form.write(path, losses.fit(g, "frame 0"))
+    back = read_frame(path)
     assert len(back) == 300 and all(np.isfinite(getattr(back, name)).all() for name in back.__slots__)
     text = " ".join(losses.lines())
     assert "zero quaternions" in text
     for name, words, rows in (("sh_dc", "colours", 7), ("sh_rest", "SH", 5), ("log_scales", "sizes", 3)):
         if name in {name for name, _, _ in form.holds.ranges}:
             assert f"has {words} from" in text and f"cut off in {rows} of 300" in text
-
-
-def test_one_gaussian_and_one_place(tmp_path, form):
-    for g in (random_gaussians(1), random_gaussians(300).take(np.zeros(300, np.intp))):
-        form.write(tmp_path / f"a.{form.key}", fitted(form, g))
-        back = read_frame(tmp_path / f"a.{form.key}")
-        np.testing.assert_allclose(back.means, g.means, atol=2e-4)
+    for g in (random_gaussians(1), random_gaussians(300).take(np.zeros(300, np.intp))):  # one Gaussian, one place
+        form.write(path, Losses(form.holds, form.name).fit(g, "a"))
+        np.testing.assert_allclose(read_frame(path).means, g.means, atol=2e-4)
 
 
 def test_far_positions_take_longer_steps_and_the_farthest_are_refused(tmp_path):
     g = random_gaussians(50, 0)
-    far = replace(g, means=g.means * np.float32(1e5))
-    SPZ.write(tmp_path / "a.spz", fitted(SPZ, far))
+    far, back = written(tmp_path, SPZ, replace(g, means=g.means * np.float32(1e5)))
     step = 2.0 ** -np.floor(np.log2((2**23 - 1) / np.abs(far.means).max()))
     assert 2**-12 < step < 1
-    np.testing.assert_allclose(read_frame(tmp_path / "a.spz").means, far.means, atol=step / 2)
+    np.testing.assert_allclose(back.means, far.means, atol=step / 2)
     with pytest.raises(SceneError, match="positions within"):
-        SPZ.write(tmp_path / "b.spz", fitted(SPZ, replace(g, means=g.means * np.float32(1e9))))
+        written(tmp_path, SPZ, replace(g, means=g.means * np.float32(1e9)))
 
 
 def test_gsply_reads_the_same_of_spz_as_gaussforge(tmp_path, fox):
     _, back = written(tmp_path, SPZ, fox)
     data = gsply.read_spz(tmp_path / "a.spz")
-    for values, expected in ((data.means, back.means), (data.scales, back.log_scales), (data.sh0, back.sh_dc)):
-        np.testing.assert_allclose(values, expected, atol=1e-5)
-    np.testing.assert_allclose(data.shN, back.sh_rest, atol=1e-5)
+    for theirs, ours in (("means", "means"), ("scales", "log_scales"), ("sh0", "sh_dc"), ("shN", "sh_rest")):
+        np.testing.assert_allclose(getattr(data, theirs), getattr(back, ours), atol=1e-5)
     assert np.abs((data.quats * back.quaternions).sum(axis=1)).min() > 1 - 1e-5
 
 
 def test_a_glb_is_one_that_others_read(tmp_path, fox):
-    GLTF.write(tmp_path / "a.glb", fitted(GLTF, fox))
+    written(tmp_path, GLTF, fox)
     document = pygltflib.GLTF2().load(str(tmp_path / "a.glb"))
-    primitive = document.meshes[0].primitives[0]
+    primitive, blob = document.meshes[0].primitives[0], document.binary_blob()
     assert document.extensionsUsed == ["KHR_gaussian_splatting"] and primitive.mode == 0
     accessor = document.accessors[primitive.attributes.POSITION]
-    assert accessor.count == len(fox) and document.buffers[0].byteLength == len(document.binary_blob())
+    assert accessor.count == len(fox) and document.buffers[0].byteLength == len(blob)
     np.testing.assert_allclose(accessor.min, fox.means.min(axis=0), rtol=1e-6)
     np.testing.assert_allclose(accessor.max, fox.means.max(axis=0), rtol=1e-6)
     view = document.bufferViews[accessor.bufferView]
-    data = document.binary_blob()[view.byteOffset : view.byteOffset + view.byteLength]
-    np.testing.assert_array_equal(np.frombuffer(data, "<f4").reshape(-1, 3), fox.means)
+    data = np.frombuffer(blob[view.byteOffset : view.byteOffset + view.byteLength], "<f4")
+    np.testing.assert_array_equal(data.reshape(-1, 3), fox.means)
 
 
 def test_a_missing_library_is_said(tmp_path, monkeypatch):
