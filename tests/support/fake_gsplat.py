@@ -44,25 +44,20 @@ def _meta(projected: list[cpu.Projected], opacities: torch.Tensor, size: tuple[i
     peak, shear, fall = (flat[..., i] for i in (2, 3, 4))
     conics = np.stack([peak, peak * shear, fall + peak * shear**2], axis=-1)
     across, down = projected[0].tiles.shape
-    offsets, ids, done = [], [], 0
+    offsets, ids, done, radii = [], [], 0, np.zeros((*flat.shape[:2], 2), np.int32)
     for c, p in enumerate(projected):
         offsets.append(done + p.tiles.start[:-1].reshape(down, across))
         ids.append(p.tiles.ids.astype(np.int64) + c * flat.shape[1])
         done += len(p.tiles.ids)
-    radii = np.zeros((*flat.shape[:2], 2), np.int32)
-    for c, p in enumerate(projected):
         radii[c, p.order] = 1
+    arrays = {
+        "means2d": flat[..., :2].copy(), "conics": conics, "radii": radii,
+        "isect_offsets": np.stack(offsets).astype(np.int32), "flatten_ids": np.concatenate(ids).astype(np.int32),
+    }  # fmt: skip
     return {
-        "means2d": torch.from_numpy(flat[..., :2].copy()),
-        "conics": torch.from_numpy(conics),
-        "opacities": torch.broadcast_to(opacities, flat.shape[:2]),
-        "radii": torch.from_numpy(radii),
-        "isect_offsets": torch.from_numpy(np.stack(offsets).astype(np.int32)),
-        "flatten_ids": torch.from_numpy(np.concatenate(ids).astype(np.int32)),
-        "tile_size": TILE,
-        "width": size[0],
-        "height": size[1],
-    }
+        **{name: torch.from_numpy(array) for name, array in arrays.items()}, "tile_size": TILE,
+        "opacities": torch.broadcast_to(opacities, flat.shape[:2]), "width": size[0], "height": size[1],
+    }  # fmt: skip
 
 
 def rasterize_to_indices_in_range(

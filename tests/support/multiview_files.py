@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 
 from tests.faces import OPENGL_TO_OPENCV, Camera, Gaussians, render, to_bytes, write_png
@@ -50,22 +49,15 @@ def plain(value: int, size: tuple[int, int] = (32, 24)) -> np.ndarray:
     return np.full((size[1], size[0], 3), value, np.uint8)
 
 
-def write_rgba(path: Path, picture: np.ndarray) -> None:
-    cv2.imwrite(str(path), cv2.cvtColor(picture, cv2.COLOR_RGBA2BGRA))
-
-
-def write_video(
-    path: Path, pictures: list[np.ndarray], rate: int = 25, times: Iterable[float] = range(1 << 20)
-) -> None:
-    """`times`: of the pictures, in frames."""
+def write_video(path: Path, pictures: list[np.ndarray], times: Iterable[float] = range(1 << 20)) -> None:
+    """25 pictures a second; `times`: of the pictures, in frames."""
     with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
-        stream = container.add_stream("libx264", rate=rate, options={"qp": "1", "bf": "2"})
+        stream = container.add_stream("libx264", rate=25, options={"qp": "1", "bf": "2"})
         stream.height, stream.width = pictures[0].shape[:2]
-        stream.pix_fmt = "yuv420p"
-        stream.codec_context.time_base = Fraction(1, 100 * rate)
+        stream.pix_fmt, stream.codec_context.time_base = "yuv420p", Fraction(1, 2500)
         for picture, time in zip(pictures, times, strict=False):
             frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
-            frame.pts, frame.time_base = round(100 * time), Fraction(1, 100 * rate)
+            frame.pts, frame.time_base = round(100 * time), Fraction(1, 2500)
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
 
@@ -81,25 +73,22 @@ def write_filmed(folder: Path, camera: Camera, films: dict[str, tuple[list[np.nd
 
 
 def same_camera(a: Camera, b: Camera) -> bool:
-    close = np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-5)
-    numbers = [(getattr(c, n)) for c in (a, b) for n in ("fx", "fy", "cx", "cy")]
-    return close and np.allclose(numbers[:4], numbers[4:], atol=1e-4)
+    one, other = ([c.fx, c.fy, c.cx, c.cy] for c in (a, b))
+    return np.allclose(a.world_to_camera, b.world_to_camera, atol=1e-5) and np.allclose(one, other, atol=1e-4)
 
 
 def write_panoptic(folder: Path, cameras: list[Camera]) -> Path:
     """A scene of two frames as CMU Panoptic has it; the left half of each mask is 0."""
-    meta: dict[str, Any] = {"w": 48, "h": 48, "fn": [], "k": [], "w2c": [], "cam_id": []}
-    for t in range(2):
-        meta["fn"].append([f"{i}/{t:06d}.png" for i in range(len(cameras))])
-        meta["k"].append([[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for c in cameras])
-        meta["w2c"].append([c.world_to_camera.tolist() for c in cameras])
-        meta["cam_id"].append(list(range(len(cameras))))
-    for place in ("ims", "seg"):
-        for name in (n for names in meta["fn"] for n in names):
+    names = [[f"{i}/{t:06d}.png" for i in range(len(cameras))] for t in range(2)]
+    moment = {
+        "k": [[[c.fx, 0, c.cx], [0, c.fy, c.cy], [0, 0, 1]] for c in cameras],
+        "w2c": [c.world_to_camera.tolist() for c in cameras], "cam_id": [*range(len(cameras))],
+    }  # fmt: skip
+    picture = plain(200, (48, 48))
+    for place, seen in (("ims", 1), ("seg", np.arange(48)[:, None] >= 24)):
+        for name in names[0] + names[1]:
             (folder / place / name).parent.mkdir(parents=True, exist_ok=True)
-            picture = plain(200, (48, 48))
-            if place == "seg":
-                picture[:, :24] = 0
-            write_png(folder / place / name, picture)
+            write_png(folder / place / name, (picture * seen).astype(np.uint8))
+    meta = {"w": 48, "h": 48, "fn": names, **{key: [row, row] for key, row in moment.items()}}
     (folder / "train_meta.json").write_text(json.dumps(meta))
     return folder

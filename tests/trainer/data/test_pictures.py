@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from airgs_codec.trainer.data.plates import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
 from tests import faces
 from tests.faces import Capture, Pictures, SceneError, Target, TrainSettings, View, open_scene, rested
-from tests.support.multiview_files import write_panoptic, write_rgba, write_views
+from tests.support.multiview_files import write_panoptic, write_views
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
 
@@ -82,7 +83,7 @@ def write_cut_out(folder):
     for c in ring(2):
         picture = np.full((48, 48, 4), 255, np.uint8)
         picture[..., 1:3], picture[:, :24, 3] = 0, 0
-        write_rgba(folder / "images" / c.name / "0000.png", picture)
+        cv2.imwrite(str(folder / "images" / c.name / "0000.png"), picture[..., [2, 1, 0, 3]])
     return open_scene(folder)
 
 
