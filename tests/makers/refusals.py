@@ -30,7 +30,7 @@ from tests.support.paths import INVALID
 from tests.support.refusals import Case, base_files, findings
 
 KEY_SIDECAR, KEY_PICTURE, TABLE, PAGE_TABLE = "key/T0/1.bin", "key/T0/Q0/1.m4s", "group/1.json.gz", "index/1/1.json"
-KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz"
+KEPT_SIDECAR, KEPT_TABLE, LAST_TABLE, STATES = "key/T0/2.bin", "group/2.json.gz", "group/3.json.gz", "state/L0/1.m4s"
 NONE = {"bytes": 0, "sha256": ""}
 LEVEL = ("segments", 0, "levels", 0)
 MIRROR = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0]
@@ -39,8 +39,7 @@ NO_SPANS = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
 
 def without_moving_rows(files: Files) -> Files:
     """Say in a sidecar that its rows are static, while the tables count them."""
-    root = parse_root(files[JSON_NAME])
-    group, coarsest = parse_table(files[TABLE]), root.qualities[-1].coarser
+    group, coarsest = parse_table(files[TABLE]), parse_root(files[JSON_NAME]).qualities[-1].coarser
     grid = Grid(**group["grid"])
     sidecar = unpack_key_sidecar(files[KEY_SIDECAR], group["tiers"][0]["count"], grid, coarsest, KEY_SIDECAR)
     still = replace(sidecar, depths=np.full_like(sidecar.depths, 255))
@@ -53,8 +52,8 @@ def kept_sidecar(files: Files) -> Files:
     return files | {KEPT_SIDECAR: encode_columns([(np.full(count, 256), 1)])}
 
 
-def flip(data: bytes) -> bytes:
-    return data[:-1] + bytes([data[-1] ^ 1])
+def flip(data: bytes, at: int = -1) -> bytes:
+    return data[:at] + bytes([data[at] ^ 1]) + data[at:][1:]
 
 
 def in_table(*steps: mutations.Mutation) -> tuple[mutations.Mutation, ...]:
@@ -67,14 +66,10 @@ def fragment_of(data: bytes) -> bytes:
     return b"".join(whole for kind, whole in read_boxes(data) if kind != b"uuid")
 
 
-def with_columns(data: bytes, columns: bytes) -> bytes:
-    return with_own_box(fragment_of(data), read_segment(data).checksums, columns)
-
-
-def with_other_luma(data: bytes) -> bytes:
-    """A media segment whose first checksum is that of another picture."""
-    segment = read_segment(data)
-    return with_own_box(fragment_of(data), [segment.checksums[0] ^ 1, *segment.checksums[1:]], segment.columns or b"")
+def with_columns(data: bytes, columns: bytes | None, change: int = 0) -> bytes:
+    """A media segment with other columns, and with a change of its first checksum."""
+    first, *others = read_segment(data).checksums
+    return with_own_box(fragment_of(data), [first ^ change, *others], columns or b"")
 
 
 def repaged(files: Files) -> Files:
@@ -139,15 +134,9 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "bad_value-group": in_table(set_value(("start",), 1, TABLE)),
     "wrong_type-line": in_table(set_value((*LEVEL, "line"), 1, TABLE)),
     "bad_value-line-none": in_table(
-        set_value((*LEVEL, "file"), NONE, TABLE),
-        set_value((*LEVEL, "frame_bytes"), [], TABLE),
-        remove_file("state/L0/1.m4s"),
+        set_value((*LEVEL, "file"), NONE, TABLE), set_value((*LEVEL, "frame_bytes"), [], TABLE), remove_file(STATES)
     ),
-    "bad_picture-line": (
-        drop_value((*LEVEL, "line"), TABLE),
-        rewrite("state/L0/1.m4s", lambda b: with_columns(b, b"")),
-        honest,
-    ),
+    "bad_picture-line": (drop_value((*LEVEL, "line"), TABLE), rewrite(STATES, lambda b: with_columns(b, b"")), honest),
     "bad_sidecar-line": in_table(drop_value((*LEVEL, "line"), TABLE)),
     "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 1, "line"), True, TABLE)),
     "bad_value-tiers": (set_value(("tiers",), 3),),
@@ -177,7 +166,7 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "size_mismatch-group": (rewrite(TABLE, lambda b: b + b"\0"),),
     "hash_mismatch": (rewrite(KEY_SIDECAR, flip),),
     "hash_mismatch-group": (rewrite(TABLE, flip),),
-    "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: b[:-3] + bytes([b[-3] ^ 1]) + b[-2:]),),
+    "hash_mismatch-page": (rewrite(PAGE_TABLE, lambda b: flip(b, -3)),),
     "bad_sound": (rewrite("sound/1.m4a", lambda b: b[: len(b) // 2]), honest),
     "bad_sound-packets": (rewrite("sound/1.m4a", lambda _: sound_segment([bytes([255] * 4)], 0)), honest),
     "bad_value-sound": in_table(drop_value(("sound",), TABLE)),
@@ -188,7 +177,7 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     "count_mismatch": (without_moving_rows, honest),
     "bad_picture": (rewrite(KEY_PICTURE, lambda b: b[:-40] + bytes(20)), honest),
     "bad_picture-uuid": (rewrite(KEY_PICTURE, lambda b: box(b"uuid", bytes(20)) + fragment_of(b)), honest),
-    "bad_picture-checksum": (rewrite(KEY_PICTURE, with_other_luma), honest),
+    "bad_picture-checksum": (rewrite(KEY_PICTURE, lambda b: with_columns(b, read_segment(b).columns, 1)), honest),
     "bad_picture-no-checksum": (rewrite(KEY_PICTURE, fragment_of), honest),
     "bad_value-picture-width": in_table(set_value(("tiers", 0, "qualities", 0, "width"), 4096, TABLE)),
     "bad_picture-size": in_table(set_value(("tiers", 0, "qualities", 0, "height"), 4096, TABLE)),

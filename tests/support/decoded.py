@@ -19,7 +19,7 @@ from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, plane_starts, row_places
 from airgs_codec.decoder.decode import _read_key
 from airgs_codec.render import cpu
-from tests.faces import Atlas, Camera, Gaussians, Package, decode_canonical, decode_frames, decode_pictures
+from tests.faces import Atlas, Camera, Package, decode_canonical, decode_frames, decode_pictures
 
 ALIGNMENT = 8  # bytes
 BLOCK = 16  # samples either side
@@ -46,25 +46,25 @@ class Rung:
     tiers: int | None = None
 
 
-def write_decoded(
-    package: Package, where: Path, rungs: Sequence[Rung], cameras: Sequence[Camera], pages: int = 1
-) -> None:
+def write_decoded(package: Package, where: Path, rungs: list[Rung], cameras: Sequence[Camera], pages: int = 1) -> None:
     """Write what `package` decodes to, with what every camera sees of each frame on black.
 
     `pages`: cut every atlas into as many as that, or as near as whole blocks come to it.
     """
-    blob, m = Blob(), package.manifest
-    folder = Path(package.files.name)
-    groups = [
-        json.loads(gzip.decompress((folder / f"group/{g + 1}.json.gz").read_bytes())) for g in range(len(m.groups))
-    ]
+    blob, folder = Blob(), Path(package.files.name)
+    tables = [folder / f"group/{number}.json.gz" for number in range(1, len(package.manifest.groups) + 1)]
+    groups = [json.loads(gzip.decompress(table.read_bytes())) for table in tables]
     for group in groups:
         for atlas in [a for row in (group["levels"], *(t["qualities"] for t in group["tiers"])) for a in row]:
             atlas["height"] = _page_height(Atlas(**atlas), pages)
     table = {
         "root": json.loads((folder / "airgs.json").read_bytes()),
         "groups": groups,
-        "cameras": [_camera(camera) for camera in cameras],
+        "cameras": [
+            {name: getattr(c, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "near")}
+            | {"worldToCamera": c.world_to_camera.ravel().tolist()}
+            for c in cameras
+        ],
         "rungs": [_Writer(package, blob, rung, pages).table(cameras) for rung in rungs],
     }
     where.with_suffix(".json").write_text(json.dumps(table))
@@ -87,20 +87,18 @@ class _Writer:
         m = self.package.manifest
         level, quality = self.rung.level, self.rung.quality
         frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
-        shown = [self._shown(frame.gaussians, cameras) for frame in frames]
-        groups = []
-        for g in range(len(m.groups)):
+        shown, groups = [], []
+        for g in (frame.gaussians for frame in frames):
+            pictures = [self.blob.add(picture.rgb) for picture in cpu.render_views(g, cameras)]
+            shown.append({"means": self.blob.add(g.means), "pictures": pictures})
+        for number in range(len(m.groups)):
             segments = []
-            for s in m.segments_of(g):
+            for s in m.segments_of(number):
                 span = range(m.segments[s].start, m.segments[s].stop)
                 states = self._states(s) or [{"luma": None, "changes": None, "time": 0} for _ in span]
                 segments.append([state | shown[n] for n, state in zip(span, states, strict=True)])
-            groups.append({"canonical": self._canonical(g), "segments": segments})
+            groups.append({"canonical": self._canonical(number), "segments": segments})
         return {"quality": self.rung.quality, "level": self.rung.level, "tiers": self.tiers, "groups": groups}
-
-    def _shown(self, gaussians: Gaussians, cameras: Sequence[Camera]) -> Json:
-        pictures = [self.blob.add(picture.rgb) for picture in cpu.render_views(gaussians, cameras)]
-        return {"means": self.blob.add(gaussians.means), "pictures": pictures}
 
     def _canonical(self, group: int) -> Json:
         base = decode_canonical(self.package, group, self.rung.quality, self.tiers)
@@ -174,8 +172,3 @@ def _page_height(atlas: Atlas, pages: int) -> int:
     if pages == 1 or not atlas.planes:
         return atlas.height
     return BLOCK * -(-atlas.size[1] // (BLOCK * pages))
-
-
-def _camera(camera: Camera) -> Json:
-    numbers = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy", "near")}
-    return numbers | {"worldToCamera": camera.world_to_camera.ravel().tolist()}
