@@ -34,34 +34,31 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
 ONE_GROUP = [True, False]
 
 
-@pytest.mark.parametrize(
-    ("programme", "quality", "first_bytes"),
-    [
-        # 6300 B for the first, 3800 (36 dB) or 5300 (38 dB) for the second: both best only if the first leaves some.
-        (horizon(6300, 11600), (40 + 38) / 2, None),
-        (horizon(6300, 8400), (38 + 35) / 2, 2800),
-        # Keys are paid once a group, also those of a quality of which some are decoded; a byte less is not enough.
-        (horizon(6300, 8400, starts=ONE_GROUP), 40, 6300),
-        (horizon(6300, 8399, starts=ONE_GROUP), (40 + 38) / 2, None),
-        (horizon(2100, decoded=keys(2), starts=[False]), 40, 2100),
-        (horizon(3200, decoded=FIRST, starts=[False]), 40, 3200),
-        (horizon(3199, decoded=FIRST, starts=[False]), 38, 2200),
-        # Bytes for 38 dB and then the smallest state: not for 40 and coarser keys in place of those that were fetched.
-        (horizon(6300, 6300, starts=ONE_GROUP), (38 + 34) / 2, None),
-        # In a sequence of one segment, keys are fetched again in the second loop.
-        (horizon(2100, 2100 + 6300, decoded=keys(2), starts=[False, True], at=[0, 0]), 40, 2100),
-        (horizon(2100, 2100 + 6299, decoded=keys(2), starts=[False, True], at=[0, 0]), (40 + 38) / 2, None),
-        # What is shown longer counts for more: bytes for one best rung, and one that is 2 dB worse, go to the three.
-        (horizon(6300, 11600, offers=LONGER), (38 * 1 + 40 * 3) / 4, 5300),
-        # A release keeps the link from working ahead: 3000 B after 9000 are enough for the 2800 of Q1+L1.
-        (horizon(6300, 12000, released=[0, 9000]), (40 + 35) / 2, 6300),
-        # The release of the first slot says when its bytes begin; the wait before each later one is counted apart.
-        (horizon(6300, 12600 + 500, idle=500.0), 40, 6300),
-        (horizon(6300, 12600, idle=500.0), (40 + 38) / 2, None),
-        # A rung of the last level needs one tier, and does not pay for two.
-        (horizon(3100 + 600, offers=CORE), 34, 3700),
-    ],
-)
+@pytest.mark.parametrize(("programme", "quality", "first_bytes"), [
+    # 6300 B for the first, 3800 (36 dB) or 5300 (38 dB) for the second: both best only if the first leaves some.
+    (horizon(6300, 11600), (40 + 38) / 2, None),
+    (horizon(6300, 8400), (38 + 35) / 2, 2800),
+    # Keys are paid once a group, also those of a quality of which some are decoded; a byte less is not enough.
+    (horizon(6300, 8400, starts=ONE_GROUP), 40, 6300),
+    (horizon(6300, 8399, starts=ONE_GROUP), (40 + 38) / 2, None),
+    (horizon(2100, decoded=keys(2), starts=[False]), 40, 2100),
+    (horizon(3200, decoded=FIRST, starts=[False]), 40, 3200),
+    (horizon(3199, decoded=FIRST, starts=[False]), 38, 2200),
+    # Bytes for 38 dB and then the smallest state: not for 40 and coarser keys in place of those that were fetched.
+    (horizon(6300, 6300, starts=ONE_GROUP), (38 + 34) / 2, None),
+    # In a sequence of one segment, keys are fetched again in the second loop.
+    (horizon(2100, 2100 + 6300, decoded=keys(2), starts=[False, True], at=[0, 0]), 40, 2100),
+    (horizon(2100, 2100 + 6299, decoded=keys(2), starts=[False, True], at=[0, 0]), (40 + 38) / 2, None),
+    # What is shown longer counts for more: bytes for one best rung, and one that is 2 dB worse, go to the three.
+    (horizon(6300, 11600, offers=LONGER), (38 * 1 + 40 * 3) / 4, 5300),
+    # A release keeps the link from working ahead: 3000 B after 9000 are enough for the 2800 of Q1+L1.
+    (horizon(6300, 12000, released=[0, 9000]), (40 + 35) / 2, 6300),
+    # The release of the first slot says when its bytes begin; the wait before each later one is counted apart.
+    (horizon(6300, 12600 + 500, idle=500.0), 40, 6300),
+    (horizon(6300, 12600, idle=500.0), (40 + 38) / 2, None),
+    # A rung of the last level needs one tier, and does not pay for two.
+    (horizon(3100 + 600, offers=CORE), 34, 3700),
+])  # fmt: skip
 def test_the_best_of_a_horizon(programme, quality, first_bytes):
     best = solve_horizon(programme, integer=True)
     assert best is not None and best.quality == pytest.approx(quality)

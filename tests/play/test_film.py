@@ -20,11 +20,9 @@ def positions(walk):
     return np.array([camera.position for camera in walk])
 
 
-@pytest.mark.parametrize(
-    ("some", "steps"),
-    [(arc(315, 8, 1.2), 14), (arc(180, 2, 0.0), 2), (row(6, 0.7), 10)],
-    ids=["ring", "opposite", "row"],
-)
+@pytest.mark.parametrize(("some", "steps"), [
+    (arc(315, 8, 1.2), 14), (arc(180, 2, 0.0), 2), (row(6, 0.7), 10),  # a ring, opposite places and a row
+])  # fmt: skip
 def test_a_walk_comes_by_all_places_without_a_jump_and_begins_again(some, steps):
     views = walk_through(some, np.linspace(0, STEP_S * steps, 2001))
     assert np.linalg.norm(np.diff(positions(views), axis=0), axis=1).max() < 0.03

@@ -41,17 +41,14 @@ def test_the_manifest_is_one():
         faces.check_group(KEPT, KEPT.groups.places.entry(1), replace(second, keeps=None), "group")
 
 
-@pytest.mark.parametrize(
-    ("m", "options", "media", "tables"),
-    [
-        # Of 3000 + 1000 B of pictures the second group has the first tier's, with both sidecars: who has the base
-        (KEPT, {}, [6300, 3000 + 200 + 2100], [1000, 100, 100]),
-        (KEPT, {"loops": 2}, [6300, 5300, 6300, 5300], [1000, 100, 100]),  # and in each loop
-        # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
-        (KEPT, {"first": 1}, [3000 + 200 + 4200 + 2100], [1000, 100, 100]),
-        (keeping(keeping(THREE), 3), {"first": 1}, [9500, 5300], [1000, 100, 100, 100]),
-    ],
-)
+@pytest.mark.parametrize(("m", "options", "media", "tables"), [
+    # Of 3000 + 1000 B of pictures the second group has the first tier's, with both sidecars: who has the base
+    (KEPT, {}, [6300, 3000 + 200 + 2100], [1000, 100, 100]),
+    (KEPT, {"loops": 2}, [6300, 5300, 6300, 5300], [1000, 100, 100]),  # and in each loop
+    # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
+    (KEPT, {"first": 1}, [3000 + 200 + 4200 + 2100], [1000, 100, 100]),
+    (keeping(keeping(THREE), 3), {"first": 1}, [9500, 5300], [1000, 100, 100, 100]),
+])  # fmt: skip
 def test_what_differs_is_fetched_and_the_base_where_it_is_not_there(m, options, media, tables):
     log = play(m, link([8e4]), **options)
     assert [f.bytes for f in log.fetches if f.kind == "group"] == media
@@ -94,16 +91,13 @@ def test_a_group_whose_base_cannot_be_had_is_lost_and_the_next_one_is_not(path):
 FOUR = keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4)  # group 3, between those that differ, stands by itself
 
 
-@pytest.mark.parametrize(
-    ("m", "positions", "sizes", "decoded"),
-    [
-        (KEPT, (0, 1), [6300, 5300], ()),
-        (KEPT, (1,), [9500], ()),
-        (KEPT, (1,), [5300], (2,)),
-        (FOUR, (1, 2, 3), [9500, 6300, 5300], ()),
-        (FOUR, (2, 3), [6300, 9500], ()),  # nobody needed the base before
-    ],
-)
+@pytest.mark.parametrize(("m", "positions", "sizes", "decoded"), [
+    (KEPT, (0, 1), [6300, 5300], ()),
+    (KEPT, (1,), [9500], ()),
+    (KEPT, (1,), [5300], (2,)),
+    (FOUR, (1, 2, 3), [9500, 6300, 5300], ()),
+    (FOUR, (2, 3), [6300, 9500], ()),  # nobody needed the base before
+])  # fmt: skip
 def test_the_programme_pays_for_a_base_once_however_far_back_it_was_needed(m, positions, sizes, decoded):
     """All is at its best with as many bytes for each slot after the one before, and not with one byte less."""
     c = Offers(m, 0, 1000)

@@ -29,19 +29,16 @@ def test_undefined_cases_of_the_ladder(case):
     assert [p.index for p in Ladder.build(dense(*map(float, case["qualities"]))).options] == case["kept"]
 
 
-@pytest.mark.parametrize(
-    ("levels", "options", "left"),
-    [
-        *((dense(34, 32, 30, 28, 26), {"min_quality": floor}, [0, 1, 2]) for floor in (29.0, 30.0)),  # 5: a slow slide
-        (dense(34, 32, 30, 28, 26), {"min_quality": 30.5}, [0, 1]),
-        # From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %: a cliff; the same levels 10 % apart have none.
-        (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), {}, [0, 1]),
-        (dense(40.0, 38.0, 36.8), {}, [0, 1, 2]),
-        # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff; of 1 dB it would be one.
-        (dense(40.0, 36.0, 34.0, 31.7, saved=[0.0, 0.4, 0.5, 0.6]), {}, [0, 1, 2, 3]),
-        (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), {}, [0, 1, 3]),  # 9: sizes that do not fall
-    ],
-)
+@pytest.mark.parametrize(("levels", "options", "left"), [
+    *((dense(34, 32, 30, 28, 26), {"min_quality": floor}, [0, 1, 2]) for floor in (29.0, 30.0)),  # 5: a slow slide
+    (dense(34, 32, 30, 28, 26), {"min_quality": 30.5}, [0, 1]),
+    # From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %: a cliff; the same levels 10 % apart have none.
+    (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), {}, [0, 1]),
+    (dense(40.0, 38.0, 36.8), {}, [0, 1, 2]),
+    # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff; of 1 dB it would be one.
+    (dense(40.0, 36.0, 34.0, 31.7, saved=[0.0, 0.4, 0.5, 0.6]), {}, [0, 1, 2, 3]),
+    (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), {}, [0, 1, 3]),  # 9: sizes that do not fall
+])  # fmt: skip
 def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
     assert [p.index for p in Ladder.build(levels, **options).options] == left
 
@@ -55,16 +52,13 @@ NOTHING_FITS = "nothing fits 10 B, taking the smallest"
 NONE_FIT = Decision(1, False, "nothing fits 0 B, taking the smallest", 100)
 
 
-@pytest.mark.parametrize(
-    ("qualities", "sizes", "budget", "expected"),
-    [
-        ((40, 39, 38, 37), [1000, 400, 700, 300], 500, Decision(1, True, "400 B fit 500 B", 400)),  # 9
-        ((40, 39, 38, 20), None, 10, Decision(2, False, NOTHING_FITS, 200)),  # 7: with a cliff
-        ((40, 39, 38), None, 10, Decision(2, False, NOTHING_FITS, 100)),  # 8: without one
-        ((40, 39), [100, 0], -5, Decision(1, True, "0 B fit 0 B", 0)),  # 14: who sends nothing always fits
-        *(((40, 39), None, budget, NONE_FIT) for budget in (math.nan, -1.0, -math.inf, 0.0)),  # 12: that are none
-    ],
-)
+@pytest.mark.parametrize(("qualities", "sizes", "budget", "expected"), [
+    ((40, 39, 38, 37), [1000, 400, 700, 300], 500, Decision(1, True, "400 B fit 500 B", 400)),  # 9
+    ((40, 39, 38, 20), None, 10, Decision(2, False, NOTHING_FITS, 200)),  # 7: with a cliff
+    ((40, 39, 38), None, 10, Decision(2, False, NOTHING_FITS, 100)),  # 8: without one
+    ((40, 39), [100, 0], -5, Decision(1, True, "0 B fit 0 B", 0)),  # 14: who sends nothing always fits
+    *(((40, 39), None, budget, NONE_FIT) for budget in (math.nan, -1.0, -math.inf, 0.0)),  # 12: that are none
+])  # fmt: skip
 def test_the_best_that_fits_or_the_smallest(qualities, sizes, budget, expected):
     assert select(Ladder.build(dense(*qualities, sizes=sizes)), budget) == expected
 
@@ -75,17 +69,14 @@ def test_units_13_and_bandwidths_that_are_none_12():
     assert [frame_budget(bandwidth, 30) for bandwidth in (math.nan, -1.0, 0.0)] == [0.0] * 3
 
 
-@pytest.mark.parametrize(
-    ("function", "arguments", "words"),
-    [
-        # 6
-        *((partial(Ladder.build, beta=beta), [dense(40, 39)], "more than 1") for beta in (1.0, 0.5, 0.0, math.nan)),
-        (Ladder.build, [[]], "at least one level"),  # 10
-        (Ladder.build, [dense(40, math.nan)], "level 1"),  # 11
-        (frame_budget, [1e6, 0.0], "frame rate"),  # 12
-        (select_literal, [[], 10], "at least one level"),  # 10
-    ],
-)
+@pytest.mark.parametrize(("function", "arguments", "words"), [
+    # 6
+    *((partial(Ladder.build, beta=beta), [dense(40, 39)], "more than 1") for beta in (1.0, 0.5, 0.0, math.nan)),
+    (Ladder.build, [[]], "at least one level"),  # 10
+    (Ladder.build, [dense(40, math.nan)], "level 1"),  # 11
+    (frame_budget, [1e6, 0.0], "frame rate"),  # 12
+    (select_literal, [[], 10], "at least one level"),  # 10
+])  # fmt: skip
 def test_what_is_refused(function, arguments, words):
     with pytest.raises(ConfigError, match=words):
         function(*arguments)

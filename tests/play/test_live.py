@@ -41,16 +41,13 @@ def play_growing(growing, weather=None, rules=RULES, http=FAST, server=None):
         return faces.play(downloader.open(), downloader, "fixed:0", rules)
 
 
-@pytest.mark.parametrize(
-    ("counts", "shown"),
-    [
-        ((2, 3, 3, 5, 0), [1, 2, 3, 4]),
-        ((62, 63, 64, 65, 0), [61, 62, 63, 64]),  # the first page comes into being
-        ((62, 65, 0), [61, 62, 63, 64]),
-        ((64, 65, 0), [63, 64]),  # the page alone says where the newest group is
-        ((65, 0), [64]),
-    ],
-)
+@pytest.mark.parametrize(("counts", "shown"), [
+    ((2, 3, 3, 5, 0), [1, 2, 3, 4]),
+    ((62, 63, 64, 65, 0), [61, 62, 63, 64]),  # the first page comes into being
+    ((62, 65, 0), [61, 62, 63, 64]),
+    ((64, 65, 0), [63, 64]),  # the page alone says where the newest group is
+    ((65, 0), [64]),
+])  # fmt: skip
 def test_a_session_begins_with_the_newest_group_and_ends_with_the_package(tmp_path, counts, shown):
     log = play_growing(Growing(tmp_path / "p", *counts))
     assert [s.segment for s in log.shown] == shown and all(s.rung == 0 for s in log.shown)
@@ -182,14 +179,11 @@ def test_a_page_that_is_not_what_the_level_above_says_is_refused():
         tables.accept("index/2/2.json", faces.pack_json(page))
 
 
-@pytest.mark.parametrize(
-    ("before", "count", "fields"),
-    [
-        *(({}, 4161, {}), ({}, 70, {})),  # with fewer groups
-        *(({}, 4163, {"spoilt": 0}), ({}, 4227, {"spoilt": 1}), ({}, 4300, {"spoilt": 2})),  # groups and pages of pages
-        *(({}, 4163, {"attribution": "other"}), ({"live": False}, 4163, {})),
-    ],
-)
+@pytest.mark.parametrize(("before", "count", "fields"), [
+    *(({}, 4161, {}), ({}, 70, {})),  # with fewer groups
+    *(({}, 4163, {"spoilt": 0}), ({}, 4227, {"spoilt": 1}), ({}, 4300, {"spoilt": 2})),  # groups and pages of pages
+    *(({}, 4163, {"attribution": "other"}), ({"live": False}, 4163, {})),
+])  # fmt: skip
 def test_another_package_is_no_growth(before, count, fields):
     with pytest.raises(FormatError, match="expected the package of before with more groups"):
         grown(root(4162, **before), root(count, **fields))

@@ -80,20 +80,17 @@ def test_mpc_weighs_the_last_segment_exactly(rate, buffer_s, shown, offers):
     assert chosen.fits is (8 * s.offer.sizes(NONE)[chosen.index] / rate <= buffer_s)
 
 
-@pytest.mark.parametrize(
-    ("policy", "some", "over", "expected"),
-    [
-        ("fixed:2", state(), None, "Q0+L2"),
-        ("fixed:Q1+L1", state(), None, "Q1+L1"),
-        ("oracle-frame", state(1e3, 5.0), link([8e4]), "Q0+L0"),
-        ("oracle-frame", state(8e9, 5.0), link([2e4]), "Q1+L2"),
-        # It counts from the first byte: of a second 0.4 are latency, and the link must carry the rung in the other 0.6.
-        ("oracle-frame", state(1e3, 5.0, rtt=0.4), link([8 * 3800 / 0.6 * 1.01]), "Q1+L0"),
-        ("oracle-frame", state(1e3, 5.0, rtt=0.4), link([8 * 3800 / 0.6 * 0.99]), "Q1+L1"),
-        # 50 kB before the outage are enough for four segments.
-        ("oracle-lp", state(8e9, 3.0, end=4), link([8e5, 0.0], [0.0, 100.5], 1000), "Q0+L0"),
-    ],
-)
+@pytest.mark.parametrize(("policy", "some", "over", "expected"), [
+    ("fixed:2", state(), None, "Q0+L2"),
+    ("fixed:Q1+L1", state(), None, "Q1+L1"),
+    ("oracle-frame", state(1e3, 5.0), link([8e4]), "Q0+L0"),
+    ("oracle-frame", state(8e9, 5.0), link([2e4]), "Q1+L2"),
+    # It counts from the first byte: of a second 0.4 are latency, and the link must carry the rung in the other 0.6.
+    ("oracle-frame", state(1e3, 5.0, rtt=0.4), link([8 * 3800 / 0.6 * 1.01]), "Q1+L0"),
+    ("oracle-frame", state(1e3, 5.0, rtt=0.4), link([8 * 3800 / 0.6 * 0.99]), "Q1+L1"),
+    # 50 kB before the outage are enough for four segments.
+    ("oracle-lp", state(8e9, 3.0, end=4), link([8e5, 0.0], [0.0, 100.5], 1000), "Q0+L0"),
+])  # fmt: skip
 def test_what_is_chosen(policy, some, over, expected):
     assert rung(policy, some, over) == expected
 
@@ -123,12 +120,10 @@ def test_the_planned_rung_is_taken_or_what_its_bytes_buy():
 
 @settings(max_examples=150)
 @given(
-    rates=st.lists(st.floats(1e2, 1e9), max_size=8),
-    buffer_s=st.floats(-5, 12),
+    rates=st.lists(st.floats(1e2, 1e9), max_size=8), buffer_s=st.floats(-5, 12), position=st.integers(0, 19),
     held=st.sampled_from([NONE, keys(1), keys(2), keys(0, 2), keys(1, 2)]),
     name=st.sampled_from([n for n in NAMES if n != "oracle-lp"]),
-    position=st.integers(0, 19),
-)
+)  # fmt: skip
 def test_any_policy_answers_with_an_option(rates, buffer_s, held, name, position):
     history = tuple(Download(max(1, round(r / 8)), 1.0) for r in rates)
     s = replace(state(1.0, buffer_s, held=held, position=position), history=history)

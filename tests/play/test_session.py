@@ -138,6 +138,12 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     "of no other loop": (
         SEGMENTED, link([8e4]), ("Q1+L2", *COARSE_THEN_FINE), {"loops": 2},
         {"rungs shown": ["Q1+L2"] * 3 + ["Q0+L2"] * 3}),
+    # Six segments in one group; the first comes with the coarse keys, of 1500 B, the second with the fine ones, of 4000.
+    "a better key serves the rest of its group": (
+        segmented(tiny_manifest(groups=(60,)), 6), link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc", {},
+        {"rungs shown": ["Q1+L1", "Q0+L1"] + ["Q0+L0"] * 4, "bytes":
+         {"manifests": 1100, "key": 1500 + 4000, "sidecars": 400, "state": 10_600},
+         "kinds": ["tables", "tables", "group", "state", "group", "state", "state", "state"]}),
     "a group without its key is lost, and the last picture stands for its time": (
         TINY, link([8e6]), "paper-no-cliff", {"faults": missing("key/T0/1.bin")},
         {"rungs shown": [None, "Q0+L0"], "lost_frames": 10, "psnr_mean": 40.0, "waits": [0, 0]}),
@@ -184,29 +190,26 @@ def test_the_buffer_holds_requests_back_and_a_full_one_lets_nobody_ask_before_th
         assert i < 4 or fetch.arrival_s >= full.shown[0].start_s + i + 1 - buffer_s + 0.1 - 1e-6
 
 
-@pytest.mark.parametrize(
-    ("rate", "rung", "why"), [(8e7, "Q0+L0", "B fit"), (8e18, "Q0+L0", "B fit"), (2e4, "Q1+L2", "nothing fits")]
-)
+@pytest.mark.parametrize(("rate", "rung", "why"), [
+    (8e7, "Q0+L0", "B fit"), (8e18, "Q0+L0", "B fit"), (2e4, "Q1+L2", "nothing fits"),
+])  # fmt: skip
 def test_key_quality_and_level_are_chosen_together_from_the_first_choice_on(rate, rung, why):
     log = play(TINY, link([rate]), "paper-no-cliff")
     assert [NAMES[s.rung] for s in log.shown] == [rung] * 2
     assert all(why in f.reason for f in log.fetches if f.kind == "group")
 
 
-@pytest.mark.parametrize(
-    ("m", "options", "words"),
-    [
-        *((TINY, {"buffer_s": value}, "buffer") for value in (0.0, float("nan"))),
-        *((TINY, {"decode_frame_s": value}, "decoding") for value in (-1.0, float("inf"))),
-        *((TINY, {"loops": value}, "loops") for value in (0, -1)),
-        (TINY, {"policy": "fixed:3"}, "policy"),
-        (TINY, {"startup_s": -1.0}, "start-up"),
-        (TINY, {"resume_s": float("inf")}, "resume"),
-        (TINY, {"budget": 0}, "budget: expected at least 1 Gaussian, got 0"),
-        (UNMEASURED, {"policy": "paper-no-cliff"}, "no measured quality"),
-        *((TINY, {"rtt": rtt}, "round trip") for rtt in (-0.1, float("nan"), float("inf"))),
-    ],
-)
+@pytest.mark.parametrize(("m", "options", "words"), [
+    *((TINY, {"buffer_s": value}, "buffer") for value in (0.0, float("nan"))),
+    *((TINY, {"decode_frame_s": value}, "decoding") for value in (-1.0, float("inf"))),
+    *((TINY, {"loops": value}, "loops") for value in (0, -1)),
+    (TINY, {"policy": "fixed:3"}, "policy"),
+    (TINY, {"startup_s": -1.0}, "start-up"),
+    (TINY, {"resume_s": float("inf")}, "resume"),
+    (TINY, {"budget": 0}, "budget: expected at least 1 Gaussian, got 0"),
+    (UNMEASURED, {"policy": "paper-no-cliff"}, "no measured quality"),
+    *((TINY, {"rtt": rtt}, "round trip") for rtt in (-0.1, float("nan"), float("inf"))),
+])  # fmt: skip
 def test_sessions_that_cannot_be(m, options, words):
     with pytest.raises(ConfigError, match=words):
         play(m, link([8e6], rtt=options.pop("rtt", 0.0)), **options)
@@ -226,15 +229,6 @@ def test_buffered_segments_are_replaced_by_better_ones_in_time():
     assert better.metrics.wasted > 0 == kept.metrics.wasted
     # One that cannot be had is asked for once.
     assert [f.rung for f in lost.fetches if f.kind is BatchKind.REPLACEMENT and f.position == 2] == [0, 3]
-
-
-def test_a_better_key_serves_the_rest_of_its_group():
-    """Six segments in one group; the first comes with the coarse key, a later one brings the fine one."""
-    log = play(segmented(tiny_manifest(groups=(60,)), 6), link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc")
-    qualities = [log.offers.rungs[s.rung][0] for s in log.shown]
-    assert qualities[0] == 1 and qualities[-1] == 0 and qualities == sorted(qualities, reverse=True)
-    keys = [f for f in log.fetches if f.kind is BatchKind.GROUP]
-    assert len(keys) == 2 and log.metrics.bytes["key"] == 1500 + 4000
 
 
 def test_what_was_lost_is_told_once_and_a_corrupt_file_travels_before_it_is_found_wrong():
@@ -258,21 +252,16 @@ def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
 
 
 rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
-policies = st.sampled_from(
-    ["paper", "paper-no-cliff", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"]
-)
+POLICIES = "paper", "paper-no-cliff", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"
+BAD = None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"
 
 
 @settings(max_examples=120)
 @given(
-    rates=rates,
-    policy=policies,
-    buffer_s=st.sampled_from([0.5, 2.0, 10.0]),
+    rates=rates, policy=st.sampled_from(POLICIES), buffer_s=st.sampled_from([0.5, 2.0, 10.0]),
     extras=st.tuples(st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 2.5])),
-    split=st.booleans(),
-    ahead=st.booleans(),
-    bad=st.sampled_from([None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"]),
-)
+    split=st.booleans(), ahead=st.booleans(), bad=st.sampled_from(BAD),
+)  # fmt: skip
 def test_any_session_is_causal_deterministic_and_accounted_for(rates, policy, buffer_s, extras, split, ahead, bad):
     m = SEGMENTED if split else TINY
     faults = missing(bad) if bad in list(m.files()) else {}
@@ -335,15 +324,12 @@ TIERED = with_core(replace(TINY, groups=in_groups(TIERED)))
 
 
 @pytest.mark.parametrize("policy", ["fixed:0", *faces.NAMES])
-@pytest.mark.parametrize(
-    ("budget", "most", "levels", "words"),
-    [
-        (20, 20, {2}, "of a budget of 20"),
-        (79, 40, {0, 1, 2}, "of a budget of 79"),  # enough for both tiers of the first group, but for one of the second
-        (80, 80, {0, 1, 2}, "of a budget of 80"),
-        (None, 80, {0, 1, 2}, "at most 80\n"),
-    ],
-)
+@pytest.mark.parametrize(("budget", "most", "levels", "words"), [
+    (20, 20, {2}, "of a budget of 20"),
+    (79, 40, {0, 1, 2}, "of a budget of 79"),  # enough for both tiers of the first group, but for one of the second
+    (80, 80, {0, 1, 2}, "of a budget of 80"),
+    (None, 80, {0, 1, 2}, "at most 80\n"),
+])  # fmt: skip
 def test_no_policy_shows_or_fetches_more_than_the_budget(policy, budget, most, levels, words):
     log = play(TIERED, link([9e6]), policy, budget=budget, loops=2, pipelined=True, replace=True, abandon=True)
     assert log.metrics.gaussians == most

@@ -26,16 +26,13 @@ FAULTS, BELOW, OVER, ASKED, SHORT = (
 )
 
 
-@pytest.mark.parametrize(
-    ("log", "why", "change"),
-    [
-        (play(TINY, link([1.5e4]), "fixed:Q1+L2", loops=3), BELOW, "--levels"),
-        (play(TINY, link([4e4]), loops=3), ASKED, "--policy robust-mpc"),
-        (play(TINY, link([8e4, 8e4, *[3e4] * 30]), "throughput", loops=4), OVER, "--policy robust-mpc"),
-        (play(TINY, link([5.1e4]), loops=8), SHORT, "--player.startup"),
-        (play(TINY, link([4e4]), "robust-mpc", faults=LOST, loops=2), FAULTS, "validate"),
-    ],
-)
+@pytest.mark.parametrize(("log", "why", "change"), [
+    (play(TINY, link([1.5e4]), "fixed:Q1+L2", loops=3), BELOW, "--levels"),
+    (play(TINY, link([4e4]), loops=3), ASKED, "--policy robust-mpc"),
+    (play(TINY, link([8e4, 8e4, *[3e4] * 30]), "throughput", loops=4), OVER, "--policy robust-mpc"),
+    (play(TINY, link([5.1e4]), loops=8), SHORT, "--player.startup"),
+    (play(TINY, link([4e4]), "robust-mpc", faults=LOST, loops=2), FAULTS, "validate"),
+])  # fmt: skip
 def test_every_wait_has_its_reason_and_its_advice(log, why, change):
     stalls = faces.find_stalls(log)
     assert stalls and sum(stall.seconds for stall in stalls) == pytest.approx(log.metrics.stall_s)
@@ -53,28 +50,25 @@ DARK = play(tiny_manifest(psnr=[[40.0, 36.0], [38.0, 35.0], [20.0, 18.0]]), link
 DEFAULT = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), settings=SessionSettings(startup_s=0.0, loops=30))
 
 
-@pytest.mark.parametrize(
-    ("log", "part", "words", "absent"),
-    [
-        (OUTAGE, "wrong", BELOW, OVER),
-        (OUTAGE, "change", "--player.buffer", "validate"),  # where the link carries enough at times
-        (THIN, "wrong", BELOW, OVER),
-        (THIN, "change", "--levels", "--player.buffer"),
-        (SMOOTH, "wrong", "Nothing: the viewer never waited", "lost"),
-        (SMOOTH, "good", "40.0 dB on average, 40.0 in its worst tenth", "not measured"),
-        (SMOOTH, "change", "", "validate"),
-        (LOSSES, "wrong", "10 frames were lost", "waited"),
-        (LOSSES, "change", "airgs-manifest validate", "--levels"),
-        (play(TINY, link([8e4]), faults=LOST, loops=2), "wrong", "lost", "waited"),
-        (DARK, "good", "20.0 dB on average, 20.0 in its worst tenth", "40.0"),  # of the screen
-        (play(UNMEASURED, link([8e6])), "good", "not measured", "dB"),
-        (DEFAULT, "change", "--player.buffer 20", "--policy"),  # it is not recommended to itself
-        (play(TINY, link([8e5]), loops=8), "change", "finer ones", "--compare"),  # the link carries more
-        (play(TINY, link([5.2e4]), loops=8), "change", "", "finer ones"),
-        (play(TINY, link([8e5]), "fixed:2"), "change", "--compare", "finer ones"),  # a policy that shows less
-        (play(TINY, link([8e6]), "fixed:Q1+L2"), "useless", "Not shown on this link: Q0+L0", "Q1+L2"),
-    ],
-)
+@pytest.mark.parametrize(("log", "part", "words", "absent"), [
+    (OUTAGE, "wrong", BELOW, OVER),
+    (OUTAGE, "change", "--player.buffer", "validate"),  # where the link carries enough at times
+    (THIN, "wrong", BELOW, OVER),
+    (THIN, "change", "--levels", "--player.buffer"),
+    (SMOOTH, "wrong", "Nothing: the viewer never waited", "lost"),
+    (SMOOTH, "good", "40.0 dB on average, 40.0 in its worst tenth", "not measured"),
+    (SMOOTH, "change", "", "validate"),
+    (LOSSES, "wrong", "10 frames were lost", "waited"),
+    (LOSSES, "change", "airgs-manifest validate", "--levels"),
+    (play(TINY, link([8e4]), faults=LOST, loops=2), "wrong", "lost", "waited"),
+    (DARK, "good", "20.0 dB on average, 20.0 in its worst tenth", "40.0"),  # of the screen
+    (play(UNMEASURED, link([8e6])), "good", "not measured", "dB"),
+    (DEFAULT, "change", "--player.buffer 20", "--policy"),  # it is not recommended to itself
+    (play(TINY, link([8e5]), loops=8), "change", "finer ones", "--compare"),  # the link carries more
+    (play(TINY, link([5.2e4]), loops=8), "change", "", "finer ones"),
+    (play(TINY, link([8e5]), "fixed:2"), "change", "--compare", "finer ones"),  # a policy that shows less
+    (play(TINY, link([8e6]), "fixed:Q1+L2"), "useless", "Not shown on this link: Q0+L0", "Q1+L2"),
+])  # fmt: skip
 def test_what_a_session_comes_to(log, part, words, absent):
     told = answer(log)[part]
     assert words in told and absent not in told
@@ -122,27 +116,24 @@ def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
 BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1": 0.1}
 
 
-@pytest.mark.parametrize(
-    ("some", "expected", "absent"),
-    [
-        (study(BOLA | {"paper": 39.0}), ["bola does best on 8 links", "1.00 dB above that of paper, the next",
-                                         "Play with --policy bola."], ["chance"]),
-        (study({"robust-mpc": 40.0, "bola": 38.0}),
-         ["robust-mpc does best", "Stay with robust-mpc, the default."], ["Play with", "--levels"]),
-        (study(BOLA, traces=2), ["may be chance", "Give more --traces"], ["Play with"]),
-        # Of a package that was not measured waiting alone is told.
-        (study(WAITING, measured=False),
-         ["fixed:1 does best on 8 links: what it shows was not measured, and it waits 10.0 %",
-          "robust-mpc, the next, waits 10.0 % more", "Play with --policy fixed:1."], ["nan", "dB", "chance"]),
-        (study(WAITING, 2, measured=False), ["may be chance", "10.0 % less waiting than robust-mpc"], ["nan", "dB"]),
-        (study({"fixed:1": 0.0}, measured=False), ["Nothing: nobody waits."], ["nan"]),
-        (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
-        (study({"robust-mpc": 38.0}, feasible=False),
-         ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
-        (study({"robust-mpc": 38.0}), [], ["--levels", "no policy helps", "No policy showed"]),
-        (study({"robust-mpc": 38.0}, rungs=("Q0+L0", "Q1+L1")), ["No policy showed Q1+L1"], []),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("some", "expected", "absent"), [
+    (study(BOLA | {"paper": 39.0}), ["bola does best on 8 links", "1.00 dB above that of paper, the next",
+                                     "Play with --policy bola."], ["chance"]),
+    (study({"robust-mpc": 40.0, "bola": 38.0}),
+     ["robust-mpc does best", "Stay with robust-mpc, the default."], ["Play with", "--levels"]),
+    (study(BOLA, traces=2), ["may be chance", "Give more --traces"], ["Play with"]),
+    # Of a package that was not measured waiting alone is told.
+    (study(WAITING, measured=False),
+     ["fixed:1 does best on 8 links: what it shows was not measured, and it waits 10.0 %",
+      "robust-mpc, the next, waits 10.0 % more", "Play with --policy fixed:1."], ["nan", "dB", "chance"]),
+    (study(WAITING, 2, measured=False), ["may be chance", "10.0 % less waiting than robust-mpc"], ["nan", "dB"]),
+    (study({"fixed:1": 0.0}, measured=False), ["Nothing: nobody waits."], ["nan"]),
+    (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
+    (study({"robust-mpc": 38.0}, feasible=False),
+     ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
+    (study({"robust-mpc": 38.0}), [], ["--levels", "no policy helps", "No policy showed"]),
+    (study({"robust-mpc": 38.0}, rungs=("Q0+L0", "Q1+L1")), ["No policy showed Q1+L1"], []),
+])  # fmt: skip
 def test_what_a_study_recommends(some, expected, absent):
     told = " ".join(study_answer(some).values())
     assert [words for words in expected if words not in told] == [words for words in absent if words in told] == []
@@ -185,20 +176,17 @@ def test_a_study_compares_on_the_same_links_and_repeats_exactly(demo_package, ca
     assert record["figures"].keys() == record["all"][0]["figures"].keys()
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--compare"], "--traces"),
-        (["--compare", "--traces", "none.csv"], "none.csv"),
-        (["--compare", "--traces", "."], "empty"),
-        (["--compare", "--traces", "const:1", "--policies", "best"], "policy: expected"),
-        (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
-        (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
-        ([], "--trace"),
-        (["--trace", "const:1", "--player.decode-frame", "fast"], "--player.decode-frame"),
-        (["--trace", "../second.csv", "--end", "error", "--player.loops", "30"], "ends after"),
-    ],
-)
+@pytest.mark.parametrize(("options", "words"), [
+    (["--compare"], "--traces"),
+    (["--compare", "--traces", "none.csv"], "none.csv"),
+    (["--compare", "--traces", "."], "empty"),
+    (["--compare", "--traces", "const:1", "--policies", "best"], "policy: expected"),
+    (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
+    (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
+    ([], "--trace"),
+    (["--trace", "const:1", "--player.decode-frame", "fast"], "--player.decode-frame"),
+    (["--trace", "../second.csv", "--end", "error", "--player.loops", "30"], "ends after"),
+])  # fmt: skip
 def test_studies_that_cannot_be(demo_package, options, words, capsys, tmp_path, monkeypatch):
     (tmp_path / "second.csv").write_text("0,1")
     (tmp_path / "here").mkdir()

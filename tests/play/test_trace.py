@@ -28,35 +28,29 @@ OUTAGE = trace(8e6, 0, 8e6, starts=[0, 1, 5], duration=10)
 FALLING = trace(8e6, 4e6)
 
 
-@pytest.mark.parametrize(
-    ("what", "size", "at", "arrival"),
-    [
-        (OUTAGE, 1_000_000, 0.0, 1.0),
-        (OUTAGE, 2_000_000, 0.0, 6.0),
-        (OUTAGE, 1, 3.0, pytest.approx(5.000001)),
-        (trace(8e6, 0), 3_000_000, 0.0, 5.0),  # it begins again
-        (trace(0, 8e6), 1_000_000, 0.0, 2.0),  # its end, not the start of the next outage
-        (trace(8e6, 0), 0, 0.25, 0.25),  # nothing to send arrives at once
-        (trace(1e6, 0).cut(scale=8), 1_000_000, 0.0, 1.0),
-        (FALLING, 2_000_000, 0.0, 2.5),  # 1 MB and 0.5 MB, then 0.5 MB again at the first rate
-        (FALLING.ending("hold"), 2_000_000, 0.0, 3.0),
-        (FALLING.ending("error"), 1_500_000, 0.0, 2.0),
-        (link([8e6], rtt=0.1), 3700, 1.0, pytest.approx(1.1037)),  # a batch pays one round trip
-        (link([8.0]), DAY_S - 1, 0.0, DAY_S - 1),
-    ],
-)
+@pytest.mark.parametrize(("what", "size", "at", "arrival"), [
+    (OUTAGE, 1_000_000, 0.0, 1.0),
+    (OUTAGE, 2_000_000, 0.0, 6.0),
+    (OUTAGE, 1, 3.0, pytest.approx(5.000001)),
+    (trace(8e6, 0), 3_000_000, 0.0, 5.0),  # it begins again
+    (trace(0, 8e6), 1_000_000, 0.0, 2.0),  # its end, not the start of the next outage
+    (trace(8e6, 0), 0, 0.25, 0.25),  # nothing to send arrives at once
+    (trace(1e6, 0).cut(scale=8), 1_000_000, 0.0, 1.0),
+    (FALLING, 2_000_000, 0.0, 2.5),  # 1 MB and 0.5 MB, then 0.5 MB again at the first rate
+    (FALLING.ending("hold"), 2_000_000, 0.0, 3.0),
+    (FALLING.ending("error"), 1_500_000, 0.0, 2.0),
+    (link([8e6], rtt=0.1), 3700, 1.0, pytest.approx(1.1037)),  # a batch pays one round trip
+    (link([8.0]), DAY_S - 1, 0.0, DAY_S - 1),
+])  # fmt: skip
 def test_when_a_download_arrives(what, size, at, arrival):
     assert what.arrival_s(size, at) == arrival
 
 
-@pytest.mark.parametrize(
-    ("what", "size", "words"),
-    [
-        (FALLING.ending("error"), 2_000_000, "with 500000 bytes still to come"),
-        (trace(8e6, 0, end="hold"), 2_000_000, "ends after 2 s"),  # a rate of zero for ever is an error, not a hang
-        (link([8.0]), DAY_S + 1, "expected at most"),
-    ],
-)
+@pytest.mark.parametrize(("what", "size", "words"), [
+    (FALLING.ending("error"), 2_000_000, "with 500000 bytes still to come"),
+    (trace(8e6, 0, end="hold"), 2_000_000, "ends after 2 s"),  # a rate of zero for ever is an error, not a hang
+    (link([8.0]), DAY_S + 1, "expected at most"),
+])  # fmt: skip
 def test_what_never_arrives(what, size, words):
     with pytest.raises(TransportError, match=words):
         what.arrival_s(size, 0.0)
@@ -77,11 +71,10 @@ def test_what_can_pass_and_how_fast():
     assert [FALLING.ending(end).rate_at(2.5) for end in ("loop", "hold", "error")] == [8e6, 4e6, 0.0]
 
 
-@given(
-    rates=st.lists(st.sampled_from([0.0, 1e3, 1e6, 3e7]), min_size=1, max_size=8).filter(any),
-    size=st.integers(1, 10_000_000),
-    at=st.floats(0, 50),
-)
+rates = st.lists(st.sampled_from([0.0, 1e3, 1e6, 3e7]), min_size=1, max_size=8).filter(any)
+
+
+@given(rates=rates, size=st.integers(1, 10_000_000), at=st.floats(0, 50))
 def test_arrival_is_the_first_moment_with_enough_bits(rates, size, at):
     t = trace(*rates)
     arrival = t.arrival_s(size, at)
@@ -113,14 +106,11 @@ SABRE = """[{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20},
  {"duration_ms": 1500, "bandwidth_kbps": 4000, "latency_ms": 40}]"""
 
 
-@pytest.mark.parametrize(
-    ("text", "starts", "rates", "duration", "rtt"),
-    [
-        (RACA, [0, 3], [2e6, 8e6], 4, None),  # repeats are averaged, skipped and missing seconds keep the rate
-        *((text, [0, 2], [2e6, 4e6], 4, None) for text in PLAIN),
-        (SABRE, [0, 0.5], [2e6, 4e6], 2, pytest.approx(0.03)),
-    ],
-)
+@pytest.mark.parametrize(("text", "starts", "rates", "duration", "rtt"), [
+    (RACA, [0, 3], [2e6, 8e6], 4, None),  # repeats are averaged, skipped and missing seconds keep the rate
+    *((text, [0, 2], [2e6, 4e6], 4, None) for text in PLAIN),
+    (SABRE, [0, 0.5], [2e6, 4e6], 2, pytest.approx(0.03)),
+])  # fmt: skip
 def test_files_of_traces(tmp_path, text, starts, rates, duration, rtt):
     t = read(tmp_path, text)
     assert (t.starts_s.tolist(), t.rates_bps.tolist(), t.duration_s, t.rtt_s) == (starts, rates, duration, rtt)
@@ -134,28 +124,25 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
     assert [t.bits_until(at) / 12_000 for at in (0.002, 0.004, 0.005)] == pytest.approx([3, 3, 4])
 
 
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("\n\n", "empty"),
-        (b"\xff\xfe\x00garbage", "cannot read"),
-        *((text, "expected Raca CSV") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
-        ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"),
-        *((f"Timestamp,DL_bitrate\n{row}", "no DL_bitrate") for row in ("", "2017.12.04_15.24.12,-\n")),
-        ("DL_bitrate\n5\n", "Timestamp"),
-        ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"),
-        ('[{"duration_ms": 500}]', "bandwidth_kbps"),
-        ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
-        ("[" * 100_000, "recursion"),
-        ("time_s,mbps\n", "no rows"),
-        ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
-        *((text, "ascend") for text in ("0,1\n0,2\n", "nan,1\n1,2\n", "5\n3\n")),
-        ("0,-1\n1,2\n", "0 or more"),
-        ("0,nan\n1,2\n", "finite"),
-        ("0,0\n1,0\n", "zero all the time"),
-        ("99999999999999999\n", "more than a day"),
-    ],
-)
+@pytest.mark.parametrize(("content", "words"), [
+    ("\n\n", "empty"),
+    (b"\xff\xfe\x00garbage", "cannot read"),
+    *((text, "expected Raca CSV") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
+    ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"),
+    *((f"Timestamp,DL_bitrate\n{row}", "no DL_bitrate") for row in ("", "2017.12.04_15.24.12,-\n")),
+    ("DL_bitrate\n5\n", "Timestamp"),
+    ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"),
+    ('[{"duration_ms": 500}]', "bandwidth_kbps"),
+    ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
+    ("[" * 100_000, "recursion"),
+    ("time_s,mbps\n", "no rows"),
+    ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
+    *((text, "ascend") for text in ("0,1\n0,2\n", "nan,1\n1,2\n", "5\n3\n")),
+    ("0,-1\n1,2\n", "0 or more"),
+    ("0,nan\n1,2\n", "finite"),
+    ("0,0\n1,0\n", "zero all the time"),
+    ("99999999999999999\n", "more than a day"),
+])  # fmt: skip
 def test_bad_files_get_one_line(tmp_path, content, words):
     with pytest.raises(TransportError, match=words) as error:
         read(tmp_path, content)

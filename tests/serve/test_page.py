@@ -234,13 +234,10 @@ def forbidden(*arguments):
     raise PermissionError(13, "Permission denied", f"{arguments[0]}/airgs.json")
 
 
-@pytest.mark.parametrize(
-    ("name", "instead", "words"),
-    [
-        ("look_at", lambda *_: 1 // 0, "reading it failed"),  # our own failure
-        ("open_package", forbidden, "[Errno 13] Permission denied: 'airgs.json'"),  # a file that may not be read
-    ],
-)
+@pytest.mark.parametrize(("name", "instead", "words"), [
+    ("look_at", lambda *_: 1 // 0, "reading it failed"),  # our own failure
+    ("open_package", forbidden, "[Errno 13] Permission denied: 'airgs.json'"),  # a file that may not be read
+])  # fmt: skip
 def test_any_failure_is_a_line(package, monkeypatch, caplog, name, instead, words):
     monkeypatch.setattr(f"airgs_codec.serve.pages.{name}", instead)
     assert describe(package) == f"cannot be played: {words}"
@@ -258,18 +255,15 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
     assert "good" in names and "no mpd" not in names
 
 
-@pytest.mark.parametrize(
-    ("path", "expected"),
-    [
-        ("airgs.json", "application/json"),      ("group/7.json.gz", "application/gzip"),
-        ("index/1/12.json", "application/json"), ("key/T0/1.bin", "application/octet-stream"),
-        ("init.mp4", "video/mp4"),               ("manifest.mpd", "application/dash+xml"),
-        (STATE, "video/mp4"),
-        *((path, None) for path in ("", "notes.json", "airgs.json/", "key", "key/T0/notes.txt", "x/1.bin")),
-        *((path, None) for path in ("key/../airgs.json", "key/./1.bin", "/airgs.json", "key//1.bin", "key/.b.bin")),
-        *((path, None) for path in (".airgs.json.part", "airgs.json\n", "key/T0/1.bin\0", "key\\1.bin", "key/é/1.bin")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("path", "expected"), [
+    ("airgs.json", "application/json"),      ("group/7.json.gz", "application/gzip"),
+    ("index/1/12.json", "application/json"), ("key/T0/1.bin", "application/octet-stream"),
+    ("init.mp4", "video/mp4"),               ("manifest.mpd", "application/dash+xml"),
+    (STATE, "video/mp4"),
+    *((path, None) for path in ("", "notes.json", "airgs.json/", "key", "key/T0/notes.txt", "x/1.bin")),
+    *((path, None) for path in ("key/../airgs.json", "key/./1.bin", "/airgs.json", "key//1.bin", "key/.b.bin")),
+    *((path, None) for path in (".airgs.json.part", "airgs.json\n", "key/T0/1.bin\0", "key\\1.bin", "key/é/1.bin")),
+])  # fmt: skip
 def test_a_path_has_a_type_or_is_none_of_a_package(path, expected):
     assert media_type(path) == expected
 

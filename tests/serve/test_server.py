@@ -113,15 +113,12 @@ def test_pages_of_other_origins_may_ask_for_ranges_and_read_tags(port):
     assert ask(port, "/nothing")[1]["Access-Control-Allow-Origin"] == "*"
 
 
-@pytest.mark.parametrize(
-    "target",
-    [
-        *("/../../etc/passwd", "/%ff%fe/airgs.json", "/other/airgs.json", "/other/", f"/{NAME}", "*"),
-        *(f"/{NAME}/{to}" for to in ("../moving/airgs.json", "%2e%2e/moving/airgs.json", "..%2fmoving%2fairgs.json")),
-        *(f"/{NAME}/{path}" for path in ("/etc/passwd", "key/..%5c..%5cairgs.json", ".airgs.json.part", "key")),
-        f"/{NAME}/airgs.json%00.m4s",
-    ],
-)
+@pytest.mark.parametrize("target", [
+    *("/../../etc/passwd", "/%ff%fe/airgs.json", "/other/airgs.json", "/other/", f"/{NAME}", "*"),
+    *(f"/{NAME}/{to}" for to in ("../moving/airgs.json", "%2e%2e/moving/airgs.json", "..%2fmoving%2fairgs.json")),
+    *(f"/{NAME}/{path}" for path in ("/etc/passwd", "key/..%5c..%5cairgs.json", ".airgs.json.part", "key")),
+    f"/{NAME}/airgs.json%00.m4s",
+])  # fmt: skip
 def test_nothing_else_is_served(port, target):
     assert statuses(say(port, request(target, "GET", "Connection: close"))) == [404]
 
@@ -132,23 +129,20 @@ def test_other_methods_are_refused(port, method):
     assert status == 405 and set(headers["Allow"].split(", ")) == {"GET", "HEAD", "OPTIONS"}
 
 
-@pytest.mark.parametrize(
-    ("data", "status"),
-    [
-        (request(ROOT, "POST", "Content-Length: 9999999") + b"x" * 100, 405),
-        (request(ROOT, "GET", "Content-Length: 9999999"), 413),
-        (request(ROOT, "GET", "Transfer-Encoding: chunked") + b"5\r\nhello\r\n", 413),
-        (request(ROOT, "GET", "Content-Length: -1"), 400),
-        (request(ROOT, "GET", "Content-Length: 0", "Content-Length: 7"), 400),
-        (request(ROOT, "GET", f"X: {'x' * 20_000}"), 431),
-        (request(ROOT, "GET", *(f"X{i}: x" for i in range(4000))), 431),
-        (request(f"/{'x' * 20_000}"), 431),
-        (b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: x\r\n" * 50_000, 431),
-        (b"GET / HTTP/1.1\r\n\r\n", 400),
-        (b"GET /\xff HTTP/1.1\r\nHost: a\r\n\r\n", 400),
-        (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n", 400),
-    ],
-)
+@pytest.mark.parametrize(("data", "status"), [
+    (request(ROOT, "POST", "Content-Length: 9999999") + b"x" * 100, 405),
+    (request(ROOT, "GET", "Content-Length: 9999999"), 413),
+    (request(ROOT, "GET", "Transfer-Encoding: chunked") + b"5\r\nhello\r\n", 413),
+    (request(ROOT, "GET", "Content-Length: -1"), 400),
+    (request(ROOT, "GET", "Content-Length: 0", "Content-Length: 7"), 400),
+    (request(ROOT, "GET", f"X: {'x' * 20_000}"), 431),
+    (request(ROOT, "GET", *(f"X{i}: x" for i in range(4000))), 431),
+    (request(f"/{'x' * 20_000}"), 431),
+    (b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: x\r\n" * 50_000, 431),
+    (b"GET / HTTP/1.1\r\n\r\n", 400),
+    (b"GET /\xff HTTP/1.1\r\nHost: a\r\n\r\n", 400),
+    (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n", 400),
+])  # fmt: skip
 def test_bodies_huge_headers_and_nonsense_are_refused_and_end_the_connection(port, data, status):
     """What follows a refused body must not be taken for a request."""
     try:
