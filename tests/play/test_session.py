@@ -138,7 +138,7 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
     "of no other loop": (
         SEGMENTED, link([8e4]), ("Q1+L2", *COARSE_THEN_FINE), {"loops": 2},
         {"rungs shown": ["Q1+L2"] * 3 + ["Q0+L2"] * 3}),
-    # Six segments in one group; the first comes with the coarse keys, of 1500 B, the second with the fine ones, of 4000.
+    # Six segments in one group: the first comes with coarse keys, of 1500 B, the second with fine ones, of 4000 B.
     "a better key serves the rest of its group": (
         segmented(tiny_manifest(groups=(60,)), 6), link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc", {},
         {"rungs shown": ["Q1+L1", "Q0+L1"] + ["Q0+L0"] * 4, "bytes":
