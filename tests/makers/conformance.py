@@ -46,12 +46,10 @@ def drifting(count: int, length: int) -> list[Gaussians]:
 BALL = faces.Region("file", 32, 24, 50.0, 0.01, 5.0, [Place([0.0, 0.0, -3.0], [0.0, 0.0, 0.0], [0.0, -1.0, 0.0], 0.2)])
 
 ONE_KEY = replace(WHOLE, key_factors=(1.0,))
+KEEPING = replace(WHOLE, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2)
 PACKAGES = {
     "moving": (frames(64, 0, 4), COARSE),
-    "kept": (
-        room_frames(60, 6),
-        replace(WHOLE, keys=KEPT, group_frames=2, keep_all=True, region=BALL, measure_pictures=2),
-    ),
+    "kept": (room_frames(60, 6), KEEPING),
     "lined": (drifting(80, 6), COARSE),
     "one-gaussian": (frames(1, 1, 1), ONE_KEY),
     "paged": (frames(4, 0, 65), replace(ONE_KEY, group_frames=1, tiers=(1.0,), measure_pictures=0)),
@@ -66,20 +64,11 @@ def main() -> None:
     for name, (sequence, settings) in PACKAGES.items():
         encode_bare(sequence, VALID / name, settings)
     package = open_package(VALID / "two-groups-sh1")
-    write_live(package, package.manifest)
-    write_sound(package, package.manifest)
-
-
-def copied(package: Package, m: Manifest, name: str) -> Folder:
-    """A folder with the files of the groups of `m`, without tables."""
-    folder = Folder(VALID / name)
-    for path in (*m.shared_files(), *(path for group in range(len(m.groups)) for path in m.group_files(group))):
-        folder.write(path, package.read(path))
-    return folder
-
-
-def write_sound(package: Package, m: Manifest) -> None:
-    """valid/sound: valid/two-groups-sh1 with a tone."""
+    m, moment = package.manifest, datetime(2026, 1, 1, tzinfo=UTC)
+    # live: the first group while the second is still to come
+    first = replace(m, frames=m.groups[0].stop, live=True, groups=faces.Groups.of(m.groups[:1]))
+    write_tables(copied(package, first, "live"), first, faces.LiveClock(moment, moment))
+    # sound: both with a tone
     tone = np.round(8000 * np.sin(2 * np.pi * 440 * np.arange(48_000) / 48_000)).astype("<i2")
     with tempfile.TemporaryDirectory() as folder:
         track = faces.encode_sound(write_wav(Path(folder) / "tone.wav", tone[:, None]), m.frames / m.fps)
@@ -90,11 +79,12 @@ def write_sound(package: Package, m: Manifest) -> None:
     write_tables(sound, with_sound)
 
 
-def write_live(package: Package, m: Manifest) -> None:
-    """valid/live: the first group of valid/two-groups-sh1 while the second is still to come."""
-    first = replace(m, frames=m.groups[0].stop, live=True, groups=faces.Groups.of(m.groups[:1]))
-    moment = datetime(2026, 1, 1, tzinfo=UTC)
-    write_tables(copied(package, first, "live"), first, faces.LiveClock(moment, moment))
+def copied(package: Package, m: Manifest, name: str) -> Folder:
+    """A folder with the files of the groups of `m`, without tables."""
+    folder = Folder(VALID / name)
+    for path in (*m.shared_files(), *(path for group in range(len(m.groups)) for path in m.group_files(group))):
+        folder.write(path, package.read(path))
+    return folder
 
 
 if __name__ == "__main__":

@@ -135,24 +135,22 @@ def unpack_transform(text: str) -> Floats:
 
 def keys() -> Table:
     """Codes of a key -> values of the canonical space, all but the means, which codes of keys do not have."""
-    return {"cases": [case | _key(case) for case in cases("keys")]}
-
-
-def _key(case: Case) -> Case:
-    codes = np.array(case["codes"], np.float64)
-    parts = listed(key_rows(codes, coding_of(case), np.zeros((codes.shape[1], 3))), limit=False)
-    return {name: {key: one for key, one in part.items() if key != "means"} for name, part in parts.items()}
+    found = []
+    for case in cases("keys"):
+        codes = np.array(case["codes"], np.float64)
+        parts = listed(key_rows(codes, coding_of(case), np.zeros((codes.shape[1], 3))), limit=False)
+        found.append(case | {name: {k: one for k, one in part.items() if k != "means"} for name, part in parts.items()})
+    return {"cases": found}
 
 
 def states() -> Table:
     """Codes of states, applied to a canonical space: the rows that a level carries, and every row in each frame."""
-    return {"cases": [_state(case) for case in cases("states")]}
-
-
-def _state(case: Case) -> Case:
-    depths = case["canonical"]["depths"]
-    carried = [row for row, depth in enumerate(depths) if case["level"] <= depth < STATIC]
-    return case | {"rows": carried, "frames": [_frame(case, carried, place) for place in range(len(case["frames"]))]}
+    found = []
+    for case in cases("states"):
+        depths = enumerate(case["canonical"]["depths"])
+        rows = [row for row, depth in depths if case["level"] <= depth < STATIC]
+        found.append(case | {"rows": rows, "frames": [_frame(case, rows, i) for i in range(len(case["frames"]))]})
+    return {"cases": found}
 
 
 def _frame(case: Case, carried: list[int], place: int) -> dict[str, Any]:

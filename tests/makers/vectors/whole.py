@@ -5,7 +5,6 @@ FORMAT.md, sections 7, 3, 6 and 4. Files are written by the encoder; refused are
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import asdict
 
@@ -14,10 +13,20 @@ import numpy as np
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar
 from tests.faces import Grid
-from tests.support.vectors import Case, Table, binary, cases, numbers, runs, wide
+from tests.support.vectors import Case, Table, binary, cases, data, numbers, runs, wide
 
 Columns = Sequence[tuple[Sequence[int], int]]  # numbers and the order that they are coded in
 ANY = Grid([0, 0, 0], 1.0, 0)
+BROKEN_DEPTHS = {"a depth of 255 and one": [[0, 256]], "a depth too few": [[1]], "another column": [[0, 1], [128]]}
+BROKEN_ESCAPES = {  # each has two frames of one plane of three rows, six samples
+    "more jumps than samples": (7, [0, 1, 1, 1, 1, 1, 1], [2] * 7),
+    "very many jumps": (2**62, [], []),
+    "two jumps of one sample": (2, [1, 0], [2, 2]),
+    "a jump after the last sample": (2, [5, 1], [2, 2]),
+    "a gap of 63 bits": (2, [0, 2**63 - 1], [2, 2]),
+    "a jump of 32 bits": (1, [0], [2**32]),
+    "fewer jumps than it says": (3, [0, 1], [2, 2]),
+}
 
 
 def _coded(*columns: tuple[Sequence[int], int]) -> str:
@@ -27,7 +36,7 @@ def _coded(*columns: tuple[Sequence[int], int]) -> str:
 def columns() -> Table:
     """Cases to read, and cases to refuse as bad_sidecar while or after reading columns of those lengths."""
     coded = [_coded(*((numbers(one["numbers"]), one["order"]) for one in case["columns"])) for case in cases("columns")]
-    found = [one | {"data": data} for one, data in zip(cases("columns"), coded, strict=True)]
+    found = [one | {"data": text} for one, text in zip(cases("columns"), coded, strict=True)]
     whole = encode_columns([(np.arange(50), 0)])
     broken = {
         "no bytes": b"",
@@ -41,21 +50,10 @@ def columns() -> Table:
         "fewer numbers are asked for than are there": whole,
     }
     refused = [
-        {"name": name, "data": binary(data), "columns": [{"order": 0, "count": 40 if data == whole else 50}]}
-        for name, data in broken.items()
+        {"name": name, "data": binary(file), "columns": [{"order": 0, "count": 40 if file == whole else 50}]}
+        for name, file in broken.items()
     ]
     return {"cases": found, "refused": refused}
-
-
-BROKEN_ESCAPES = {  # each has two frames of one plane of three rows, six samples
-    "more jumps than samples": (7, [0, 1, 1, 1, 1, 1, 1], [2] * 7),
-    "very many jumps": (2**62, [], []),
-    "two jumps of one sample": (2, [1, 0], [2, 2]),
-    "a jump after the last sample": (2, [5, 1], [2, 2]),
-    "a gap of 63 bits": (2, [0, 2**63 - 1], [2, 2]),
-    "a jump of 32 bits": (1, [0], [2**32]),
-    "fewer jumps than it says": (3, [0, 1], [2, 2]),
-}
 
 
 def escapes() -> Table:
@@ -93,21 +91,16 @@ def cell(row: int, plane_width: int) -> tuple[int, int]:
     return block % wide_blocks * 16 + column, block // wide_blocks * 16 + line
 
 
-def sample(case: Case, plane: int, row: int) -> tuple[int, int]:
-    """Column and line of a sample in the picture, its pages one below another."""
-    blocks = -(-case["rows"] // 256)
-    high = 16 * -(-blocks // (case["plane_width"] // 16))
-    column, line = cell(row, case["plane_width"])
-    return plane % case["columns"] * case["plane_width"] + column, plane // case["columns"] * high + line
-
-
 def _codes(case: Case) -> list[list[int]]:
-    """What the luma, the bases and the centres of a case say, by channel."""
-    luma, codes = base64.b64decode(case["luma"]), [[centre] * case["rows"] for centre in case["centres"]]
+    """What the luma, the bases and the centres of a case say, by channel; pages lie one below another."""
+    luma, codes = data(case["luma"]), [[centre] * case["rows"] for centre in case["centres"]]
+    stride, blocks = case["plane_width"], -(-case["rows"] // 256)
     for plane, (channel, bases) in enumerate(zip(case["planes"], case["bases"], strict=True)):
+        high = 16 * -(-blocks // (stride // 16))
+        left, top = plane % case["columns"] * stride, plane // case["columns"] * high
         for row, base in enumerate(numbers(bases)):
-            column, line = sample(case, plane, row)
-            codes[channel][row] += luma[line * case["width"] + column] - 128 + 128 * base
+            column, line = cell(row, stride)
+            codes[channel][row] += luma[(top + line) * case["width"] + left + column] - 128 + 128 * base
     return [runs(line) for line in codes]
 
 
@@ -165,13 +158,6 @@ def _quality(case: Case, fine: Sequence[Sequence[int]], coarser: int) -> Case:
         away = [(number + 2**b / 2 - 2**20) * 2**e for number in cells[-1]]
         means.append([grid.step * (start + 2**20 + steps) for start, steps in zip(grid.origin, away, strict=True)])
     return {"coarser": coarser, "data": "", "codes": wide([interleave(cell) for cell in cells]), "means": means}
-
-
-BROKEN_DEPTHS = {
-    "a depth of 255 and one": [[0, 256]],
-    "a depth too few": [[1]],
-    "another column": [[0, 1], [128]],
-}
 
 
 def _refused() -> list[Case]:
