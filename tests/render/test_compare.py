@@ -22,10 +22,8 @@ AHEAD = 4  # views that are measured while the next one is drawn
 
 def plain_mse(a, b):
     """Mean squared error of (H, W, 3) pictures, sample by sample."""
-    total = 0.0
-    for first, second in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
-        total += (min(max(first, 0.0), 1.0) - min(max(second, 0.0), 1.0)) ** 2
-    return total / a.size
+    pairs = zip(*(np.clip(picture, 0, 1).ravel().tolist() for picture in (a, b)), strict=True)
+    return sum((first - second) ** 2 for first, second in pairs) / a.size
 
 
 def plain_ssim(a, b):
@@ -65,10 +63,10 @@ def constant(value, height=12, width=16):
 @pytest.fixture(params=[0.002, 0.05, 0.5])
 def pictures(request):
     """A picture and a noisy one; both leave [0, 1], and the first is black in one corner."""
-    rng = np.random.default_rng(0)
     ramp = np.linspace(-0.1, 1.1, 24 * 31 * 3).reshape(24, 31, 3)
     ramp[:12, :12] = 0
-    return ramp.astype(np.float32), (ramp + rng.normal(0, request.param, ramp.shape)).astype(np.float32)
+    noise = np.random.default_rng(0).normal(0, request.param, ramp.shape)
+    return ramp.astype(np.float32), (ramp + noise).astype(np.float32)
 
 
 def test_errors_and_similarity_are_those_of_what_a_screen_shows_and_nothing_is_left_for_the_next(pictures):
@@ -90,11 +88,10 @@ def test_every_figure_of_every_view_is_that_of_its_definition():
     views = [(2, WIDE), (0, SIDE), (0, OTHERS[0]), (2, SIDE), (1, WIDE)]
     found = list(compare(draw_frames(frames.__getitem__), draw_frames(others.__getitem__), views, Difference.of))
     pairs = [[render(some[frame], camera).rgb for some in (frames, others)] for frame, camera in views]
-    errors = [plain_mse(*pair) for pair in pairs]
+    errors, whole = [plain_mse(*pair) for pair in pairs], pool(found)
     assert [d.mse for d in found] == pytest.approx(errors, rel=1e-5)
     assert [d.ssim for d in found] == pytest.approx([plain_ssim(*pair) for pair in pairs], abs=1e-5)
     assert [d.delta_e for d in found] == pytest.approx([plain_delta_e(*pair) for pair in pairs], rel=1e-4)
-    whole = pool(found)
     assert whole.psnr == pytest.approx(-10 * np.log10(sum(errors) / 5)) and whole.psnr < np.mean([*map(psnr, errors)])
     assert whole.worst == pytest.approx(min(-10 * np.log10(errors)))
     assert whole.ssim == pytest.approx(np.mean([d.ssim for d in found]))

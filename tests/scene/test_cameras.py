@@ -88,38 +88,21 @@ def read_entries(folder, entries, **shared):
 
 
 def transforms(**fields):
-    """A rig of one camera, changed."""
     return lambda folder: saved(folder / "t.json", {"frames": entries_of(ring(1), **fields)})
 
 
 def llff(old, new):
-    """An array of three cameras, its header changed."""
     return lambda folder: saved(path := files.write_llff(folder, ring(3)), path.read_bytes().replace(old, new))
 
 
 def colmap_model(line):
-    """One image taken by the camera of a line of cameras.txt."""
-
-    def write(folder):
-        saved(folder / "images.txt", b"1 1 0 0 0 0 0 4 1 a.png\n\n")
-        return saved(folder / "cameras.txt", f"{line}\n".encode()).parent
-
-    return write
+    images = {"images.txt": b"1 1 0 0 0 0 0 4 1 a.png\n\n", "cameras.txt": f"{line}\n".encode()}
+    return lambda folder: [saved(folder / name, data) for name, data in images.items()] and folder
 
 
 def panoptic_without_pictures(folder):
     data = json.loads(files.write_panoptic_meta(folder, ring(2)).read_text())
     return saved(folder / "train_meta.json", data | {key: [data[key][0], []] for key in ("fn", "k", "w2c", "cam_id")})
-
-
-def splatv_of_no_scene(folder):
-    entry = as_inria(ring(1))[0] | {"position": files.PLACEHOLDER}
-    return saved(folder / "a.splatv", splatv_bytes(random_rows(1), cameras=[entry]))
-
-
-def several(folder):
-    saved(folder / "a.json", as_inria(ring(2)))
-    return saved(folder / "b.json", as_inria(ring(2))).parent
 
 
 NOTHING = ("{}", "[]", "[1]", '{"frames": 3}', '{"k": [], "w2c": [], "cam_id": []}', "{", "")
@@ -128,6 +111,8 @@ NO_CAMERA = [
     {"transform_matrix": np.zeros((4, 4)).tolist()}, {"transform_matrix": np.full((4, 4), np.nan).tolist()},
 ]  # fmt: skip
 NO_LENS = [{"camera_model": "EQUIRECTANGULAR"}, {"k1": float("nan")}, {"k1": 0.1, "w": 10**20}]
+
+NO_SCENE = [as_inria(ring(1))[0] | {"position": files.PLACEHOLDER}]
 REFUSED = [
     *((lambda folder, text=text: saved(folder / "cameras.json", text.encode()).parent, r"cameras\.json: expected")
       for text in NOTHING),
@@ -136,12 +121,14 @@ REFUSED = [
     (lambda folder: folder / "none", r"none: expected cameras .* No such file"),
     (lambda folder: folder, "got none of them"),
     (lambda folder: saved(folder / "text.md", b"# words"), r"text\.md: expected cameras"),
-    (several, r"got several: a\.json, b\.json"),
+    (lambda folder: saved(saved(folder / "a.json", as_inria(ring(2))).with_name("b.json"), as_inria(ring(2))).parent,
+     r"got several: a\.json, b\.json"),
     (llff(b"}", b"("), r"poses_bounds\.npy: expected rows of 17 numbers: its header is broken"),
     (llff(b"(3, 17), }" + b" " * 12, b"(3" + b"0" * 12 + b", 17), }"),
      r"poses_bounds\.npy: expected rows of 17 numbers: Unable to allocate"),
     (panoptic_without_pictures, "a frame has no pictures"),
-    (splatv_of_no_scene, "the one that splaTV writes into every file"),
+    (lambda folder: saved(folder / "a.splatv", splatv_bytes(random_rows(1), cameras=NO_SCENE)),
+     "the one that splaTV writes into every file"),
     *((colmap_model(line), rf"txt: expected a COLMAP reconstruction: .*{says}") for line, says in (
         ("1 FOV 32 24 60 62 16 12 0.1", "perspective or fisheye camera model, got FOV"),
         ("1 PINHOLE 32 24 60", "a camera model and its parameters, got PINHOLE with 1"),
@@ -223,6 +210,13 @@ def test_entries_count_once_for_each_camera_and_what_they_share_may_stand_beside
     np.testing.assert_allclose([c.position for c in read_entries(tmp_path, trembling)], [ring(2)[0].position])
 
 
+def test_panoptic_has_one_camera_for_each_number_and_those_of_its_test_file_are_held_out(tmp_path):
+    path = files.write_panoptic_meta(tmp_path, ring(9, held_out=2))
+    assert [c.name for c in read_cameras(path)] == [f"cam{i:02d}" for i in range(9)]
+    held_out = read_cameras(path.with_name("test_meta.json"))
+    assert [(c.name, c.held_out) for c in held_out] == [("cam07", True), ("cam08", True)]
+
+
 def test_wide_pictures_of_inria_are_shown_as_it_shows_them(tmp_path):
     """Its file has their full size, its models were trained and are looked at in at most 1,600 pixels' width."""
     wide = replace(ring(1)[0], width=4946, height=3286, fx=4600.0, fy=4610.0)
@@ -230,13 +224,6 @@ def test_wide_pictures_of_inria_are_shown_as_it_shows_them(tmp_path):
     assert (back.width, back.height, back.cx, back.cy) == (1600, 1063, 800, 531.5)
     assert back.fx / back.width == pytest.approx(wide.fx / wide.width)  # the same field of view
     assert back.fy / back.height == pytest.approx(wide.fy / wide.height)
-
-
-def test_panoptic_has_one_camera_for_each_number_and_those_of_its_test_file_are_held_out(tmp_path):
-    path = files.write_panoptic_meta(tmp_path, ring(9, held_out=2))
-    assert [c.name for c in read_cameras(path)] == [f"cam{i:02d}" for i in range(9)]
-    held_out = read_cameras(path.with_name("test_meta.json"))
-    assert [(c.name, c.held_out) for c in held_out] == [("cam07", True), ("cam08", True)]
 
 
 def test_every_model_has_the_number_and_parameters_that_colmap_gives_it():
