@@ -1,5 +1,6 @@
 """Bounds: what can be worked out by hand, that nothing beats them, and rates and sizes at their ends."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests import faces
 from tests.faces import NONE, Horizon, Offers, SessionSettings, Slot, simulate, solve_horizon
-from tests.support.manifests import keys, link, tiny_manifest
+from tests.support.manifests import keeping, keys, link, play, tiny_manifest
 from tools.lab.numerics.outcome import BOUNDED, EXACT, UNFIT
 from tools.lab.numerics.plans import KINDS, judge_margin, offer, solved
 
@@ -17,6 +18,8 @@ OFFERS = Offers(tiny_manifest(), header_bytes=0)
 LONGER = Offers(tiny_manifest(groups=(10, 30)), header_bytes=0)  # a second and then three
 CORE = tiny_manifest(psnr=((40.0, 30.0), (38.0, 29.0), (34.0, 28.0)))
 CORE = Offers(replace(CORE, levels=[*CORE.levels[:2], replace(CORE.levels[2], tiers=1)]), 0)
+KEPT = Offers(keeping(tiny_manifest()), 0, 1000)
+FOUR = Offers(keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4), 0)  # the third group, between, stands by itself
 FIRST = frozenset({(0, 0, 0)})  # the finest keys of the first tier
 
 
@@ -56,6 +59,17 @@ ONE_GROUP = [True, False]
     # The release of the first slot says when its bytes begin; the wait before each later one is counted apart.
     (horizon(6300, 12600 + 500, idle=500.0), 40, 6300),
     (horizon(6300, 12600, idle=500.0), (40 + 38) / 2, None),
+    # A group that keeps rows of a base takes 3000 + 200 + 2100 B, and its base is paid for once, however far back.
+    (horizon(6300, 11600, offers=KEPT), 40, 6300),
+    (horizon(6300, 11599, offers=KEPT), (40 + 38) / 2, None),
+    (horizon(9500, offers=KEPT, at=[1]), 40, 9500),
+    (horizon(9499, offers=KEPT, at=[1]), 38, 8500),
+    (horizon(5300, offers=KEPT, at=[1], decoded=keys(2)), 40, 5300),
+    (horizon(5299, offers=KEPT, at=[1], decoded=keys(2)), 38, 4300),
+    (horizon(9500, 15_800, 21_100, offers=FOUR, at=[1, 2, 3]), 40, 9500),
+    (horizon(9500, 15_800, 21_099, offers=FOUR, at=[1, 2, 3]), (40 + 40 + 38) / 3, None),
+    (horizon(6300, 15_800, offers=FOUR, at=[2, 3]), 40, 6300),  # nobody needed the base before
+    (horizon(6300, 15_799, offers=FOUR, at=[2, 3]), (40 + 38) / 2, None),
     # A rung of the last level needs one tier, and does not pay for two.
     (horizon(3100 + 600, offers=CORE), 34, 3700),
 ])  # fmt: skip
@@ -63,6 +77,19 @@ def test_the_best_of_a_horizon(programme, quality, first_bytes):
     best = solve_horizon(programme, integer=True)
     assert best is not None and best.quality == pytest.approx(quality)
     assert first_bytes is None or best.first_bytes == pytest.approx(first_bytes)
+
+
+def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
+    q0, q1 = (KEPT.rungs.index((q, 0)) for q in (0, 1))
+    sizes = KEPT.offer(1).sizes(keys(2))
+    assert sizes[q0] == 3000 + 200 + 2100
+    assert sizes[q1] == 1000 + 200 + (1000 + 500 + 200) + 2100
+    batch = KEPT.offer(1).missing(q1, keys(2))
+    assert batch.keys == (
+        *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
+        *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
+    )
+    assert KEPT.wire_bytes([KEPT.file_bytes(p) for p in batch.files]) == sizes[q1]
 
 
 def test_what_has_no_schedule():
@@ -86,8 +113,7 @@ def test_the_oracle_pays_only_round_trips_that_its_player_pays(pipelined):
     assert best > 0.9 if pipelined else best < 0.6
 
 
-def check_bound(offers, over, policy, **rules):
-    log = simulate(offers, over, policy, SessionSettings(**rules))
+def check_bound(log):
     bound = faces.session_bound(log)
     assert bound is not None and bound >= log.mean_quality - 1e-6
 
@@ -96,7 +122,16 @@ def test_rounding_of_media_time_does_not_delay_a_release():
     """25 segments of 0.4 s add up to a little more than the buffer of 10 s: the last of them waits for nothing."""
     c = Offers(tiny_manifest(fps=(25, 1)), header_bytes=0)
     assert np.cumsum([0.0, *[c.seconds_at(0), c.seconds_at(1)] * 13])[25] > 10.0
-    check_bound(c, link([8 * 60000.0, 8 * 500.0], [0, 4], 1000).trace, "paper", loops=25, buffer_s=10.0)
+    over = link([8 * 60000.0, 8 * 500.0], [0, 4], 1000).trace
+    check_bound(simulate(c, over, "paper", SessionSettings(loops=25, buffer_s=10.0)))
+
+
+@given(st.lists(st.floats(2e4, 2e5), min_size=2, max_size=6), st.tuples(st.booleans(), st.booleans()))
+@settings(max_examples=20)
+def test_no_session_that_keeps_rows_beats_the_bound(rates, pictures):
+    m = keeping(keeping(tiny_manifest(groups=(10, 10, 10, 10)), 2, 1, pictures), 4, 1, pictures)
+    for policy, loops in itertools.product(("throughput", "robust-mpc", "oracle-lp", "fixed:Q1+L1"), (1, 2)):
+        check_bound(play(m, link(rates), policy, loops=loops, replace=True, abandon=True))
 
 
 capacities = st.lists(st.integers(2300, 9000), min_size=1, max_size=5).map(np.cumsum)
@@ -142,4 +177,4 @@ def test_links_too_slow_for_a_day_and_rates_beyond_what_sums_hold_are_refused():
     assert fastest.trace.mean_bps == pytest.approx(1e19)
     with pytest.raises(faces.TransportError, match="expected rates of at most"):
         link([2e19])
-    check_bound(OFFERS, fastest, "oracle-lp", loops=3)
+    check_bound(simulate(OFFERS, fastest, "oracle-lp", SessionSettings(loops=3)))

@@ -10,13 +10,15 @@ from hypothesis import strategies as st
 
 from tests import faces
 from tests.faces import STALL_DB, BatchKind, ConfigError, Decision, Offers, Policy, SessionSettings, Trace, simulate
-from tests.support.manifests import in_groups, link, missing, play, rules, tiny_manifest, with_segments
+from tests.support.manifests import in_groups, keeping, link, missing, play, rules, tiny_manifest, with_segments
 from tests.support.paths import VALID
+from tests.support.session_packages import offers_of
 
 TINY = tiny_manifest()
 NAMES = Offers(TINY).names
 ALIKE = tiny_manifest(groups=(10, 10, 10))
 UNMEASURED = tiny_manifest(psnr=None)
+KEPT = keeping(tiny_manifest())
 SLOW_THEN_FAST = link([3e4, 8e6], [0, 2], 1000)
 
 
@@ -144,6 +146,17 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
         {"rungs shown": ["Q1+L1", "Q0+L1"] + ["Q0+L0"] * 4, "bytes":
          {"manifests": 1100, "key": 1500 + 4000, "sidecars": 400, "state": 10_600},
          "kinds": ["tables", "tables", "group", "state", "group", "state", "state", "state"]}),
+    # The second group keeps rows: of 3000 + 1000 B of pictures it has the first tier's alone, with both sidecars.
+    "kept rows are not fetched again": (KEPT, link([8e4]), "fixed:0", {}, {"sizes": [1000, 100, 6300, 100, 5300]}),
+    "but in each loop": (
+        KEPT, link([8e4]), "fixed:0", {"loops": 2}, {"sizes": [1000, 100, 6300, 100, 5300, 6300, 5300]}),
+    # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
+    "who joins fetches the base": (KEPT, link([8e4]), "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500]}),
+    "once for two that differ from it": (
+        keeping(keeping(ALIKE), 3), link([8e4]), "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500, 100, 5300]}),
+    **{f"without {path} of its base a group is lost, and the next one is not": (
+        keeping(ALIKE), link([8e4]), "fixed:0", {"faults": missing(path)}, {"rungs shown": [None, None, "Q0+L0"]},
+    ) for path in ("group/1.json.gz", "key/T0/1.bin")},
     "a group without its key is lost, and the last picture stands for its time": (
         TINY, link([8e6]), "paper-no-cliff", {"faults": missing("key/T0/1.bin")},
         {"rungs shown": [None, "Q0+L0"], "lost_frames": 10, "psnr_mean": 40.0, "waits": [0, 0]}),
@@ -176,6 +189,11 @@ def test_the_test_manifest_is_a_manifest(options):
     faces.check_root(faces.root_of(m))
     for number, group in enumerate(m.groups):
         faces.check_group(m, m.groups.places.entry(number), group, "group")
+    first, second = keeping(m).groups
+    faces.check_group(m, m.groups.places.entry(1), second, "group")
+    faces.check_base(second, first, "group")
+    with pytest.raises(faces.FormatError, match="centres"):
+        faces.check_group(m, m.groups.places.entry(1), replace(second, keeps=None), "group")
 
 
 @pytest.mark.parametrize("buffer_s", [3.0, 2.5])  # whole segments of a second, and half of one
@@ -241,6 +259,47 @@ def test_what_was_lost_is_told_once_and_a_corrupt_file_travels_before_it_is_foun
     assert sum(group in line for line in table.lost) == 1 and path in state.lost[0]
     assert key in lost.lost[0] and "frames 0-9" in lost.lost[-1] and "lost" in faces.format_metrics(lost)
     assert faces.session_bound(lost) is None
+
+
+def test_the_page_of_the_base_is_fetched_first():
+    """Group 66 is in airgs.json, its base on the first page."""
+    group = {"table": 90, "sidecars": [30], "pictures": [[500, 300]]}
+    group |= {"segments": [{"frames": 10, "bytes": [700], "psnr": [[40.0, 38.0]]}]}
+    groups = [group] * 65 + [group | {"keeps": 3, "sidecars": [20], "pictures": [[70, 60]]}]
+    numbers = {"frame_rate": [10, 1], "page_bytes": 4000, "header_bytes": 0, "root_bytes": 1000, "groups": groups}
+    numbers |= {"qualities": ["Q0", "Q1"], "levels": [{"id": "L0", "tiers": 1, "pruned": 0.0}]}
+    offers = offers_of(numbers)
+    offers.first = 65
+    log = simulate(offers, link([8e4]), "fixed:0", rules())
+    assert [f.bytes for f in log.fetches] == [1000, 90, 4000, 90, 20 + 70 + 30 + 500 + 700]
+
+
+def test_the_bytes_of_the_next_group_are_those_that_are_then_asked_for():
+    """A policy that guesses, for every rung it may take, what the next segment will cost, also in the next loop."""
+    chance = np.random.default_rng(5)
+    guessed = {}
+
+    def choose(state):
+        if state.position in guessed:
+            assert [option.size_bytes for option in state.options] == guessed[state.position].tolist()
+        option = state.options[chance.integers(len(state.options))]
+        (here, _), *later = itertools.islice(state.upcoming(), 2)
+        assert here is state.offer
+        if later and later[0][0].starts_group:
+            ((following, known),) = later
+            sizes = following.bytes_after(here, known)
+            guessed[state.position + 1] = sizes[option.index if len(sizes) > 1 else 0]
+        return Decision(option.index, True, "any", option.size_bytes)
+
+    for _ in range(40):
+        m = tiny_manifest(groups=(10,) * 5)
+        for number in range(2, 6):
+            base = int(chance.integers(1, number))
+            if m.groups[base - 1].keeps is None and chance.random() < 0.7:
+                m = keeping(m, number, base, [(True, False), (True, True), (False, False)][chance.integers(3)])
+        guessed.clear()
+        log = play(m, link([8e4]), Policy("any", choose), first=int(chance.integers(3)), loops=2)
+        assert log.shown and guessed
 
 
 def test_policies_of_ones_own_and_packages_are_taken_as_they_are():

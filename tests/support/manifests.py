@@ -112,3 +112,16 @@ def tiny_manifest(
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
         groups=in_groups([table(stop - size, stop) for size, stop in zip(groups, stops, strict=True)], table_bytes),
     )  # fmt: skip
+
+
+def keeping(m: Manifest, number: int = 2, of: int = 1, pictures: Sequence[bool] = (True, False)) -> Manifest:
+    """The manifest with a group whose keys are differences; a tier of which nothing differs has no pictures."""
+    groups, tiers = list(m.groups), []
+    for tier, there in zip(groups[number - 1].tiers, pictures, strict=True):
+        files = tier.pictures if there else [mf.NO_FILE] * len(tier.pictures)
+        atlases = [replace(a, centres=[0, 0, 0, *a.centres], max_error=[0.0, *a.max_error]) for a in tier.qualities]
+        if not there:
+            atlases = [replace(atlas, rows=0, planes=[]) for atlas in atlases]
+        tiers.append(replace(tier, qualities=atlases, pictures=files))
+    groups[number - 1] = replace(groups[number - 1], tiers=tiers, keeps=of)
+    return replace(m, groups=in_groups(groups))
