@@ -70,10 +70,6 @@ def _plain(parts: list[Part]) -> bytes:
     return b"".join(part for _, part in parts)
 
 
-def _gzip(data: bytes) -> Layer:
-    return [gzip.decompress(data)], lambda parts: gzip.compress(_plain(parts), 1, mtime=0)
-
-
 def _zip(data: bytes) -> Layer:
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         names = archive.namelist()
@@ -153,15 +149,11 @@ def _ply(data: bytes) -> Layer:
     return [*head.splitlines(True), mark, rows], _plain
 
 
-def _4dgs(data: bytes) -> Layer:
-    return _records(8, "<BQ", 1, 0, data, data[:8] if data.endswith(data[:8]) else b"")
-
-
 LAYERS: tuple[tuple[bytes, Callable[[bytes], Layer]], ...] = (
-    (b"\x1f\x8b", _gzip),
+    (b"\x1f\x8b", lambda data: ([gzip.decompress(data)], lambda parts: gzip.compress(_plain(parts), 1, mtime=0))),
     (b"PK\3\4", _zip),
     (b"ply\n", _ply),
-    (b"\x894DGS", _4dgs),
+    (b"\x894DGS", lambda data: _records(8, "<BQ", 1, 0, data, data[:8] if data.endswith(data[:8]) else b"")),
     (b"glTF", partial(_records, 12, "<II", 0, 0)),
     (b"SP4D", partial(_headed, 8, 4)),
     (b"Kg\0\0", partial(_headed, 4, 4)),  # .splatv
@@ -209,19 +201,15 @@ def mutate_json(chance: random.Random, text: bytes) -> bytes:
     """One or two values somewhere in a JSON document replaced, dropped, doubled or moved a little."""
     document = json.loads(text)
     for _ in range(chance.choice((1, 1, 1, 2))):
-        _change_somewhere(chance, document)
+        here = document
+        while isinstance(here, (dict, list)) and here:
+            key = chance.choice(list(here) if isinstance(here, dict) else range(len(here)))
+            if not (isinstance(here[key], (dict, list)) and here[key] and chance.random() < 0.85):
+                _change(chance, here, key)
+                break
+            here = here[key]
     out = json.dumps(document, separators=(",", ":")).encode()
     return out.replace(b'"DEEP"', b"[" * 99_999 + b"]" * 99_999)
-
-
-def _change_somewhere(chance: random.Random, here: Any) -> None:
-    """Walk down at random and change one value; an empty document stays as it is."""
-    while isinstance(here, (dict, list)) and here:
-        key = chance.choice(list(here) if isinstance(here, dict) else range(len(here)))
-        if not (isinstance(here[key], (dict, list)) and here[key] and chance.random() < 0.85):
-            _change(chance, here, key)
-            return
-        here = here[key]
 
 
 def _change(chance: random.Random, here: Any, key: Any) -> None:
