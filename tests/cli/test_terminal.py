@@ -10,7 +10,7 @@ import pytest
 from airgs_codec.cli import terminal
 from tests import faces
 from tests.support.paths import FOX, FOX_VIEWS, GOLDEN, VALID
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 EVERYDAY = 18  # options of a command, on one screen
 NAMES = ("decode", "encode", "manifest", "play", "serve", "train")
@@ -41,6 +41,8 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     },
     "encode": {
         "": "expected SCENE, got none", "none.splatv": "none.splatv", "FOX -o x.airgs": "fox",
+        "NOPLY -o out": "expected a .ply header, got b'no ply'", "CUT -o out --json": "000001.ply: expected 20",
+        "DEGREES -o out": "000001.ply: expected SH degree 0", "CAMERAS -o out": "transforms.json: expected cameras (",
         "FRAMES --calibrate none -o out --device cuda --json": "--device cuda: torch sees no CUDA device",
         "VIEWS -o out --device cuda": "--device cuda: torch sees no CUDA device",
     },
@@ -157,9 +159,22 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def broken(tmp_path_factory):
+    """Scenes of which something cannot be used, by names for it."""
+    names, frames = ("NOPLY", "CUT", "DEGREES", "CAMERAS"), moving_frames(20, 2)
+    scenes = {name: write_sequence(tmp_path_factory.mktemp(name), frames) for name in names}
+    cut = scenes["CUT"] / "000001.ply"
+    cut.write_bytes(cut.read_bytes()[:-50])
+    (scenes["NOPLY"] / "000001.ply").write_bytes(b"no ply")
+    faces.write_ply(scenes["DEGREES"] / "000001.ply", random_gaussians(20, 1))
+    (scenes["CAMERAS"] / "transforms.json").write_text("{}")
+    return scenes
+
+
 @pytest.mark.parametrize(("words", "says"), ROWS, ids=[words for words, _ in ROWS])
-def test_a_mistake_is_one_line_and_2_and_leaves_nothing(words, says, folder, blobs, capsys):
-    places = PLACES | {"BLOBS": blobs, "NOTHING": ""}
+def test_a_mistake_is_one_line_and_2_and_leaves_nothing(words, says, folder, broken, blobs, capsys):
+    places = PLACES | broken | {"BLOBS": blobs, "NOTHING": ""}
     command, *arguments = [str(places.get(word, word)) for word in words.split()]
     before = sorted(folder.rglob("*")), sorted(os.listdir(FOX.parent))
     assert COMMANDS[command](arguments) == 2
