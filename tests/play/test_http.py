@@ -226,10 +226,8 @@ def test_a_query_goes_with_every_file_and_tables_may_come_unpacked(form, site):
 
 @pytest.mark.parametrize(("make", "words"), [
     *((partial(HttpDownloader, url), "http://") for url in ("ftp://a/x", "http://", "http://a:b/", "http://[", "http://a/#x")),
-    (partial(HttpSettings, timeout_s=0), "expected more than 0 s"),
-    (partial(HttpSettings, backoff_s=np.nan), "expected more than 0 s"),
-    (partial(HttpSettings, attempts=0), "expected an attempt or more"),
-    (partial(HttpSettings, outage_s=-1), "expected an attempt or more"),
+    *((partial(HttpSettings, **given), "expected more than 0") for given in ({"timeout_s": 0}, {"backoff_s": np.nan})),
+    *((partial(HttpSettings, **given), "expected an attempt or more") for given in ({"attempts": 0}, {"outage_s": -1})),
 ])  # fmt: skip
 def test_addresses_of_nothing_and_impatience_that_cannot_work_are_refused(make, words):
     with pytest.raises(faces.ConfigError, match=words):

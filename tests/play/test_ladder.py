@@ -72,10 +72,9 @@ def test_units_13_and_bandwidths_that_are_none_12():
 @pytest.mark.parametrize(("function", "arguments", "words"), [
     # 6
     *((partial(Ladder.build, beta=beta), [dense(40, 39)], "more than 1") for beta in (1.0, 0.5, 0.0, math.nan)),
-    (Ladder.build, [[]], "at least one level"),  # 10
+    (Ladder.build, [[]], "at least one level"), (select_literal, [[], 10], "at least one level"),  # 10
     (Ladder.build, [dense(40, math.nan)], "level 1"),  # 11
     (frame_budget, [1e6, 0.0], "frame rate"),  # 12
-    (select_literal, [[], 10], "at least one level"),  # 10
 ])  # fmt: skip
 def test_what_is_refused(function, arguments, words):
     with pytest.raises(ConfigError, match=words):

@@ -17,13 +17,9 @@ from tests.support.paths import VALID
 TINY = tiny_manifest()  # its rungs take 50.4 to 18.4 kbit/s
 UNMEASURED = tiny_manifest(psnr=None)
 LOST = missing(*(TINY.state_files(1, level)[0] for level in range(3)))
-FAULTS, BELOW, OVER, ASKED, SHORT = (
-    "files had to be asked for again",
-    "the link gave less than the lowest rung needs",
-    "less came than was expected",
-    "the policy asked for more than the link gave",
-    "too little was buffered for what came next",
-)
+FAULTS, BELOW = "files had to be asked for again", "the link gave less than the lowest rung needs"
+OVER, ASKED = "less came than was expected", "the policy asked for more than the link gave"
+SHORT = "too little was buffered for what came next"
 
 
 @pytest.mark.parametrize(("log", "why", "change"), [

@@ -29,16 +29,13 @@ FALLING = trace(8e6, 4e6)
 
 
 @pytest.mark.parametrize(("what", "size", "at", "arrival"), [
-    (OUTAGE, 1_000_000, 0.0, 1.0),
-    (OUTAGE, 2_000_000, 0.0, 6.0),
-    (OUTAGE, 1, 3.0, pytest.approx(5.000001)),
+    (OUTAGE, 1_000_000, 0.0, 1.0), (OUTAGE, 2_000_000, 0.0, 6.0), (OUTAGE, 1, 3.0, pytest.approx(5.000001)),
     (trace(8e6, 0), 3_000_000, 0.0, 5.0),  # it begins again
     (trace(0, 8e6), 1_000_000, 0.0, 2.0),  # its end, not the start of the next outage
     (trace(8e6, 0), 0, 0.25, 0.25),  # nothing to send arrives at once
     (trace(1e6, 0).cut(scale=8), 1_000_000, 0.0, 1.0),
     (FALLING, 2_000_000, 0.0, 2.5),  # 1 MB and 0.5 MB, then 0.5 MB again at the first rate
-    (FALLING.ending("hold"), 2_000_000, 0.0, 3.0),
-    (FALLING.ending("error"), 1_500_000, 0.0, 2.0),
+    (FALLING.ending("hold"), 2_000_000, 0.0, 3.0), (FALLING.ending("error"), 1_500_000, 0.0, 2.0),
     (link([8e6], rtt=0.1), 3700, 1.0, pytest.approx(1.1037)),  # a batch pays one round trip
     (link([8.0]), DAY_S - 1, 0.0, DAY_S - 1),
 ])  # fmt: skip
@@ -125,22 +122,16 @@ def test_mahimahi_counts_packets_in_each_millisecond(tmp_path):
 
 
 @pytest.mark.parametrize(("content", "words"), [
-    ("\n\n", "empty"),
-    (b"\xff\xfe\x00garbage", "cannot read"),
+    ("\n\n", "empty"), (b"\xff\xfe\x00garbage", "cannot read"),
     *((text, "expected Raca CSV") for text in ("hello\nworld\n", "[1, 2]", "[]", "[{", "0,1\n1,fast\n")),
-    ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"),
+    ("Timestamp,DL_bitrate\nyesterday,5\n", "expected Raca CSV"), ("DL_bitrate\n5\n", "Timestamp"),
     *((f"Timestamp,DL_bitrate\n{row}", "no DL_bitrate") for row in ("", "2017.12.04_15.24.12,-\n")),
-    ("DL_bitrate\n5\n", "Timestamp"),
-    ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"),
+    ("Timestamp,DL_bitrate\n" + "5" * 200_000, "field larger"), ("[" * 100_000, "recursion"),
     ('[{"duration_ms": 500}]', "bandwidth_kbps"),
     ('[{"bandwidth_kbps": 1, "duration_ms": 1' + "0" * 400 + "}]", "too large"),
-    ("[" * 100_000, "recursion"),
-    ("time_s,mbps\n", "no rows"),
-    ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
+    ("time_s,mbps\n", "no rows"), ("time_s,mbps\n0,1\n1\n", "no rate in '1'"),
     *((text, "ascend") for text in ("0,1\n0,2\n", "nan,1\n1,2\n", "5\n3\n")),
-    ("0,-1\n1,2\n", "0 or more"),
-    ("0,nan\n1,2\n", "finite"),
-    ("0,0\n1,0\n", "zero all the time"),
+    ("0,-1\n1,2\n", "0 or more"), ("0,nan\n1,2\n", "finite"), ("0,0\n1,0\n", "zero all the time"),
     ("99999999999999999\n", "more than a day"),
 ])  # fmt: skip
 def test_bad_files_get_one_line(tmp_path, content, words):

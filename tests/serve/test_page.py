@@ -58,10 +58,6 @@ def listed(port):
     return json.loads(ask(port, "/", Accept="application/json")[2])
 
 
-def directives(headers):
-    return dict(part.strip().split(" ", 1) for part in headers[POLICY].split(";"))
-
-
 @pytest.mark.parametrize("name", FILES)
 def test_the_files_of_the_player_are_sent_to_pages_of_all_origins_and_asked_for_again(port, name):
     status, headers, body = ask(port, f"/{name}")
@@ -89,12 +85,13 @@ def test_a_player_that_is_built_anew_is_sent_anew(port, page):
 
 
 def test_the_page_may_do_what_the_player_does_and_nothing_else(port):
-    allowed = directives(ask(port, "/player.html")[1])
+    policies = (ask(port, path)[1][POLICY].split(";") for path in ("/player.html", "/"))
+    allowed, on_list = (dict(part.strip().split(" ", 1) for part in policy) for policy in policies)
     inline = base64.b64encode(hashlib.sha256(INLINE.encode()).digest()).decode()
     assert allowed["default-src"] == allowed["base-uri"] == allowed["form-action"] == "'none'"
     assert allowed["script-src"] == f"'self' 'sha256-{inline}'"
     assert allowed["worker-src"] == "blob:" and allowed["connect-src"] == "*"
-    assert directives(ask(port, "/")[1])["script-src"] == "'self'"
+    assert on_list["script-src"] == "'self'"
     assert POLICY not in ask(port, "/airgs.js")[1]
 
 
@@ -107,8 +104,11 @@ def test_a_folder_of_packages_is_served_with_all_of_them(port):
     assert ask(port, "/ladder.png")[0] == 404
 
 
-def test_the_list_leads_to_the_player_and_the_player_to_the_package(port):
-    text = ask(port, "/")[2].decode()
+def test_the_list_says_what_each_package_is_and_leads_to_the_player_and_the_player_to_the_package(port):
+    text, m = ask(port, "/")[2].decode(), open_package(PACKAGE).manifest
+    size, quality = sum(len(data) for data in read_files(PACKAGE).values()), pooled_quality(m, 0, 0).psnr
+    best = 8e-6 * sum((PACKAGE / path).stat().st_size for path in m.rung_files(0, 0)) * float(m.fps) / m.frames
+    assert f"0.2 s · 5 frames · {size / 1e3:.3g} kB · {best:.3g} Mbit/s and {quality:.1f} dB at best" in text
     for entry in listed(port):
         assert f'href="{entry["play"]}"' in text and entry["mpd"] in text
         assert ask(port, entry["tables"])[0] == ask(port, entry["mpd"])[0] == 200
@@ -119,15 +119,6 @@ def test_the_list_leads_to_the_player_and_the_player_to_the_package(port):
         assert unquote(root.path) == f"/{entry['name']}/airgs.json" and not root.query + root.fragment
         assert ask(port, root.path)[0] == 200
     assert "<b>" not in text and entry["play"] == "/player.html?src=player.html/"
-
-
-def test_the_list_says_what_each_package_is(port):
-    text = ask(port, "/")[2].decode()
-    size = sum(path.stat().st_size for path in PACKAGE.rglob("*") if path.is_file())
-    m = open_package(PACKAGE).manifest
-    quality = pooled_quality(m, 0, 0).psnr
-    best = 8e-6 * sum((PACKAGE / path).stat().st_size for path in m.rung_files(0, 0)) * float(m.fps) / m.frames
-    assert f"0.2 s · 5 frames · {size / 1e3:.3g} kB · {best:.3g} Mbit/s and {quality:.1f} dB at best" in text
 
 
 def test_a_card_has_the_poster_and_the_credit_of_its_package_as_text(page, demo_package, tmp_path):

@@ -139,8 +139,7 @@ def test_other_methods_are_refused(port, method):
     (request(ROOT, "GET", *(f"X{i}: x" for i in range(4000))), 431),
     (request(f"/{'x' * 20_000}"), 431),
     (b"GET / HTTP/1.1\r\nHost: a\r\n" + b"X: x\r\n" * 50_000, 431),
-    (b"GET / HTTP/1.1\r\n\r\n", 400),
-    (b"GET /\xff HTTP/1.1\r\nHost: a\r\n\r\n", 400),
+    (b"GET / HTTP/1.1\r\n\r\n", 400), (b"GET /\xff HTTP/1.1\r\nHost: a\r\n\r\n", 400),
     (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n", 400),
 ])  # fmt: skip
 def test_bodies_huge_headers_and_nonsense_are_refused_and_end_the_connection(port, data, status):
