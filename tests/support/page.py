@@ -114,15 +114,6 @@ def check_luma(name: str, found: Mapping[str, list[str]]) -> None:
         assert digests == expected[path in lined :], path  # slopes are no frame
 
 
-def camera_of(package: Package, report: Any) -> Camera:
-    """The camera of web/test/pages/player.ts, before the background of a package."""
-    lens = report["camera"]
-    matrix = np.array(lens["worldToCamera"]).reshape(4, 4)
-    numbers = {k: lens[k] for k in ("width", "height", "fx", "fy", "cx", "cy", "near")}
-    [camera] = before_background(package.manifest.region, [Camera("page", world_to_camera=matrix, **numbers)])
-    return camera
-
-
 def pixels_of(picture: str, width: int, height: int) -> NDArray[np.uint8]:
     """(height, width, 3) of a picture of a page."""
     return np.frombuffer(base64.b64decode(picture), np.uint8).reshape(height, width, 4)[..., :3]
@@ -138,7 +129,10 @@ def decibels(pixels: NDArray[np.uint8], truth: NDArray[np.float32]) -> float:
 def check_sought(package: Package, report: Any, rung: tuple[int, int], frames: Sequence[int]) -> None:
     """What player.ts shows of frames in a rung, (key quality, level), is what the CPU renderer draws."""
     assert report["paused"] and [seen["frame"] for seen in report["pictures"]] == frames
-    camera = camera_of(package, report)
+    lens = report["camera"]
+    numbers = {k: lens[k] for k in ("width", "height", "fx", "fy", "cx", "cy", "near")}
+    page = Camera("page", world_to_camera=np.array(lens["worldToCamera"]).reshape(4, 4), **numbers)
+    [camera] = before_background(package.manifest.region, [page])
     for seen in report["pictures"]:
         shown = decode(package, seen["frame"], level=rung[1], key_quality=rung[0])
         pixels = pixels_of(seen["picture"], camera.width, camera.height)

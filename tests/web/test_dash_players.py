@@ -81,19 +81,18 @@ def report(tmp_path_factory):
 def expected(m):
     """Representation -> its files with the seconds when they begin and end, from the tables."""
     streams = defaultdict(list)
+
+    def add(name, span, paths):
+        streams[name] += [(float(span.start / m.fps), float(span.stop / m.fps), path) for path in paths]
+
     for number, segment in enumerate(m.segments):
         for j in range(len(m.levels)):
-            still = f"state/L{j}/{number + 1}.m4s"
-            files = m.state_files(number, j) or [still for path, _ in still_files(m) if path == still]
-            streams[f"L{j}"] += [(segment, path) for path in files]
+            still = [path for path, _ in still_files(m) if path == f"state/L{j}/{number + 1}.m4s"]
+            add(f"L{j}", segment, m.state_files(number, j) or still)
     for number, group in enumerate(m.groups):
         for k, q in np.ndindex(m.tiers, len(m.qualities)):
-            streams[f"T{k}/Q{q}"] += [(group, path) for path in m.key_files(number, k, q)[1:]]
-    return {
-        name: [(float(span.start / m.fps), float(span.stop / m.fps), path) for span, path in files]
-        for name, files in streams.items()
-        if files
-    }
+            add(f"T{k}/Q{q}", group, m.key_files(number, k, q)[1:])
+    return {name: files for name, files in streams.items() if files}
 
 
 def sets_of(streams):

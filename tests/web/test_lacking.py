@@ -15,17 +15,13 @@ from tests.support.paths import GOLDEN
 from tests.support.servers import plainly_serving
 
 LACKING = {  # what is taken away by web/test/support/lacking.ts, and what is said
-    "HTTPS": "only over HTTPS",
-    "WebCodecs": "It lacks WebCodecs.",
-    "WebCodecs in workers": "This browser has no WebCodecs",
-    "H.264": "This browser does not decode H.264",
+    "HTTPS": "only over HTTPS", "WebCodecs": "It lacks WebCodecs.",
+    "WebCodecs in workers": "This browser has no WebCodecs", "H.264": "This browser does not decode H.264",
     "a decoder that works": "This browser does not decode H.264",
-    "WebGL 2": "It lacks WebGL 2",
-    "a WebGL 2 context": "It lacks WebGL 2",
-    "workers": "The worker that decodes failed",
-    "more than one worker": "The worker that sorts failed",
+    "WebGL 2": "It lacks WebGL 2", "a WebGL 2 context": "It lacks WebGL 2",
+    "workers": "The worker that decodes failed", "more than one worker": "The worker that sorts failed",
     "workers that start": "The worker that decodes failed",
-}
+}  # fmt: skip
 KEY = "?sig=a%2Fb%2Bc&x=1"
 PAGE = "group/1.json.gz"
 SERVERS = {  # the file that is answered otherwise, how, and what is said
@@ -35,27 +31,22 @@ SERVERS = {  # the file that is answered otherwise, how, and what is said
     "silent": ("airgs.json", Answer(b"{{", wait_s=60), "airgs.json: the server is silent"),
 }
 SAID = LACKING | {name: words for name, (*_, words) in SERVERS.items()} | {"CORS": "is not for this page"}
-NOTHING = {"plain": "/golden/fox/", "query, unpacked": f"/dev/fox/manifest.mpd{KEY}"}  # lacks, or is wrong
 FOX = open_package(GOLDEN / "fox")
 
 pytestmark = pytest.mark.skipif(bool(missing()), reason=f"not here: {', '.join(missing())}")
 
 
-# On the screen
-
-
 @pytest.fixture(scope="module")
 def shown():
     """What the page that is shipped shows, by what is lacking, where nothing is, and by what a server does."""
-    root = (GOLDEN / "fox" / "airgs.json").read_bytes()
-    made = {f"/{name}/airgs.json": root for name in SERVERS}
+    made = {f"/{name}/airgs.json": (GOLDEN / "fox" / "airgs.json").read_bytes() for name in SERVERS}
     made |= {f"/{name}/{path}": given for name, (path, given, _) in SERVERS.items()}
     for path in (PAGE, "group/2.json.gz"):
         made[f"/dev/fox/{path}"] = Answer((GOLDEN / "fox" / path).read_bytes(), headers={"Content-Encoding": "gzip"})
     folders = {"page": SHIPPED, "golden": GOLDEN, "dev": GOLDEN}
     with serve(folders, made, locked={"dev": KEY}) as site, plainly_serving(GOLDEN) as port:
         pages = {name: ("/golden/fox/", asking(lacks=name)) for name in LACKING}
-        pages |= {name: (src, asking()) for name, src in NOTHING.items()}
+        pages["nothing"] = f"/dev/fox/manifest.mpd{KEY}", asking()  # lacks, or is wrong
         pages |= {name: (f"/{name}/", asking(lacks="patience" if name == "silent" else "")) for name in SERVERS}
         pages["CORS"] = f"http://127.0.0.1:{port}/fox/", asking()
         visits = visit_all([(f"{site.url}/page/player.html?src={src}", script) for src, script in pages.values()])
@@ -70,9 +61,8 @@ def test_what_is_lacking_or_a_server_does_is_said_on_the_screen(shown, name):
     assert name in LACKING or "Try again" in report["text"]
 
 
-@pytest.mark.parametrize("name", NOTHING)
-def test_where_nothing_is_lacking_nothing_is_said(shown, name):
-    assert "text" not in shown[name]
+def test_a_package_with_a_key_in_its_address_and_tables_that_the_browser_unpacks_is_shown(shown):
+    assert "text" not in shown["nothing"]
 
 
 # In the media part: luma that is changed, decoders that are missing, taken away or broken
@@ -95,8 +85,7 @@ PROBES = {  # task of web/test/pages/media.ts, with what -> what it reports, or 
     "software that differs, too": ("hardware", {"helps": False}, "luma"),
 }  # fmt: skip
 for format, change, luma in MOCKS:
-    layout = "planar" if format in ("NV12", "I420") else "rgb"
-    undone = {"luma": luma, "layouts": [layout], "wrong": []}
+    undone = {"luma": luma, "layouts": ["planar" if format in ("NV12", "I420") else "rgb"], "wrong": []}
     PROBES[f"{format} {change}"] = "probe", {"format": format, "change": change}, undone if luma else "luma"
 ALL = list(range(FOX.manifest.segments[0].stop))
 BROKEN = "key/T0/Q0/1.m4s: H.264 does not decode: Codec reclaimed due to inactivity. (bad_picture)"

@@ -67,40 +67,32 @@ def test_lists_of_packages_fit_phones_tablets_and_desks(seen, page):
 # The page that is shipped, used by mouse and keys (web/test/pages/page.ts)
 
 
-@pytest.fixture
-def report(seen):
-    return seen["used"][1]
-
-
 def difference(pictures):
     return float(np.abs(np.subtract(pictures["before"], pictures["after"])).mean())
 
 
-def test_the_page_bears_the_name_of_the_package_until_there_is_a_picture(report):
+def test_the_page_bears_the_name_of_the_package_until_there_is_a_picture(seen):
+    report = seen["used"][1]
     assert (report["named"], report["title"]) == ("fox", "fox \u2013 airgs player")
 
 
-def test_a_drag_turns_the_camera_and_the_picture_and_a_key_goes_back(report):
-    look = report["look"]
+def test_a_drag_turns_the_camera_and_the_picture_and_a_key_goes_back(seen):
+    look = seen["used"][1]["look"]
     assert look["first"] == pytest.approx(open_package(FOX).manifest.region.places[0].position, abs=1e-5)
     assert np.linalg.norm(np.subtract(look["turned"], look["first"])) > 0.02
     assert difference(look) > 0.5
     assert look["home"] == pytest.approx(look["first"], abs=1e-5)
 
 
-def test_scrubbing_shows_another_frame(report):
-    scrub, m = report["scrub"], open_package(FOX).manifest
+def test_scrubbing_shows_another_frame_and_a_quality_of_the_menu_is_soon_on_the_screen(seen):
+    scrub, choose, m = seen["used"][1]["scrub"], seen["used"][1]["choose"], open_package(FOX).manifest
     assert scrub["time"] == pytest.approx(int(0.7 * m.frames) / float(m.fps))
     assert difference(scrub) > 0.05
-
-
-def test_a_quality_of_the_menu_is_soon_on_the_screen(report):
-    choose = report["choose"]
     assert choose["shown"] == choose["name"] and "+" in choose["name"] and "dB" in choose["label"]
 
 
-def test_it_fills_the_window_of_a_phone(report):
-    phone = report["phone"]
+def test_it_fills_the_window_of_a_phone(seen):
+    phone = seen["used"][1]["phone"]
     bar = phone["bar"]
     assert [phone["element"][side] for side in ("left", "top", "width", "height")] == [0, 0, 390, 844]
     assert bar["left"] >= 0 and bar["right"] <= 390 and bar["bottom"] <= 844

@@ -13,6 +13,7 @@ from tests.support.packages import TWO_LEVELS, Encoded
 from tests.support.page import look
 from tests.support.paths import GOLDEN, VALID
 from tests.support.regions import QUICK
+from tests.support.rooms import room_frames
 from tests.support.scenes import frozen, random_gaussians
 
 LEAST_DB = {"rgba16f": 55.0, "rgb10_a2": 50.0}  # PSNR of pictures of 8 bits
@@ -30,38 +31,39 @@ def four_cameras(gaussians):
     return [*cameras, replace(cameras[0], name="close", world_to_camera=nearer)]
 
 
-def swaying(count, degree, reach, frames):
-    """Rows that sway by up to `reach`, turn, grow, fade and change colour; each third one stands still."""
-    g = random_gaussians(count, degree, seed=degree)
-    moves = (np.arange(count) % 3 > 0)[:, None].astype(np.float32)
-    out = []
-    for t in range(frames):
+def jumping_groups():
+    """Rows that turn, fade and move so far that bases jump; each third one stands still. The first has two segments."""
+    g, frames = random_gaussians(700, 2, seed=2), []
+    moves = (np.arange(700) % 3 > 0)[:, None].astype(np.float32)
+    for t in range(8):
         swing = np.float32(np.sin(0.9 * t)) * moves
         turned = g.quaternions + 0.4 * swing * np.roll(g.quaternions, 1, axis=1)
         colours = (g.sh_dc + 0.3 * swing, g.sh_rest + 0.1 * swing[:, :, None])
-        shape = (g.means + reach * swing, turned, g.log_scales + 0.3 * swing, g.opacity_logits + swing[:, 0])
-        out.append(frozen(Gaussians(*(np.ascontiguousarray(a, np.float32) for a in (*shape, *colours)))))
-    return out
-
-
-def jumping_groups():
-    """Rows that move so far for their steps that bases jump; the first group has two segments."""
-    frames = swaying(700, 2, 3.0, 8)
+        shape = (g.means + 3 * swing, turned, g.log_scales + 0.3 * swing, g.opacity_logits + swing[:, 0])
+        frames.append(frozen(Gaussians(*(np.ascontiguousarray(a, np.float32) for a in (*shape, *colours)))))
     return [frames[:6], frames[6:]]
 
 
-JUMPING = Encoded(jumping_groups, replace(QUICK, quality=0.05, levels=TWO_LEVELS), fps=4, cameras=True)
-COMMITTED = {
-    "fox": GOLDEN / "fox", "still": GOLDEN / "fox-fine", "room": GOLDEN / "room", "flat": VALID / "moving",
-    "kept": VALID / "kept",
-}  # fmt: skip
+def room_groups():
+    """A room whose mover is redder in each group."""
+    frames = room_frames(600, 6, 1)
+    red = np.zeros_like(frames[0].sh_dc)
+    red[600:] = np.array([0.8, -0.3, 0.1], np.float32) * frames[0].sh_dc[600:, 1:2]
+    frames = [replace(frame, sh_dc=frame.sh_dc + np.float32(t // 2) * red) for t, frame in enumerate(frames)]
+    return [frames[:2], frames[2:4], frames[4:]]
+
+
+ENCODED = {
+    "jumping": Encoded(jumping_groups, replace(QUICK, quality=0.05, levels=TWO_LEVELS), fps=4, cameras=True),
+    "room": Encoded(room_groups, QUICK, fps=4, cameras=True),
+}
+COMMITTED = {"fox": GOLDEN / "fox", "still": GOLDEN / "fox-fine", "flat": VALID / "moving"}
 DRAWN = {  # name of data -> (package, key tiers that are there, pages of atlases, whether both ends of the ladder)
     "fox": ("fox", None, 1, True),
     "fox, one tier": ("fox", 1, 1, True),
     "flat": ("flat", None, 1, True),
     "jumping": ("jumping", None, 1, True),
     "jumping, pages": ("jumping", None, 3, False),
-    "kept": ("kept", None, 1, True),
     "lined": ("lined", None, 1, True),
     "lined, pages": ("lined", None, 3, False),
     "room": ("room", None, 1, True),
@@ -85,8 +87,9 @@ OTHERS = {  # check of web/test/pages/render.ts -> how many pictures it compares
 @pytest.fixture(scope="module")
 def packages(tmp_path_factory, package_of):
     folder = tmp_path_factory.mktemp("packages")
-    JUMPING(folder / "jumping")
-    paths = COMMITTED | {"jumping": folder / "jumping", "lined": package_of("harmonics")}
+    for name, encoded in ENCODED.items():
+        encoded(folder / name)
+    paths = COMMITTED | {name: folder / name for name in ENCODED} | {"lined": package_of("harmonics")}
     return {name: open_package(path) for name, path in paths.items()}
 
 
@@ -125,27 +128,26 @@ def test_every_frame_looks_as_the_cpu_renderer_draws_it(seen, packages, step):
     assert min(min(p["bytes"], p["floats"]) for p in report["pictures"]) >= LEAST_DB[target]
 
 
+def tables_of(data, name):
+    return json.loads((data / f"{name}.json").read_text())
+
+
 def test_what_is_drawn_is_what_it_is_named_after(packages, data):
     """Degrees of spherical harmonics, atlases of several pages, bases that jump, lines, differences, no pictures."""
     manifests = {name: package.manifest for name, package in packages.items()}
-    degrees = {"flat": 0, "kept": 0, "fox": 1, "room": 1, "still": 1, "jumping": 2, "lined": 3}
+    degrees = {"flat": 0, "fox": 1, "room": 1, "still": 1, "jumping": 2, "lined": 3}
     assert {name: m.sh_degree for name, m in manifests.items()} == degrees
     for name in ("jumping", "lined"):
-        tables = [json.loads((data / f"{name}{pages}.json").read_text()) for pages in ("", ", pages")]
+        tables = [tables_of(data, f"{name}{pages}") for pages in ("", ", pages")]
         whole, cut = (table["groups"][0]["levels"][0]["height"] for table in tables)
         assert cut < whole / 2
     segments = [s for group in tables_of(data, "jumping")["rungs"][0]["groups"] for s in group["segments"]]
     assert {t for frames in segments for t, frame in enumerate(frames) if frame["changes"]} >= {1, 2}
     assert all(s.levels[0].line for s in manifests["lined"].segments)
-    for name, keeps in {"room": [None, 1], "kept": [None, 1, 1]}.items():
-        groups = manifests[name].groups
-        assert [g.keeps for g in groups] == keeps
-        assert any(atlas.rows for tier in groups[1].tiers for atlas in tier.qualities)
+    room = manifests["room"].groups
+    assert [g.keeps for g in room] == [None, 1, 1]
+    assert any(atlas.rows for tier in room[1].tiers for atlas in tier.qualities)
     assert manifests["still"].state_files(1, 0) == []
-
-
-def tables_of(data, name):
-    return json.loads((data / f"{name}.json").read_text())
 
 
 @pytest.mark.parametrize("check", OTHERS)
