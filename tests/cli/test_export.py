@@ -22,23 +22,17 @@ def page(tmp_path_factory, monkeypatch):
     return put_page(tmp_path_factory.mktemp("page"), monkeypatch)
 
 
-class Elements(HTMLParser):
-    """Of a page: tags and attributes."""
+def elements_of(page):
+    """Tags and attributes of a page."""
+    found, parser = [], HTMLParser()
+    parser.handle_starttag = lambda tag, attributes: found.append((tag, dict(attributes)))
+    parser.feed(page.read_text())
+    return found
 
-    def __init__(self, path):
-        super().__init__()
-        self.found = []
-        self.feed(path.read_text())
 
-    def every(self, name, attribute):
-        return [attributes[attribute] for tag, attributes in self.found if tag == name]
-
-    def handle_starttag(self, tag, attrs):
-        self.found.append((tag, dict(attrs)))
-
-    def one(self, tag, **wanted):
-        (found,) = [a for name, a in self.found if name == tag and wanted.items() <= a.items()]
-        return found
+def one(elements, tag, **wanted):
+    (attributes,) = [a for name, a in elements if name == tag and wanted.items() <= a.items()]
+    return attributes
 
 
 def run(*arguments):
@@ -58,13 +52,13 @@ def test_one_package_is_played_by_the_first_page(tmp_path, capsys):
     assert validate(site / "packages" / PACKAGE.name) == []
     for name in SCRIPTS:
         assert (site / name).read_text() == FILES[name]
-    text, elements = (site / "index.html").read_text(), Elements(site / "index.html")
-    player = elements.one("airgs-player")
+    text, elements = (site / "index.html").read_text(), elements_of(site / "index.html")
+    player = one(elements, "airgs-player")
     assert target(site, "index.html", f"{player['src']}airgs.json").is_file() and player["src"].endswith("/")
-    assert "poster" not in player and not any(a.get("property") == "og:image" for _, a in elements.found)
-    assert target(site, "index.html", elements.one("script")["src"]).is_file()
+    assert "poster" not in player and not any(a.get("property") == "og:image" for _, a in elements)
+    assert target(site, "index.html", one(elements, "script")["src"]).is_file()
     assert "<title>A &lt;scene&gt; &amp; &quot;more&quot;</title>" in text
-    assert elements.one("meta", property="og:title")["content"] == 'A <scene> & "more"'
+    assert one(elements, "meta", property="og:title")["content"] == 'A <scene> & "more"'
     out = capsys.readouterr().out
     assert "5 frames" in out and f"--directory {site}" in out
 
@@ -72,14 +66,14 @@ def test_one_package_is_played_by_the_first_page(tmp_path, capsys):
 def test_the_page_shows_poster_and_credit_and_may_load_the_player_but_no_script_of_its_own(demo_package, tmp_path):
     site = tmp_path / "site"
     export_page([demo_package], site)
-    elements = Elements(site / "index.html")
-    policy = elements.one("meta", **{"http-equiv": "Content-Security-Policy"})["content"]
+    elements = elements_of(site / "index.html")
+    policy = one(elements, "meta", **{"http-equiv": "Content-Security-Policy"})["content"]
     assert "default-src 'none'" in policy and "script-src 'self';" in policy and "worker-src blob:" in policy
-    assert all("src" in attributes for tag, attributes in elements.found if tag == "script")
-    player, image = elements.one("airgs-player"), elements.one("meta", property="og:image")["content"]
+    assert all("src" in attributes for tag, attributes in elements if tag == "script")
+    player, image = one(elements, "airgs-player"), one(elements, "meta", property="og:image")["content"]
     assert player["poster"] == image and target(site, "index.html", image) == site / "packages/fox.airgs/poster.jpg"
     credit = open_package(demo_package).manifest.attribution
-    assert credit and credit.strip() in elements.one("meta", name="description")["content"]
+    assert credit and credit.strip() in one(elements, "meta", name="description")["content"]
     assert f"<footer>{html.escape(credit)}</footer>" in (site / "index.html").read_text()
 
 
@@ -88,17 +82,17 @@ def test_several_packages_have_a_page_each_and_a_list(demo_package, tmp_path):
     site = tmp_path / "site"
     assert run(demo_package, odd, "-o", site, "--address", "https://example.org/scenes") == 0
     assert {path.name for path in site.iterdir()} == TOP | {"play"}
-    listed = Elements(site / "index.html")
-    links, pictures = listed.every("a", "href"), listed.every("img", "src")
+    listed = elements_of(site / "index.html")
+    links, pictures = ([a[word] for tag, a in listed if tag == name] for name, word in (("a", "href"), ("img", "src")))
     assert all(target(site, "index.html", link).is_file() for link in links + pictures) and len(pictures) == 2
     links = [unquote(link) for link in links if link.startswith("play/")]
     for path, name in zip(links, (demo_package.name, odd.name), strict=True):
-        elements = Elements(site / path)
-        player = elements.one("airgs-player")
+        elements = elements_of(site / path)
+        player = one(elements, "airgs-player")
         assert target(site, path, f"{player['src']}airgs.json") == site / "packages" / name / "airgs.json"
         assert target(site, path, player["poster"]).is_file()
-        assert target(site, path, elements.one("script")["src"]).is_file()
-        image = elements.one("meta", property="og:image")["content"]
+        assert target(site, path, one(elements, "script")["src"]).is_file()
+        image = one(elements, "meta", property="og:image")["content"]
         assert target(site, "", image.removeprefix("https://example.org/scenes/")).is_file()
 
 

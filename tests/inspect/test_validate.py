@@ -209,25 +209,17 @@ BOMB = {"frames": [MANY], "segments": [MANY], "bytes": [100], "sha256": "A" * 32
 PAGE_PATH = "index/4/1.json"
 
 
-@pytest.fixture
-def bomb(tmp_path):
+def test_groups_that_no_page_leads_to_are_not_looked_for_and_a_session_without_them_ends(tmp_path, capsys):
     """A package of 16 million groups, of which airgs.json is all there is."""
     changes = [set_value(("index",), [EMPTY] * 4 + [BOMB]), set_value(("frames",), MANY)]
-    return write_files(tmp_path / "bomb", apply(MOVING, *changes))
-
-
-def test_groups_that_no_page_leads_to_are_not_looked_for_and_commands_say_so_in_a_line(bomb, capsys):
+    bomb = write_files(tmp_path / "bomb", apply(MOVING, *changes))
     (finding,) = validate(bomb)
     assert (finding.reason, finding.where) == ("missing_file", PAGE_PATH)
     assert list(faces.find_faults(open_package(bomb))) == [PAGE_PATH]
     assert faces.airgs_manifest(["inspect", str(bomb)]) == 2
     assert PAGE_PATH in (said := capsys.readouterr().err) and said.count("\n") == 1
-
-
-def test_a_session_ends_when_nothing_can_be_shown_for_long(bomb, tmp_path, capsys):
     assert faces.airgs_play([str(bomb), "--trace", "const:8", "--json"]) == 0
-    said = capsys.readouterr().out
-    assert "1000 segments in a row were lost" in said
+    assert "1000 segments in a row were lost" in capsys.readouterr().out
     assert faces.airgs_play([str(bomb), "--trace", "const:8", "--report", str(tmp_path / "report")]) == 2
     assert len(capsys.readouterr().err) < 1000
 
