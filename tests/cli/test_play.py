@@ -36,17 +36,13 @@ def test_a_url_is_played_over_http(capsys, tmp_path):
     assert (result["lost"], result["retried"], result["trace"]) == ([], [], None)
 
 
-def test_json_repeats_exactly(capsys):
-    (status, out, err), again = (play(capsys, "--policy", "fixed:0", "--json") for _ in range(2))
-    assert (status, out, err) == again == (0, out, "")
+def test_json_repeats_exactly_with_a_report_and_a_film_and_without(capsys, tmp_path):
+    options, (report, film) = ["--policy=fixed:0", "--player.loops=1", "--json"], (tmp_path / "r", tmp_path / "a.mp4")
+    status, out, err = play(capsys, *options)
+    assert (status, out, err) == play(capsys, *options, "--report", report, "--video", film) == (0, out, "")
     result = json.loads(out)
     assert result["trace_scale"] == 1.0 and result["trace"] == "trace.csv" and result["frames"] > 0
-
-
-def test_report_and_film(capsys, tmp_path):
-    report, film = tmp_path / "report", tmp_path / "out.mp4"
-    status, out, _ = play(capsys, "--policy=fixed:0", "--player.loops=1", "--report", report, "--video", film, "--json")
-    assert status == 0 and json.loads(out)["region"]["source"] == "orbit"
+    assert result["region"]["source"] == "orbit"
     assert (report / "index.html").exists() and film.read_bytes()[4:8] == b"ftyp"
 
 

@@ -56,14 +56,8 @@ def test_a_sequence_is_encoded_from_there_and_replaces_what_is_there(place, scen
     assert f"expected a folder of this machine, got {source}" in capsys.readouterr().err
 
 
-def test_a_page_is_exported_as_from_the_folder(package, tmp_path, monkeypatch):
+def test_reading_and_exporting_are_as_from_the_folder(package, tmp_path, monkeypatch, capsys):
     put_page(tmp_path / "page", monkeypatch)
-    for place, out in ((package, "there"), (MOVING, "here")):
-        assert faces.airgs_manifest(["export-page", str(place), "-o", str(tmp_path / out)]) == 0
-    assert read_files(tmp_path / "there") == read_files(tmp_path / "here")
-
-
-def test_reading_is_as_from_the_folder(package, tmp_path, capsys):
     trace, study = ["--trace", "const:5"], ["--policies", "throughput", "--offsets", "1", "--jobs", "1", "--json"]
     said = {}
     for place in (package, str(MOVING)):
@@ -71,6 +65,7 @@ def test_reading_is_as_from_the_folder(package, tmp_path, capsys):
         assert faces.airgs_manifest(["inspect", place, "--json"]) == 0
         assert faces.airgs_manifest(["validate", place]) == 0
         assert faces.airgs_decode([place, "-o", str(out / "frames"), "--frames", "1:3"]) == 0
+        assert faces.airgs_manifest(["export-page", place, "-o", str(out / "site")]) == 0
         assert faces.airgs_play([place, *trace, "--json"]) == 0
         assert faces.airgs_play([place, "--compare", "--traces", "const:5", *study]) == 0
         words = re.sub(r'("solve_\w+": )[^,\n]+', r"\1…", capsys.readouterr().out)  # seconds of a solver
