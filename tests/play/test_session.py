@@ -51,50 +51,44 @@ def facts(log):
     return told | {"frame times": log.frame_times[::10]} | log.metrics.as_dict()
 
 
+EVEN, HALF, FAST = link([8e4]), link([4e4]), link([8e6])
 SEGMENTED, COARSE_THEN_FINE = segmented(tiny_manifest(groups=(30,))), ("Q1+L2", "Q1+L2", "Q0+L2")
 HAND = {  # name -> package, link, policy or rungs by turns, rules, and what comes of it
     # 10,000 B/s: 1000 B of airgs.json, then for each group 100 of table, and 4000 key + 2100 state + 200 sidecars.
-    "a session": (TINY, link([8e4]), "fixed:0", {}, {
-        "kinds": ["tables", "tables", "group", "tables", "group"], "sizes": [1000, 100, 6300, 100, 6300],
-        "arrivals": [0.1, 0.11, 0.74, 0.75, 1.38], "starts": [0.74, 1.74], "startup_s": 0.74,
-        "startup_requests": 1 + 1 + 5, "startup_table_bytes": 1100, "stalls": 0, "stall_s": 0, "switches": 0,
-        "frames": 20, "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 4200}, "wire_bytes": 13_800,
-        "psnr_mean": 40.0, "delta_e_mean": 0.5, "trace_mean_bps": 8e4}),
+    "a session": (TINY, EVEN, "fixed:0", {}, {"kinds": ["tables", "tables", "group", "tables", "group"],
+        "sizes": [1000, 100, 6300, 100, 6300], "arrivals": [0.1, 0.11, 0.74, 0.75, 1.38], "starts": [0.74, 1.74],
+        "startup_s": 0.74, "startup_requests": 1 + 1 + 5, "startup_table_bytes": 1100, "stalls": 0, "stall_s": 0,
+        "switches": 0, "frames": 20, "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 4200},
+        "wire_bytes": 13_800, "psnr_mean": 40.0, "delta_e_mean": 0.5, "trace_mean_bps": 8e4}),
     # 20 frames, and 0.28 s of waiting at 10 fps with the picture that stood.
-    "half the rate": (tiny_manifest(psnr=[[40.0, 0.0]] * 3), link([4e4]), "fixed:0", {}, {
+    "half the rate": (tiny_manifest(psnr=[[40.0, 0.0]] * 3), HALF, "fixed:0", {}, {
         "arrivals": [0.2, 0.22, 1.48, 1.5, 2.76], "waits": [0, 0.28], "ticks": [*range(10), 9, 9, 9, *range(10, 20)],
         "stall_ratio": 0.28 / 2.28, "qoe": (2 * 40 - STALL_DB * 0.28) / 2}),
     # A table is one file; a group has 2 tiers of 2 files and a state.
-    "headers, round trips and decoding": (
-        TINY, link([8e4], rtt=0.1), "fixed:0", {"decode_frame_s": 0.05, "headers": 100},
-        {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16]}),
-    "a level with nothing to fetch costs its keys": (
-        tiny_manifest(state_bytes=(2000, 1000, 0)), link([8e4]), "fixed:2", {},
+    "headers, round trips and decoding": (TINY, link([8e4], rtt=0.1), "fixed:0",
+        {"decode_frame_s": 0.05, "headers": 100}, {"arrivals": [0.21, 0.33, 1.11, 1.23, 2.01], "starts": [1.16, 2.16]}),
+    "a level with nothing to fetch costs its keys": (tiny_manifest(state_bytes=(2000, 1000, 0)), EVEN, "fixed:2", {},
         {"sizes": [1000, 100, 4200, 100, 4200], "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400}}),
     # The last level does with T0; rising in the middle of a group brings T1 along, once.
-    "one tier": (
-        with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), link([8e4]), "fixed:2", {},
+    "one tier": (with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), EVEN, "fixed:2", {},
         {"bytes": {"manifests": 1100, "key": 3000, "sidecars": 100, "state": 1800}}),
-    "two tiers": (
-        with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), link([8e4]), ("Q0+L2", "Q0+L0"), {},
+    "two tiers": (with_core(segmented(tiny_manifest(groups=(30,), psnr=None))), EVEN, ("Q0+L2", "Q0+L0"), {},
         {"bytes": {"manifests": 1100, "key": 4000, "sidecars": 200, "state": 600 + 4200}}),
-    "a loop": (TINY, link([8e6]), "fixed:1", {}, {
-        "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2200}}),
-    "loops fetch keys and states again but not tables": (TINY, link([8e6]), "fixed:1", {"loops": 2}, {
+    "a loop": (TINY, FAST, "fixed:1", {}, {"bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2200}}),
+    "loops fetch keys and states again but not tables": (TINY, FAST, "fixed:1", {"loops": 2}, {
         "bytes": {"manifests": 1200, "key": 16_000, "sidecars": 800, "state": 4400}}),
-    "half a minute by default": (TINY, link([8e6]), "fixed:1", {"loops": None}, {"played_s": 30.0}),
+    "half a minute by default": (TINY, FAST, "fixed:1", {"loops": None}, {"played_s": 30.0}),
     # 0.63 s of download each and 0.01 of tables: the second segment is there at 1.38 s.
     "playing begins when enough is at hand": (
-        TINY, link([8e4]), "fixed:0", {"startup_s": 1.5}, {"starts": [1.38, 2.38], "waits": [0, 0]}),
-    "half the rate, twice": (TINY, link([4e4]), "fixed:0", {"loops": 2}, {
+        TINY, EVEN, "fixed:0", {"startup_s": 1.5}, {"starts": [1.38, 2.38], "waits": [0, 0]}),
+    "half the rate, twice": (TINY, HALF, "fixed:0", {"loops": 2}, {
         "ready": [1.48, 2.76, 4.02, 5.28], "starts": [1.48, 2.76, 4.02, 5.28], "waits": [0, 0.28, 0.26, 0.26]}),
-    "it goes on when enough is at hand again": (TINY, link([4e4]), "fixed:0", {"loops": 2, "resume_s": 1.5}, {
+    "it goes on when enough is at hand again": (TINY, HALF, "fixed:0", {"loops": 2, "resume_s": 1.5}, {
         "ready": [1.48, 2.76, 4.02, 5.28], "starts": [1.48, 4.02, 5.02, 6.02], "waits": [0, 1.54, 0, 0]}),
     # Two segments are all that it may hold: they are there at 2.76 s, and the next two, of which one is asked for when
     # there is room at 3.76 s, at 6.28 s.
-    "a full buffer need not wait for more": (
-        TINY, link([4e4]), "fixed:0", {"loops": 2, "resume_s": 9.0, "startup_s": 9.0, "buffer_s": 2.0},
-        {"starts": [2.76, 3.76, 6.28, 7.28]}),
+    "a full buffer need not wait for more": (TINY, HALF, "fixed:0",
+        {"loops": 2, "resume_s": 9.0, "startup_s": 9.0, "buffer_s": 2.0}, {"starts": [2.76, 3.76, 6.28, 7.28]}),
     # A round trip is paid for airgs.json, for a table and for the first batch; the table of the third group comes with
     # the second batch, so that nothing is waited for.
     "asking ahead hides the round trip": (ALIKE, link([8e4], rtt=0.1), "fixed:0", {"pipelined": True}, {
@@ -102,16 +96,15 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
         "files": [1, 1, 5, 1, 6, 5]}),
     # Both segments come in the smallest rung. Until the second begins, its state of 600 B is replaced, and then its
     # keys, which stay decoded. The 0.042 s of a frame are those of the last batch, which brought what was shown.
-    "replacements": (TINY, link([8e4]), ("Q1+L2",), {"replace": True}, {
+    "replacements": (TINY, EVEN, ("Q1+L2",), {"replace": True}, {
         "kinds": ["tables", "tables", "group", "tables", "group", "replacement", "replacement"],
         "sizes": [1000, 100, 2300, 100, 2300, 1100, 4200], "arrivals": [0.1, 0.11, 0.34, 0.35, 0.58, 0.69, 1.11],
         "rungs shown": ["Q1+L2", "Q0+L1"], "psnr": [32.0, 38.0], "waste": [0, 0, 0, 0, 600, 0, 0],
         "frame times": [0.023, 0.042], "replaced": 2, "wasted": 600 / 11_100, "late": 0, "change_db": 6.0}),
     # The link gives out under a replacement, which is late by 0.16 s and served nothing.
-    "a replacement that comes too late": (
-        TINY, link([8e4, 8e3, 8e4], [0, 0.58, 2], 100), ("Q1+L2",), {"replace": True},
+    "a replacement that comes too late": (TINY, link([8e4, 8e3, 8e4], [0, 0.58, 2], 100), ("Q1+L2",), {"replace": True},
         {"arrivals": [0.1, 0.11, 0.34, 0.35, 0.58, 1.68], "rungs shown": ["Q1+L2"] * 2, "starts": [0.34, 1.34],
-         "waste": [0, 0, 0, 0, 0, 1100], "frame times": [0.023, 0.023], "replaced": 1}),
+        "waste": [0, 0, 0, 0, 0, 1100], "frame times": [0.023, 0.023], "replaced": 1}),
     # There at 1.38 s, it would be decoded at 1.48 s, and the segment begins at 1.44 s.
     "a replacement that is decoded too late": (
         TINY, link([8e4, 1.1e4], [0, 0.58], 100), ("Q1+L2",), {"replace": True, "decode_frame_s": 0.1},
@@ -127,51 +120,43 @@ HAND = {  # name -> package, link, policy or rungs by turns, rules, and what com
          "waste": [0, 0, 3385 - 200 - 1000, 0, 0, 0], "abandoned": 1, "rungs shown": ["Q1+L2"] * 2,
          "bytes": {"manifests": 1200, "key": 1000 + 3000, "sidecars": 200 + 400, "state": 1200},
          "startup_requests": 1 + 1 + 3 + 5}),
-    "a patient player waits longer for it": (
-        TINY, link([8e4, 4e3, 8e4], [0, 0.44, 1], 100), ("Q0+L0", "Q1+L2"), {},
+    "a patient player waits longer for it": (TINY, link([8e4, 4e3, 8e4], [0, 0.44, 1], 100), ("Q0+L0", "Q1+L2"), {},
         {"sizes": [1000, 100, 6300, 100, 2300], "startup_s": 1.272, "abandoned": 0, "waste": [0] * 5}),
     # The third segment, there at 0.88 s, brings the finest keys, also for the second, which begins at 1.34 s: but not
     # on half the link with 0.1 s to decode, at 1.86 s for 1.78 s, nor for another group or the loop before.
     "better keys serve what is buffered of their group": (
-        SEGMENTED, link([8e4]), COARSE_THEN_FINE, {}, {"rungs shown": ["Q1+L2", "Q0+L2", "Q0+L2"]}),
+        SEGMENTED, EVEN, COARSE_THEN_FINE, {}, {"rungs shown": ["Q1+L2", "Q0+L2", "Q0+L2"]}),
     "where they are decoded in time": (
-        SEGMENTED, link([4e4]), COARSE_THEN_FINE, {"decode_frame_s": 0.1}, {"rungs shown": [*COARSE_THEN_FINE]}),
-    "of no other group": (ALIKE, link([8e4]), COARSE_THEN_FINE, {}, {"rungs shown": [*COARSE_THEN_FINE]}),
-    "of no other loop": (
-        SEGMENTED, link([8e4]), ("Q1+L2", *COARSE_THEN_FINE), {"loops": 2},
+        SEGMENTED, HALF, COARSE_THEN_FINE, {"decode_frame_s": 0.1}, {"rungs shown": [*COARSE_THEN_FINE]}),
+    "of no other group": (ALIKE, EVEN, COARSE_THEN_FINE, {}, {"rungs shown": [*COARSE_THEN_FINE]}),
+    "of no other loop": (SEGMENTED, EVEN, ("Q1+L2", *COARSE_THEN_FINE), {"loops": 2},
         {"rungs shown": ["Q1+L2"] * 3 + ["Q0+L2"] * 3}),
     # Six segments in one group: the first comes with coarse keys, of 1500 B, the second with fine ones, of 4000 B.
-    "a better key serves the rest of its group": (
-        segmented(tiny_manifest(groups=(60,)), 6), link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc", {},
-        {"rungs shown": ["Q1+L1", "Q0+L1"] + ["Q0+L0"] * 4, "bytes":
-         {"manifests": 1100, "key": 1500 + 4000, "sidecars": 400, "state": 10_600},
-         "kinds": ["tables", "tables", "group", "state", "group", "state", "state", "state"]}),
+    "a better key serves the rest of its group": (segmented(tiny_manifest(groups=(60,)), 6),
+        link([2.4e4, 8e6], [0, 1.2], 1000), "robust-mpc", {}, {"rungs shown": ["Q1+L1", "Q0+L1"] + ["Q0+L0"] * 4,
+        "bytes": {"manifests": 1100, "key": 1500 + 4000, "sidecars": 400, "state": 10_600},
+        "kinds": ["tables", "tables", "group", "state", "group", "state", "state", "state"]}),
     # The second group keeps rows: of 3000 + 1000 B of pictures it has the first tier's alone, with both sidecars.
-    "kept rows are not fetched again": (KEPT, link([8e4]), "fixed:0", {}, {"sizes": [1000, 100, 6300, 100, 5300]}),
-    "but in each loop": (
-        KEPT, link([8e4]), "fixed:0", {"loops": 2}, {"sizes": [1000, 100, 6300, 100, 5300, 6300, 5300]}),
+    "kept rows are not fetched again": (KEPT, EVEN, "fixed:0", {}, {"sizes": [1000, 100, 6300, 100, 5300]}),
+    "but in each loop": (KEPT, EVEN, "fixed:0", {"loops": 2}, {"sizes": [1000, 100, 6300, 100, 5300, 6300, 5300]}),
     # Who joins there needs airgs.json, the table of the group, then that of its base, and the keys of that.
-    "who joins fetches the base": (KEPT, link([8e4]), "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500]}),
+    "who joins fetches the base": (KEPT, EVEN, "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500]}),
     "once for two that differ from it": (
-        keeping(keeping(ALIKE), 3), link([8e4]), "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500, 100, 5300]}),
+        keeping(keeping(ALIKE), 3), EVEN, "fixed:0", {"first": 1}, {"sizes": [1000, 100, 100, 9500, 100, 5300]}),
     **{f"without {path} of its base a group is lost, and the next one is not": (
-        keeping(ALIKE), link([8e4]), "fixed:0", {"faults": missing(path)}, {"rungs shown": [None, None, "Q0+L0"]},
+        keeping(ALIKE), EVEN, "fixed:0", {"faults": missing(path)}, {"rungs shown": [None, None, "Q0+L0"]},
     ) for path in ("group/1.json.gz", "key/T0/1.bin")},
     "a group without its key is lost, and the last picture stands for its time": (
-        TINY, link([8e6]), "paper-no-cliff", {"faults": missing("key/T0/1.bin")},
+        TINY, FAST, "paper-no-cliff", {"faults": missing("key/T0/1.bin")},
         {"rungs shown": [None, "Q0+L0"], "lost_frames": 10, "psnr_mean": 40.0, "waits": [0, 0]}),
-    "all is lost": (
-        TINY, link([8e6]), "paper-no-cliff", {"faults": missing(*TINY.group_files(0), *TINY.group_files(1))},
+    "all is lost": (TINY, FAST, "paper-no-cliff", {"faults": missing(*TINY.group_files(0), *TINY.group_files(1))},
         {"rungs shown": [None, None], "psnr_mean": None, "lost_frames": 20, "rungs": {"lost": 2}}),
-    **{f"a missing table costs {policy} its group": (
-        ALIKE, link([8e6]), policy, {"faults": missing("group/2.json.gz")},
-        {"rungs shown": ["Q0+L0", None, "Q0+L0"], "lost_frames": 10},
-    ) for policy in ("paper-no-cliff", "robust-mpc")},
-    "a missing state costs its level": (
-        TINY, link([8e6]), "paper-no-cliff", {"faults": missing("state/L0/2.m4s")},
+    **{f"a missing table costs {policy} its group": (ALIKE, FAST, policy, {"faults": missing("group/2.json.gz")},
+        {"rungs shown": ["Q0+L0", None, "Q0+L0"], "lost_frames": 10}) for policy in ("paper-no-cliff", "robust-mpc")},
+    "a missing state costs its level": (TINY, FAST, "paper-no-cliff", {"faults": missing("state/L0/2.m4s")},
         {"rungs shown": ["Q0+L0", "Q0+L1"], "lost_frames": 0, "files": [1, 1, 5, 1, 5, 1],
-         "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2100 + 1100}}),
-    "no quality": (UNMEASURED, link([8e6]), "fixed:0", {}, {"psnr_mean": None, "delta_e_mean": None, "qoe": None}),
+        "bytes": {"manifests": 1200, "key": 8000, "sidecars": 400, "state": 2100 + 1100}}),
+    "no quality": (UNMEASURED, FAST, "fixed:0", {}, {"psnr_mean": None, "delta_e_mean": None, "qoe": None}),
 }  # fmt: skip
 
 
