@@ -20,10 +20,6 @@ from tests.support.training import APPEARS, CHUNKED, files
 SPANS = ["frames 0-2", "frames 3-4"]
 
 
-class StopError(Exception):
-    """A run that is killed."""
-
-
 @pytest.fixture(scope="module", autouse=True)
 def small():
     """Threads would wait for each other longer than they work on pictures of this size.
@@ -47,12 +43,6 @@ def expected(small, model_of):
 
 
 @pytest.fixture
-def made(expected, model_of):
-    """Their work."""
-    return Work(open_store(model_of("chunked") / "work"))
-
-
-@pytest.fixture
 def done(monkeypatch):
     """Labels of the jobs that are done in this process."""
     labels, perform = [], work_module.perform
@@ -64,23 +54,18 @@ def train_with(scene, folder, work, settings=CHUNKED, **more):
     return [f.frame for f in train_in_jobs(open_run(scene, folder, settings, **more), work)]
 
 
-def test_chunks_begin_with_keyframes_that_start_from_the_first_frame(model_of):
-    """They may have half as many Gaussians more than that, or the budget, unless the settings say how many."""
+def test_chunks_begin_with_keyframes_which_may_have_half_as_many_gaussians_more_than_the_first_frame(model_of, scene):
+    """Or the budget, where that is more, unless the settings say how many."""
     model = read_model(model_of("chunked") / "m")
-    assert [f.kind for f in model.record.frames] == ["first", "frame", "frame", "key", "frame"]
-    assert model.finished()
+    assert model.finished() and [f.kind for f in model.record.frames] == ["first", "frame", "frame", "key", "frame"]
     assert np.mean([gains[:3] for gains in model.record.exposure.values()]) == pytest.approx(1.0, abs=0.01)
-    counts = [f.gaussians for f in model.record.frames]
-    assert counts[0] < counts[-1] <= CHUNKED.budget
-
-
-@pytest.mark.parametrize(("settings", "rows", "most"), [
-    ({"budget": 260}, 118, 260), ({"budget": 260}, 205, 308), ({}, 118, 177), ({"budget": 50, "capacity": 70}, 118, 70),
-])  # fmt: skip
-def test_what_keyframes_may_have_is_known_with_the_first_frame(scene, settings, rows, most):
-    capture = faces.Capture.of(scene, faces.TrainSettings(**settings), "cpu")
-    first = pipeline.First(faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0))
-    assert capture.with_first(first).settings.capacity == most
+    assert model.record.frames[0].gaussians < model.record.frames[-1].gaussians <= CHUNKED.budget
+    for budget, capacity, rows, most in (
+        (260, None, 118, 260), (260, None, 205, 308), (None, None, 118, 177), (50, 70, 118, 70),
+    ):  # fmt: skip
+        capture = faces.Capture.of(scene, faces.TrainSettings(budget=budget, capacity=capacity), "cpu")
+        first = pipeline.First(faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0))
+        assert capture.with_first(first).settings.capacity == most
 
 
 def test_two_processes_write_the_same_files(scene, expected, tmp_path):
@@ -98,7 +83,7 @@ def killed_at(frame, iteration):
 
     def progress(what, *_):
         if what.startswith(f"training: frame {frame} ") and next(begun) == iteration:
-            raise StopError
+            raise KeyboardInterrupt
 
     return progress
 
@@ -106,7 +91,7 @@ def killed_at(frame, iteration):
 def test_a_run_by_one_process_that_is_killed_goes_on_to_the_same_end_in_one_or_in_jobs(scene, expected, tmp_path, done):
     folder = tmp_path / "m"
     for frame, iteration in ((0, 10), (2, 3), (4, 1)):
-        with pytest.raises(StopError):
+        with pytest.raises(KeyboardInterrupt):
             train(scene, folder, CHUNKED, resume=True, progress=killed_at(frame, iteration))
         assert len(list(folder.glob("*.ply"))) == frame  # finished frames are there
     copy = shutil.copytree(folder, tmp_path / "copy")
@@ -121,11 +106,11 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 
     def stop(capture, frames, *more):
         if frames.start == APPEARS:
-            raise StopError
+            raise KeyboardInterrupt
         return fit(capture, frames, *more)
 
     monkeypatch.setattr(pipeline, "train_chunk", stop)
-    with pytest.raises(StopError):
+    with pytest.raises(KeyboardInterrupt):
         train_with(scene, tmp_path / "m", work)
     assert len(read_model(tmp_path / "m").record.frames) == 1  # the first frame is there for all that go on
     monkeypatch.setattr(pipeline, "train_chunk", fit)
@@ -136,7 +121,8 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 
 
 @pytest.mark.parametrize("by_jobs", [False, True])
-def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected, made, tmp_path, by_jobs, done):
+def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected, model_of, tmp_path, by_jobs, done):
+    made = Work(open_store(model_of("chunked") / "work"))
     frames = train_in_jobs(open_run(scene, tmp_path / "m", CHUNKED), made)
     assert [f.frame for f in itertools.islice(frames, 2)] == [0, 1]
     frames.close()
@@ -148,10 +134,10 @@ def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected,
 
 
 @pytest.mark.parametrize("length", [1, 3])
-def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, made, tmp_path, length):
+def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, model_of, tmp_path, length):
     """The machine of the command may have no GPU: the usage of all groups comes from jobs, those written before too."""
     settings = replace(CHUNKED, group_frames=length)
-    work = made if settings == CHUNKED else Work(open_store(tmp_path / "work"))
+    work = Work(open_store((model_of("chunked") if settings == CHUNKED else tmp_path) / "work"))
 
     def train_blindly(**more):
         run = open_run(scene, tmp_path / "m", settings, **more)
@@ -191,8 +177,8 @@ def test_all_that_a_run_reads_decides_its_files_and_is_in_the_names_of_jobs(scen
         farm = pipeline.Farm.of(faces.Capture.of(scene, settings, device), work)
         return farm.chunk_job((3, 5), first, *(job.result for job in farm.rest_jobs())).entry
 
-    moved = replace(scene.frames[3][1].camera, world_to_camera=np.eye(4))
-    shots = (scene.frames[3][0], replace(scene.frames[3][1], camera=moved), *scene.frames[3][2:])
+    left, shot, *right = scene.frames[3]
+    shots = (left, replace(shot, camera=replace(shot.camera, world_to_camera=np.eye(4))), *right)
     others = [
         names(settings=replace(CHUNKED, seed=1)),
         names(settings=replace(CHUNKED, static="off")),
@@ -229,8 +215,9 @@ def test_options_that_cannot_work_are_one_line_and_exit_2(blobs, tmp_path, capsy
 
 
 def test_the_command_trains_in_jobs_and_reports(blobs, tmp_path, capsys):
-    words = f"{blobs} --device cpu --iterations 9,4,2 --budget 150 --sh-degree 0 --min-psnr 0 --max-drop 99"
-    words += f" --frames 0:4 --group-frames 2 --work {tmp_path / 'work'} --report {tmp_path / 'r'} -o {tmp_path / 'm'}"
-    assert faces.airgs_train([*words.split(), "--json"]) == 0
+    words = ["--device", "cpu", "--iterations", "9,4,2", "--budget", "150", "--sh-degree", "0", "--min-psnr", "0"]
+    words += ["--max-drop", "99", "--frames", "0:4", "--group-frames", "2", "--work", str(tmp_path / "work")]
+    words += ["--report", str(tmp_path / "r"), "-o", str(tmp_path / "m"), "--json"]
+    assert faces.airgs_train([str(blobs), *words]) == 0
     assert json.loads(capsys.readouterr().out)["keyframes"] == [0, 2]
     assert "<svg" in (tmp_path / "r" / "index.html").read_text()

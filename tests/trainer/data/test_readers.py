@@ -22,7 +22,6 @@ from tests.support.views import ring
 
 UNIT = np.eye(4).tolist()
 CAMERA = {"w": 8, "h": 8, "fl_x": 8, "fl_y": 8, "cx": 4, "cy": 4}
-COLMAP_CAMERA = {"PINHOLE": [60.0, 62.0, 16.0, 12.0], "OPENCV": [60.0, 62.0, 16.0, 12.0, 0.05, -0.01, 0.001, 0.002]}
 RIG = 11  # cameras of HiFi4G, numbered without leading zeros: 10 comes after 9, whatever COLMAP's order of names
 FRAMES = (30, 31, 100)
 
@@ -32,25 +31,21 @@ def changed(path, **fields):
     return path.parent
 
 
-def write_colmap(folder, names, model="PINHOLE", binary=False):
+def write_colmap(folder, names, camera="PINHOLE 32 24 60 62 16 12", binary=False):
     """A reconstruction in COLMAP's own words; gives pycolmap's view of it."""
     sparse = folder / "sparse" / "0"
     sparse.mkdir(parents=True)
-    words = " ".join(map(str, COLMAP_CAMERA[model]))
-    (sparse / "cameras.txt").write_text(f"1 {model} 32 24 {words}\n")
-    lines = []
-    for i, name in enumerate(names):
-        turn = 0.2 * i
-        lines += [f"{i + 1} {np.cos(turn / 2)} 0 {np.sin(turn / 2)} 0 {0.1 * i} 0.2 4 1 {name}", "10 10 1"]
-    (sparse / "images.txt").write_text("\n".join(lines) + "\n")
+    (sparse / "cameras.txt").write_text(f"1 {camera}\n")
+    poses = (f"{i + 1} {np.cos(i / 10)} 0 {np.sin(i / 10)} 0 {i / 10} 0.2 4 1" for i in range(len(names)))
+    (sparse / "images.txt").write_text("".join(f"{p} {n}\n10 10 1\n" for p, n in zip(poses, names, strict=True)))
     tracks = " ".join(f"{i + 1} 0" for i in range(len(names)))
     (sparse / "points3D.txt").write_text(f"1 0.1 0.2 0.3 255 128 0 0.5 {tracks}\n")
-    model_read = pycolmap.Reconstruction(str(sparse))
+    model = pycolmap.Reconstruction(str(sparse))
     if binary:
-        model_read.write_binary(str(sparse))
+        model.write_binary(str(sparse))
         for file in sparse.glob("*.txt"):
             file.unlink()
-    return model_read
+    return model
 
 
 def write_pictures(folder, pictures):
@@ -154,8 +149,8 @@ def test_ns_process_data_is_a_scene_of_one_frame(tmp_path):
     assert scene.points.positions[0].tolist() == [0.5, 1, 1.5]  # in the axes of the cameras, as nerfstudio has both
     assert scene.points.colours[0] == pytest.approx([1, 0, 0.2])
     assert all(np.allclose(a.position, b.position, atol=1e-6) for a, b in zip(scene.cameras, ring(9), strict=True))
-    view = Pictures(scene).train(0)[0]
-    assert view.target.rgb.shape == (48, 48, 3) and view.target.rgb.min() > 0.34  # undistorted, no black borders
+    shown = Pictures(scene).train(0)[0].target.rgb
+    assert shown.shape == (48, 48, 3) and shown.min() > 0.34  # undistorted, no black borders
     assert sum(c.held_out for c in with_held_out(scene, None).cameras) == 1
     fisheye = {"camera_model": "OPENCV_FISHEYE", "k1": 0.02, "k2": 0.0, "k3": 0.0, "k4": 0.001}
     scene = open_scene(write_ns_process_data(tmp_path, **fisheye))
@@ -197,7 +192,7 @@ def test_colmap_projects_as_colmap_does(tmp_path, binary):
 
 
 def test_colmap_with_a_lens_is_undistorted(tmp_path):
-    write_colmap(tmp_path, ["a.png", "b.png"], model="OPENCV")
+    write_colmap(tmp_path, ["a.png", "b.png"], "OPENCV 32 24 60 62 16 12 0.05 -0.01 0.001 0.002")
     write_pictures(tmp_path / "images", dict.fromkeys(("a.png", "b.png"), plain(120)))
     scene = open_scene(tmp_path)
     assert scene.frames[0][0].lens is not None
@@ -207,13 +202,13 @@ def test_colmap_with_a_lens_is_undistorted(tmp_path):
 @pytest.mark.parametrize(("kind", "fps"), [("videos", 25), ("folders", 30)])
 def test_colmap_cameras_with_pictures_over_time(tmp_path, kind, fps):
     write_colmap(tmp_path, ["cam1.png", "cam2.png"] if kind == "videos" else ["cam1/0.png", "cam2/0.png"])
-    pictures = [plain(40), plain(120), plain(200)]
+    pictures = {f"{t}.png": plain(40 + 80 * t) for t in range(3)}
     (tmp_path / "videos").mkdir()
     for camera in ("cam1", "cam2"):
         if kind == "videos":
-            write_video(tmp_path / "videos" / f"{camera}.mp4", pictures)
+            write_video(tmp_path / "videos" / f"{camera}.mp4", [*pictures.values()])
         else:
-            write_pictures(tmp_path / "images" / camera, {f"{t}.png": picture for t, picture in enumerate(pictures)})
+            write_pictures(tmp_path / "images" / camera, pictures)
     scene = open_scene(tmp_path)
     assert len(scene) == 3 and [c.name for c in scene.cameras] == ["cam1", "cam2"] and scene.fps == fps
     levels = [Pictures(scene).train(t)[1].target.rgb.mean() * 255 for t in range(3)]
@@ -247,8 +242,8 @@ def test_pictures_may_lie_anywhere(tmp_path):
     """As nerfstudio has it: by absolute paths, and outside the folder."""
     write_pictures(tmp_path, {"elsewhere/a.png": plain(0, (8, 8))})
     for name in ("../elsewhere/a.png", str(tmp_path / "elsewhere" / "a.png")):
-        frames = [{"transform_matrix": UNIT, "file_path": name}]
-        saved("scene/transforms.json", json.dumps(CAMERA | {"frames": frames}).encode())(tmp_path)
+        data = CAMERA | {"frames": [{"transform_matrix": UNIT, "file_path": name}]}
+        saved("scene/transforms.json", json.dumps(data).encode())(tmp_path)
         Pictures(open_scene(tmp_path / "scene")).check()
 
 
