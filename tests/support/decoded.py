@@ -84,8 +84,7 @@ class _Writer:
         return asked if self.rung.tiers is None else self.rung.tiers
 
     def table(self, cameras: Sequence[Camera]) -> Json:
-        m = self.package.manifest
-        level, quality = self.rung.level, self.rung.quality
+        m, level, quality = self.package.manifest, self.rung.level, self.rung.quality
         frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
         shown, groups = [], []
         for g in (frame.gaussians for frame in frames):
@@ -98,7 +97,7 @@ class _Writer:
                 states = self._states(s) or [{"luma": None, "changes": None, "time": 0} for _ in span]
                 segments.append([state | shown[n] for n, state in zip(span, states, strict=True)])
             groups.append({"canonical": self._canonical(number), "segments": segments})
-        return {"quality": self.rung.quality, "level": self.rung.level, "tiers": self.tiers, "groups": groups}
+        return {"quality": quality, "level": level, "tiers": self.tiers, "groups": groups}
 
     def _canonical(self, group: int) -> Json:
         base = decode_canonical(self.package, group, self.rung.quality, self.tiers)

@@ -181,14 +181,15 @@ def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tie
     """The rows of a frame, as they are shown."""
     group, segment, number = t.place(frame)
     table = t.groups[group]
-    rows, classes, depths = _key(t, package, group, [k for k in range(tiers) if t.sidecar(group, k)], quality)
+    parts = [_tier(t, package, group, k, quality) for k in range(tiers) if t.sidecar(group, k)]
+    rows = Rows.join([part[0] for part in parts])
+    classes, depths = (np.concatenate([part[column] for part in parts]) for column in (1, 2))
     if not t.state(group, segment, level):
         return rows
     start, stop = (table["segments"][segment][name] for name in ("start", "stop"))
     place = frame - start
     codes = next(decode_pictures(package, number, level, range(place, place + 1))).codes().astype(np.float64)
-    slopes = decode_slopes(package, number, level)
-    if slopes is not None:
+    if (slopes := decode_slopes(package, number, level)) is not None:
         codes += line_times(stop - start)[place] * slopes
     carried = np.flatnonzero((depths >= level) & (depths < STATIC))
     changes = np.zeros((len(codes), len(depths)))
@@ -198,14 +199,8 @@ def _rows(t: Tables, package: Package, frame: int, quality: int, level: int, tie
     return state_rows(rows, changes, coding, classes)
 
 
-def _key(t: Tables, package: Package, group: int, tiers: list[int], quality: int) -> tuple[Rows, Any, Any]:
-    """The canonical values, the motion classes and the depths of the rows of key tiers."""
-    parts = [_tier(t, package, group, tier, quality) for tier in tiers]
-    rows, classes, depths = zip(*parts, strict=True)
-    return Rows.join(rows), np.concatenate(classes), np.concatenate(depths)
-
-
 def _tier(t: Tables, package: Package, group: int, tier: int, quality: int) -> tuple[Rows, Any, Any]:
+    """The canonical values, the motion classes and the depths of the rows of a key tier."""
     codes, sidecar = decode_key(package, group, tier, quality)
     table, named, base = t.groups[group], t.root["qualities"][quality], t.base_of(group)
     grid, transform = package.manifest.groups[group].grid, unpack_transform(table["colour_transform"])
