@@ -45,7 +45,7 @@ def imported(path):
 
 
 @pytest.mark.parametrize("module", ["encoder", "trainer"])
-def test_the_code_of_a_function_is_all_that_its_module_imports(module):
+def test_the_code_of_a_function_is_all_that_its_module_imports_and_its_own_package_as_well(module):
     found = modules_run(f"airgs_codec.{module}.pipeline")
     for path in found.values():
         for name in imported(path):
@@ -55,9 +55,6 @@ def test_the_code_of_a_function_is_all_that_its_module_imports(module):
                 assert name in found, f"{path} imports {name}"
     above = ("airgs_codec.play", "airgs_codec.serve", "airgs_codec.inspect", "airgs_codec.cli")
     assert "airgs_codec" in found and not any(name.startswith(above) for name in found)
-
-
-def test_a_function_has_the_code_of_its_own_package_as_well():
     assert {"tests.support.jobs", "airgs_codec.jobs.job"} <= modules_run(square.__module__).keys()
     assert code_digest(square) == code_digest(partial(square, 3)) != code_digest(digest)
 

@@ -77,21 +77,15 @@ def test_pictures_that_fit_are_read_once_are_exact_and_exposed_alike():
         assert np.abs(other - (rgb - 0.1) / 2).max() < 1e-6 if shot.camera.name == "cam00" else (other == rgb).all()
 
 
-def write_cut_out(folder):
-    """One picture of a red square whose left half is transparent."""
-    write_views(folder, [coloured_cloud(30)], ring(2), None)
-    for c in ring(2):
-        picture = np.full((48, 48, 4), 255, np.uint8)
-        picture[..., 1:3], picture[:, :24, 3] = 0, 0
-        cv2.imwrite(str(folder / "images" / c.name / "0000.png"), picture[..., [2, 1, 0, 3]])
-    return open_scene(folder)
-
-
 @pytest.mark.parametrize(("background", "left"), [
     (None, (0, 0, 0)), ("white", (1, 1, 1)), ("0.5,0,1", (0.5, 0, 1)), ("random", (0, 0, 0)),
 ])  # fmt: skip
 def test_what_is_transparent_shows_the_background(tmp_path, background, left):
-    view = Pictures(write_cut_out(tmp_path), background=background).train(0)[0]
+    write_views(tmp_path, [coloured_cloud(30)], ring(1), None)
+    picture = np.full((48, 48, 4), (0, 0, 255, 255), np.uint8)  # blue, green, red
+    picture[:, :24, 3] = 0
+    cv2.imwrite(str(tmp_path / "images" / "cam00" / "0000.png"), picture)
+    view = Pictures(open_scene(tmp_path), background=background).train(0)[0]
     for shown, behind, within in ((view, left, 2e-3), (view.before((0.2, 0.4, 0.6)), (0.2, 0.4, 0.6), 3e-3)):
         assert shown.camera.background == behind
         assert np.allclose(shown.target.rgb[:, :24], behind, atol=within)

@@ -94,9 +94,9 @@ def write_ns_process_data(folder, **shared):
         "applied_transform": [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0]], "ply_file_path": "sparse_pc.ply",
     }  # fmt: skip
     (folder / "transforms.json").write_text(json.dumps(data | shared))
-    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {c}\n" for c in "xyz")
-    colours = "".join(f"property uint8 {c}\n" for c in ("red", "green", "blue"))
-    (folder / "sparse_pc.ply").write_text(f"{header}{colours}end_header\n0.5 1 1.5 255 0 51\n0 0 0 0 0 0\n")
+    kinds = ("float x", "float y", "float z", "uint8 red", "uint8 green", "uint8 blue")
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property {kind}\n" for kind in kinds)
+    (folder / "sparse_pc.ply").write_text(f"{header}end_header\n0.5 1 1.5 255 0 51\n0 0 0 0 0 0\n")
     return folder
 
 
@@ -131,12 +131,12 @@ def test_cameras_are_held_out_by_name_or_one_in_eight(tmp_path, moving):
     assert with_held_out(scene, None) is scene  # it names its own
     names = with_held_out(scene, ["cam00", "cam02"])
     assert [c.name for c in names.cameras if c.split == "test"] == ["cam00", "cam02"]
-    with pytest.raises(SceneError, match="no camera camX"):
-        with_held_out(scene, ["camX"])
-    with pytest.raises(SceneError, match="all 6 are held out"):
-        with_held_out(scene, [c.name for c in scene.cameras])
-    unmarked = with_held_out(scene, [])
-    assert all(c.split == "train" for c in with_held_out(unmarked, None).cameras)  # too few to spare one
+    for chosen, message in ((["camX"], "no camera camX"), ([c.name for c in scene.cameras], "all 6 are held out")):
+        with pytest.raises(SceneError, match=message):
+            with_held_out(scene, chosen)
+    assert all(
+        c.split == "train" for c in with_held_out(with_held_out(scene, []), None).cameras
+    )  # too few to spare one
     many = with_held_out(open_scene(write_panoptic(tmp_path / "many", ring(17))), None)
     assert [i for i, c in enumerate(many.cameras) if c.split == "test"] == [4, 12]
 
@@ -268,7 +268,6 @@ def saved(name, data):
 
 
 def transforms(**fields):
-    """Other fields of a transforms.json."""
     return lambda folder: changed(folder / "transforms.json", **fields)
 
 
