@@ -38,13 +38,10 @@ def as_in_gsplat():
 
 
 MAKERS = {
-    "gsplat": as_in_gsplat,
-    "Gaussians": lambda: FRAMES,
+    "gsplat": as_in_gsplat, "torch": tensors, "Gaussians": lambda: FRAMES, "iterator": lambda: iter(FRAMES),
     "mappings": lambda: [columns(frame) for frame in FRAMES],
     "time axis": lambda: {name: column.astype(np.float64) for name, column in stacked().items()},
-    "torch": tensors,
-    "iterator": lambda: iter(FRAMES),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)

@@ -60,17 +60,17 @@ def test_nothing_is_lost_far_from_zero(tmp_path, form, scale):
 
 def test_what_float32_cannot_hold_is_refused_or_said(tmp_path):
     """Files that lost it already; parts that no one origin suits, too far from each other."""
-    near = random_gaussians(40)
-    write_ply(tmp_path / "a.ply", replace(near, means=in_world(near, UTM).means.astype(np.float32)))
+    near, path = random_gaussians(40), tmp_path / "a.ply"
+    write_ply(path, replace(near, means=in_world(near, UTM).means.astype(np.float32)))
     [note] = open_sequence(tmp_path).notes
     assert "in the files has moved 100% of what is opaque" in note
     parts = [in_world(random_gaussians(20, seed=i), [i * 1e8, 0, 0]) for i in range(3)]
-    write_ply(tmp_path / "a.ply", faces.join_rows(parts))
+    write_ply(path, faces.join_rows(parts))
     with pytest.raises(SceneError, match=r"a\.ply: .* float32 moves 6\d%"):
         open_sequence(tmp_path).read(0)
     with pytest.raises(SceneError, match="open_sequence"):
-        write_ply(tmp_path / "a.ply", parts[1])
-        read(tmp_path / "a.ply")
+        write_ply(path, parts[1])
+        read(path)
     some = replace(near, means=np.where(np.arange(40)[:, None] < 4, near.means + np.float32(1e5), near.means))
     assert any("float32 moves" in note for note in repair([some], "a").notes) and not repair([near], "a").notes
 

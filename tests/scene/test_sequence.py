@@ -51,13 +51,13 @@ def test_the_embedded_scene_opens_with_its_cameras_and_keyframes_from_zero():
 
 
 def test_settings_given_to_open_take_precedence_and_paths_may_be_words(tmp_path):
-    write_sequence(tmp_path / "scene", moving_frames(4, 2), fps=12)
-    assert open_sequence(str(tmp_path / "scene")).fps == 12
-    given = open_sequence(tmp_path / "scene", views=str(FOX / "transforms.json"), fps=29.97)
+    write_sequence(tmp_path, moving_frames(4, 2), fps=12)
+    assert open_sequence(str(tmp_path)).fps == 12
+    given = open_sequence(tmp_path, views=str(FOX / "transforms.json"), fps=29.97)
     assert given.fps == Fraction(2997, 100) and len(given.cameras) == 20
     for fps in (0, -1, float("nan"), 1e9):
         with pytest.raises(SceneError, match="fps"):
-            open_sequence(tmp_path / "scene", fps=fps)
+            open_sequence(tmp_path, fps=fps)
 
 
 def test_frames_are_loaded_together_without_bands_above_the_largest_degree(tmp_path):
@@ -113,23 +113,22 @@ def test_a_frame_of_another_scene_is_told_before_and_to_those_who_encode(tmp_pat
 
 
 def test_folders_of_sog_are_frames_and_one_is_a_scene(tmp_path):
-    for name in ("f2", "f10"):
-        write_sog_folder(tmp_path / name, random_gaussians(30))
-    assert names_of(tmp_path) == ["f2", "f10"]
-    for place in (tmp_path / "f2", tmp_path / "f2" / "meta.json"):
-        sequence = open_sequence(place)
-        assert len(sequence) == 1 and len(sequence.read(0)) == 30
-    assert not faces.is_multiview(tmp_path) and not faces.is_multiview(tmp_path / "f2")
+    first, second = (write_sog_folder(tmp_path / name, random_gaussians(30)) for name in ("f2", "f10"))
+    assert names_of(tmp_path) == [first.name, second.name]
+    for place in (first, first / "meta.json"):
+        assert open_sequence(place).count(0) == len(open_sequence(place).read(0)) == 30
+        assert len(open_sequence(place)) == 1
+    assert not faces.is_multiview(tmp_path) and not faces.is_multiview(first)
 
 
-@pytest.mark.parametrize("inner", ["", "point_cloud"])
-def test_of_a_model_the_newest_iteration_is_taken(tmp_path, inner):
+def test_of_a_model_the_newest_iteration_is_taken(tmp_path):
     for number in (7000, 30000, 900):
         folder = tmp_path / "point_cloud" / f"iteration_{number}"
         folder.mkdir(parents=True)
         write_ply(folder / "point_cloud.ply", random_gaussians(number // 100))
     (tmp_path / "input.ply").write_bytes(b"ply\n")
-    assert len(open_sequence(tmp_path / inner).read(0)) == 300
+    for model in (tmp_path, tmp_path / "point_cloud"):
+        assert len(open_sequence(model).read(0)) == 300
 
 
 def test_hidden_files_are_no_frames_and_one_file_is_a_scene_whatever_lies_beside_it(tmp_path):
