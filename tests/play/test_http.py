@@ -94,13 +94,11 @@ def test_a_link_that_falls_silent_is_given_up():
         looks.append(partial)
         return len(looks) == 2
 
-    def ask(downloader, kind, give_up=None, **files):
-        return downloader.fetch(faces.Request(kind, 0, 0, faces.Batch(**files), 0.0, 0.0), give_up)
-
     with serve({"p": PACKAGE}, silent) as site, HttpDownloader(f"{site.url}/p") as downloader:
         offers = downloader.open()
-        ask(downloader, faces.BatchKind.TABLES, tables=("group/1.json.gz",))
-        arrival = ask(downloader, faces.BatchKind.STATE, give_up, state=(path,))
+        tables, state = faces.Batch(tables=("group/1.json.gz",)), faces.Batch(state=(path,))
+        downloader.fetch(faces.Request(faces.BatchKind.TABLES, 0, 0, tables, 0.0, 0.0))
+        arrival = downloader.fetch(faces.Request(faces.BatchKind.STATE, 0, 0, state, 0.0, 0.0), give_up)
     assert arrival.abandoned and not arrival.whole and not arrival.complete
     assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
     assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
@@ -226,7 +224,7 @@ def test_a_query_goes_with_every_file_and_tables_may_come_unpacked(form, site):
 
 @pytest.mark.parametrize(("make", "words"), [
     *((partial(HttpDownloader, url), "http://") for url in ("ftp://a/x", "http://", "http://a:b/", "http://[", "http://a/#x")),
-    *((partial(HttpSettings, **given), "expected more than 0") for given in ({"timeout_s": 0}, {"backoff_s": np.nan})),
+    *((partial(HttpSettings, **given), "more than 0 s") for given in ({"timeout_s": 0}, {"backoff_s": np.nan})),
     *((partial(HttpSettings, **given), "expected an attempt or more") for given in ({"attempts": 0}, {"outage_s": -1})),
 ])  # fmt: skip
 def test_addresses_of_nothing_and_impatience_that_cannot_work_are_refused(make, words):

@@ -185,11 +185,6 @@ def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
     assert [p.index for p in Ladder.build(levels, **options).options] == left
 
 
-def test_what_levels_save():
-    assert saved_shares([1000, 600, 500]) == pytest.approx([0, 0.4, 0.5])
-    assert saved_shares([0, 0]) == [0, 0] and saved_shares([5, 9]) == [0, 0]
-
-
 NOTHING_FITS = "nothing fits 10 B, taking the smallest"
 NONE_FIT = Decision(1, False, "nothing fits 0 B, taking the smallest", 100)
 
@@ -205,10 +200,12 @@ def test_the_best_that_fits_or_the_smallest(qualities, sizes, budget, expected):
     assert select(Ladder.build(dense(*qualities, sizes=sizes)), budget) == expected
 
 
-def test_units_13_and_bandwidths_that_are_none_12():
+def test_units_13_bandwidths_that_are_none_12_and_shares_saved():
     """8 Mbit/s at 25 fps are 40,000 bytes a frame; half of it spent, less a header."""
     assert (frame_budget(8e6, 25), frame_budget(0.8, 0.1)) == pytest.approx((40_000, 1.0))
     assert [frame_budget(bandwidth, 30) for bandwidth in (math.nan, -1.0, 0.0)] == [0.0] * 3
+    assert saved_shares([1000, 600, 500]) == pytest.approx([0, 0.4, 0.5])
+    assert saved_shares([0, 0]) == [0, 0] and saved_shares([5, 9]) == [0, 0]
 
 
 @pytest.mark.parametrize(("function", "arguments", "words"), [

@@ -400,12 +400,8 @@ def test_a_budget_that_no_rung_meets():
         play(TIERED, link([9e6]), "robust-mpc", budget=19)
     c = Offers(TIERED, 0, 1000)
     policy, downloader = faces.make_policy("fixed:0", c), faces.SimulatedDownloader(link([9e6]), c, {})
-
-    def events(budget):
-        return list(faces.run(c, downloader, policy, SessionSettings(budget=budget, loops=1)))
-
-    seen = events(15)
+    seen = list(faces.run(c, downloader, policy, SessionSettings(budget=15, loops=1)))
     assert [e.rung is None for e in seen if isinstance(e, faces.Shown)] == [False, True]
     assert [e.position for e in seen if isinstance(e, faces.Lost)] == [1]
     with pytest.raises(ConfigError, match="expected 10 Gaussians or more"):
-        events(9)
+        list(faces.run(c, downloader, policy, SessionSettings(budget=9, loops=1)))

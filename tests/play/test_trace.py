@@ -45,8 +45,8 @@ def test_when_a_download_arrives(what, size, at, arrival):
 
 @pytest.mark.parametrize(("what", "size", "words"), [
     (FALLING.ending("error"), 2_000_000, "with 500000 bytes still to come"),
-    (trace(8e6, 0, end="hold"), 2_000_000, "ends after 2 s"),  # a rate of zero for ever is an error, not a hang
     (link([8.0]), DAY_S + 1, "expected at most"),
+    (trace(8e6, 0, end="hold"), 2_000_000, "ends after 2 s"),  # a rate of zero for ever is an error, not a hang
 ])  # fmt: skip
 def test_what_never_arrives(what, size, words):
     with pytest.raises(TransportError, match=words):
