@@ -25,17 +25,11 @@ UPRIGHT = np.zeros((48, 32, 3), np.uint8)
 UPRIGHT[:24, :16], UPRIGHT[:24, 16:], UPRIGHT[24:, :16] = 200, 130, 60  # every corner its own grey
 
 
-def turned(a, b, c, d):
-    """What gives the track of an .mp4 a display matrix."""
-
-    def change(path):
-        there, wanted = (
-            struct.pack(">9i", *(int(v * (1 << 16)) for v in m), 0, 0, 0, 1 << 30)
-            for m in ((1, 0, 0, 0, 1), (a, b, 0, c, d))
-        )
-        path.write_bytes(wanted.join(path.read_bytes().rsplit(there, 1)))
-
-    return change
+def turn(path, *matrix):
+    """Give the track of an .mp4 a display matrix."""
+    fixed = ([int(v * (1 << 16)) for v in (a, b, 0, c, d)] for a, b, c, d in ((1, 0, 0, 1), matrix))
+    there, wanted = (struct.pack(">9i", *numbers, 0, 0, 0, 1 << 30) for numbers in fixed)
+    path.write_bytes(wanted.join(path.read_bytes().rsplit(there, 1)))
 
 
 @pytest.mark.parametrize(("matrix", "undone"), [  # a, b, c, d of a display matrix, and how that is undone
@@ -48,18 +42,11 @@ def turned(a, b, c, d):
 ])  # fmt: skip
 def test_pictures_are_upright_and_it_is_said(tmp_path, matrix, undone):
     write_filmed(tmp_path, CAMERA, {"cam.mp4": ([np.ascontiguousarray(undone(UPRIGHT))] * 3, range(3))})
-    turned(*matrix)(tmp_path / "cam.mp4")
+    turn(tmp_path / "cam.mp4", *matrix)
     scene = open_scene(tmp_path)
     assert np.abs(Pictures(scene).train(2)[0].target.rgb * 255 - UPRIGHT).max() < 4
     said = ["3 frames of 25 a second, joined by time; turned upright: cam"]
     assert list(scene.notes) == ([] if matrix == (1, 0, 0, 1) else said)
-
-
-def greys(scene):
-    """The grey of each camera's picture of each frame, by tens."""
-    pictures = Pictures(scene)
-    seen = [pictures.train(frame) for frame in range(len(scene))]
-    return [{view.camera.name: round(float(view.target.rgb.mean()) * 25.5) for view in views} for views in seen]
 
 
 def filmed(folder, a, b, suffix=".mp4"):
@@ -85,21 +72,23 @@ NINE = range(9)
 def test_a_rig_is_joined_by_time_and_a_hole_is_a_hole(tmp_path, suffix, note, a, b, seen):
     scene = open_scene(filmed(tmp_path, a, b, suffix))
     shown = {"a": {round(t) for t in a}, "b": {round(t) for t in b}}
-    assert greys(scene) == [{name: 2 + t for name, times in shown.items() if t in times} for t in seen]
+    pictures = Pictures(scene)
+    for frame, t in enumerate(seen):
+        greys = {view.camera.name: round(float(view.target.rgb.mean()) * 25.5) for view in pictures.train(frame)}
+        assert greys == {name: 2 + t for name, times in shown.items() if t in times}
+    assert len(scene) == len(seen)
     assert note in scene.notes[0] and scene.fps == 25
 
 
-def cut_off(path):
-    path.write_bytes(path.read_bytes()[:-9])
-
-
 @pytest.mark.parametrize(("suffix", "b", "change", "message"), [
-    (".mp4", range(3), turned(0, 1, -1, 0), "b.mp4: expected pictures of 32x48, got 48x32"),
-    (".mp4", range(3), turned(0.6, 0.8, -0.8, 0.6), "b.mp4: expected pictures turned by right angles, got -53 deg"),
+    (".mp4", range(3), lambda path: turn(path, 0, 1, -1, 0), "b.mp4: expected pictures of 32x48, got 48x32"),
+    (".mp4", range(3), lambda path: turn(path, 0.6, 0.8, -0.8, 0.6),
+     "b.mp4: expected pictures turned by right angles, got -53 deg"),
     (".mp4", range(9, 12), None, "expected videos of one time, they begin up to 9 frames apart"),
     (".mp4", [0, 1.2, 2.4, 3.6], None, "expected videos of one frame rate, got 20.8333, 25"),
     (".mkv", [0, 0.01, 1], None, "b.mkv: expected pictures at times of their own, got several at one"),
-    (".mp4", range(9), cut_off, "b.mp4: expected a whole video, picture 8 is cut off"),
+    (".mp4", range(9), lambda path: path.write_bytes(path.read_bytes()[:-9]),
+     "b.mp4: expected a whole video, picture 8 is cut off"),
 ])  # fmt: skip
 def test_what_cannot_be_joined_is_refused_in_one_line(tmp_path, capsys, suffix, b, change, message):
     filmed(tmp_path, range(5), b, suffix)
