@@ -14,9 +14,6 @@ USER_PAGES = [
     "README", "browser", "encoding", "farm", "formats", "playing", "python", "security", "serving", "tracking",
     "training",
 ]  # fmt: skip
-USER_PAGE_WORDS = 1200
-USER_WORDS = 9000
-WORDS = 24_000
 
 
 @pytest.fixture(scope="module")
@@ -39,26 +36,18 @@ def test_commands_and_python_of_user_pages_run(page, shops):
     assert [wrong for block in blocks if (wrong := shops[block.output != ""].run_block(block))] == []
 
 
-@pytest.mark.parametrize("page", check_docs.pages(), ids=lambda page: page.relative_to(REPOSITORY).as_posix())
-def test_commands_parse_and_paths_names_and_links_exist(page):
-    assert list(check_docs.findings(page)) == []
-
-
-def test_commands_of_the_makefile_parse():
+def test_commands_parse_and_paths_names_and_links_exist():
+    assert [(page, finding) for page in check_docs.pages() for finding in check_docs.findings(page)] == []
     lines = re.findall(r"^\t-?\$\(BIN\)/(airgs-.*|python -m .*)", (REPOSITORY / "Makefile").read_text(), re.MULTILINE)
     assert len(lines) > 9 and [error for line in lines if (error := check_docs.command_error(line.split(), True))] == []
 
 
-def words(page):
-    return len(page.read_text().split())
-
-
 def test_pages_are_short():
-    assert {name: words(REPOSITORY / name) for name in MOST_WORDS if words(REPOSITORY / name) > MOST_WORDS[name]} == {}
-    assert [page.stem for page in check_docs.user_pages()] == USER_PAGES
-    assert [page.name for page in check_docs.user_pages() if words(page) > USER_PAGE_WORDS] == []
-    assert sum(map(words, check_docs.user_pages())) <= USER_WORDS
-    assert sum(map(words, check_docs.pages())) <= WORDS
+    words, user = ({page: len(page.read_text().split()) for page in check_docs.pages()}, check_docs.user_pages())
+    assert [name for name, most in MOST_WORDS.items() if words[REPOSITORY / name] > most] == []
+    assert [page.stem for page in user] == USER_PAGES
+    assert [page.name for page in user if words[page] > 1200] == []
+    assert sum(words[page] for page in user) <= 9000 and sum(words.values()) <= 24_000
 
 
 @pytest.mark.parametrize(
@@ -79,15 +68,12 @@ def test_what_is_not_there_is_found(code, finding):
     assert any(finding in line for line in check_docs.inline_errors(code))
 
 
-@pytest.mark.parametrize("whole", [True, False])
-def test_a_required_argument_is_missed_in_a_block_but_not_in_prose(whole):
-    assert bool(check_docs.command_error(["airgs-decode", "scene.airgs"], whole)) == whole
-
-
-@pytest.mark.parametrize(("target", "wrong"), [("#two-words-here", 0), ("page.md#one", 0), ("#three", 1), ("no.md", 1)])
-def test_links_lead_to_files_and_headings(target, wrong, tmp_path):
+def test_links_lead_to_files_and_headings_and_a_required_argument_is_missed_in_a_block_but_not_in_prose(tmp_path):
     (tmp_path / "page.md").write_text("# One\n## Two words, here\n")
-    assert len(list(check_docs.link_errors(tmp_path / "page.md", target))) == wrong
+    for target, wrong in (("#two-words-here", 0), ("page.md#one", 0), ("#three", 1), ("no.md", 1)):
+        assert len(list(check_docs.link_errors(tmp_path / "page.md", target))) == wrong, target
+    for whole in (True, False):
+        assert bool(check_docs.command_error(["airgs-decode", "scene.airgs"], whole)) == whole
 
 
 @pytest.mark.parametrize(
@@ -123,14 +109,11 @@ def test_what_fails_or_prints_something_else_is_found(info, code, finding, tmp_p
     assert (wrong is None) if finding is None else finding in wrong
 
 
-def test_blocks_are_told_apart_and_keep_their_output():
+def test_blocks_are_told_apart_every_page_is_looked_at_and_every_file_is_linked_from_one():
     text = "```sh\nairgs-play a\n```\n\n```text\nplayed 1\n```\n\nwords\n\n```sh not-run\nmake demo\n```\n"
     found = [(block.info, block.code, block.output) for block in check_docs.blocks(text)]
     shell = ("sh", "airgs-play a\n", "played 1\n")
     assert found == [shell, ("text", "played 1\n", ""), ("sh not-run", "make demo\n", "")]
-
-
-def test_every_page_is_looked_at_and_every_file_is_linked_from_one():
     pages = {page.relative_to(REPOSITORY).as_posix(): page for page in check_docs.pages()}
     assert {"README.md", "FORMAT.md", "docs/results/numerics.md", "tests/data/README.md"} <= pages.keys()
     texts = {page: page.read_text() for page in pages.values()}

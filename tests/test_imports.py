@@ -18,26 +18,15 @@ ORDER = (  # the decoder knows nothing of the encoder
 )  # fmt: skip
 MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
     "torch": {"render/differentiable.py", "render/cuda.py", "render/reference.py", "trainer"},
-    "gsplat": {"render/cuda.py"},
-    "pycolmap": set(),
-    "gaussforge": {"scene/formats/sandbox.py"},
-    "fourdgs": {"scene/formats/sandbox.py"},
-    "gsply": {"scene/formats/spz.py"},
-    "pygltflib": set(),
-    "av": {"media/h264.py", "media/movie.py", "media/sound.py"},
-    "cv2": {"media/image.py"},
-    "PIL": {"media/image.py"},
-    "colour": {"media/metrics.py"},
     "numba": {
         "cli/kernels.py", "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
     },
-    "matplotlib": {"_report.py"},
-    "dask": {"jobs/dask_engine.py"},
-    "distributed": {"jobs/dask_engine.py"},
-    "aiohttp": {"play/http.py"},
-    "hypercorn": {"serve/server.py"},
-    "obstore": {"places/place.py"},
-    "starlette": {"serve/app.py", "serve/server.py"},
+    "av": {"media/h264.py", "media/movie.py", "media/sound.py"}, "starlette": {"serve/app.py", "serve/server.py"},
+    "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},
+    "gaussforge": {"scene/formats/sandbox.py"}, "fourdgs": {"scene/formats/sandbox.py"},
+    "gsply": {"scene/formats/spz.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),
+    "dask": {"jobs/dask_engine.py"}, "distributed": {"jobs/dask_engine.py"}, "obstore": {"places/place.py"},
+    "aiohttp": {"play/http.py"}, "hypercorn": {"serve/server.py"},
 }  # fmt: skip
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
 
@@ -84,43 +73,36 @@ def test_a_folder_imports_only_from_those_before_it(folder):
             assert not upward, f"{module} imports {sorted(upward)}"
 
 
-def test_no_imports_go_round_in_circles():
+def test_no_imports_go_round_in_circles_and_heavy_libraries_stay_in_their_module():
     TopologicalSorter({module: modules_of(path) - {module} for module, path in MODULES.items()}).prepare()
-
-
-def test_heavy_libraries_stay_in_their_module():
     for module, path in MODULES.items():
         for name in imports_of(path):
             homes = MAY_IMPORT.get(name.split(".")[0], {module})
             assert any(module == home or module.startswith(f"{home}/") for home in homes), f"{module}: {name}"
 
 
-@pytest.mark.parametrize(("folder", "never"), [("airgs_codec", {"tools", "tests"}), ("tools", {"tests"})])
-def test_imports_go_one_way(folder, never):
-    """tests -> tools -> airgs_codec."""
-    for path in (REPOSITORY / folder).rglob("*.py"):
-        assert not never & {name.split(".")[0] for name in imports_of(path)}, path
-
-
-def test_nothing_private_is_imported_from_another_folder():
-    """Modules of the root whose names begin with an underscore are shared by all."""
+def test_imports_go_one_way_and_nothing_private_is_imported_from_another_folder():
+    """tests -> tools -> airgs_codec. Modules of the root whose names begin with an underscore are shared by all."""
+    for folder, never in (("airgs_codec", {"tools", "tests"}), ("tools", {"tests"})):
+        for path in (REPOSITORY / folder).rglob("*.py"):
+            assert not never & {name.split(".")[0] for name in imports_of(path)}, path
     for path in MODULES.values():
         deep = [name.split(".") for name in imports_of(path) if name.startswith("airgs_codec.") and name.count(".") > 2]
         private = [".".join(parts) for parts in deep if any(part.startswith("_") for part in parts[2:])]
         assert all(name.split(".")[1] == path.parent.name for name in private), f"{path}: {private}"
 
 
-TORCHLESS = "decoder.decode encoder.publish play.session inspect.validate cli.decode cli.encode cli.play cli.train"
+WITHOUT_TORCH = """
+import importlib, sys
+names = "decoder.decode encoder.publish play.session inspect.validate cli.decode cli.encode cli.play cli.train"
+for name in names.split():
+    importlib.import_module("airgs_codec." + name)
+    found = {"torch", "colour"} & sys.modules.keys()
+    sys.exit(f"{name} loads {found}") if found else None
+"""
 
 
 def test_torch_is_never_loaded():
     """One process imports all of them and says after which of them torch or colour-science was there."""
-    code = f"""
-import importlib, sys
-for name in {TORCHLESS.split()}:
-    importlib.import_module("airgs_codec." + name)
-    found = {{"torch", "colour"}} & sys.modules.keys()
-    sys.exit(f"{{name}} loads {{found}}") if found else None
-"""
-    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", WITHOUT_TORCH], check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")

@@ -1,10 +1,14 @@
 """Rules and constants that decide, each by what would come out if it were another."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.coding.channels import hold_undrawn
 from airgs_codec.encoder import omit, plan
 from airgs_codec.media.mp4 import sound_init
@@ -20,11 +24,6 @@ def test_a_row_has_its_first_drawn_value_before_it_is_drawn_and_its_last_one_aft
     channels = np.array([[[9.0]], [[1.0]], [[9.0]], [[2.0]], [[9.0]]])
     hold_undrawn(channels, np.array([[False], [True], [False], [True], [False]]))
     assert channels.ravel().tolist() == [1, 1, 1, 2, 2]
-
-
-def test_factors_of_tiers_are_at_most_three_apart():
-    factors = plan.tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
-    assert max(factors) / min(factors) == pytest.approx(3, rel=0.01)
 
 
 def test_bands_go_where_they_cost_less_than_half_of_what_their_bytes_are_worth(tmp_path):
@@ -47,17 +46,17 @@ def test_a_policy_knows_the_downloads_that_are_over_and_before_them_the_tables_w
         seen.append(state.history)
         return faces.Decision(0, True, "watch", state.options[0].size_bytes)
 
-    m = tiny_manifest(groups=(10, 10, 10))
-    log = faces.simulate(
-        faces.Offers(m, 0, 1000), link([8e4], rtt=0.1), faces.Policy("watch", watch), rules(pipelined=True)
-    )
+    offers, slow = faces.Offers(tiny_manifest(groups=(10, 10, 10)), 0, 1000), link([8e4], rtt=0.1)
+    log = faces.simulate(offers, slow, faces.Policy("watch", watch), rules(pipelined=True))
     tables, first = (next(f for f in log.fetches if (f.kind == "tables") is is_table) for is_table in (True, False))
     assert [len(history) for history in seen] == [1, 1, 1]  # the second is on its way when the third is asked for
     assert seen[0][0].seconds == pytest.approx(tables.arrival_s - tables.request_s)
     assert seen[1][0].bytes == seen[2][0].bytes == first.bytes
 
 
-def test_steps_of_opacity_are_finite_where_its_slope_is_none():
+def test_factors_of_tiers_are_at_most_three_apart_and_steps_of_opacity_finite_where_its_slope_is_none():
+    factors = plan.tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
+    assert max(factors) / min(factors) == pytest.approx(3, rel=0.01)
     g = replace(random_gaussians(2), opacity_logits=np.array([20, 0], np.float32))
     saturated, half = codec_steps(g, ring(2))["opacity_logits"].tolist()
     assert saturated / half == pytest.approx(0.25 / 0.02)
@@ -83,3 +82,20 @@ def test_frames_cannot_be_written_to_and_few_groups_stay_decoded(monkeypatch):
         for frame in [0, package.manifest.frames - 1] * 2:
             faces.decode(again, frame)
         assert len(counted) == wanted
+
+
+@given(st.integers(1, 500), st.integers(1, 50))
+def test_evenly_spaced_picks_have_the_first_and_last_among_them(count, most):
+    picks = evenly_spaced(count, most)
+    assert len(picks) == min(count, most) and picks == sorted(set(picks)) and picks[0] == 0
+    if most > 1:
+        gaps = [b - a for a, b in pairwise(picks)]
+        assert picks[-1] == count - 1 and (not gaps or max(gaps) - min(gaps) <= 2)
+
+
+@given(st.integers(0, 100), st.integers(1, 200), st.integers(1, 50))
+def test_middle_frames_lie_in_the_middle_of_equal_parts(start, length, most):
+    picks, parts = middle_frames(start, start + length, most), min(most, length)
+    assert len(picks) == parts
+    for i, frame in enumerate(picks):
+        assert abs(frame + 0.5 - (start + (i + 0.5) * length / parts)) <= 0.5
