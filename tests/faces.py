@@ -38,7 +38,7 @@ from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.analysis.region import region_around
 from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_in_paper, as_preview
 from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
-from airgs_codec.encoder.plan import keep_rows, lay_out
+from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
 from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
 from airgs_codec.encoder.live import follow

@@ -16,21 +16,20 @@ from tests.support.scenes import moving_frames, random_gaussians, write_demo, wr
 
 FAST = EncodeSettings(preset="veryfast", threads=2)
 LARGEST = math.sqrt(51)  # a factor on a step: every step has 2 % of all bytes and error at least
+MOTION = "means", "quaternions", "log_scales"
 
 
 @pytest.fixture(scope="module")
 def fox(tmp_path_factory):
     """A part of the embedded scene: its sequence, the survey of its only group, and its views."""
-    folder = write_demo(tmp_path_factory.mktemp("calibrate") / "fox", frames=4, rows=2500, scale=0.5)
-    sequence = open_sequence(folder)
+    sequence = open_sequence(write_demo(tmp_path_factory.mktemp("calibrate") / "fox", frames=4, rows=2500, scale=0.5))
     views = ViewPlan.of(sequence, 24)
     return sequence, faces.survey_group(sequence, GroupSpan(0, 0, 4), views), views
 
 
 @pytest.fixture(scope="module")
 def calibration(fox):
-    sequence, survey, _ = fox
-    return calibrate(sequence, survey, FAST)
+    return calibrate(*fox[:2], FAST)
 
 
 def test_a_calibration_is_the_same_every_time_and_survives_the_cache(fox, calibration, tmp_path):
@@ -68,29 +67,27 @@ def test_a_calibration_is_found_anew_when_anything_that_it_reads_changes(tmp_pat
 
 
 def test_steps_are_named_once_and_replaced_one_at_a_time():
-    steps = StepSettings()
-    for name in [*STEPS, "rows"]:
+    steps, names = StepSettings(), [*STEPS, "rows"]
+    for name in names:
         changed = faces.with_step(steps, name, 7.0)
-        assert get_step(changed, name) == 7.0
-        assert [n for n in [*STEPS, "rows"] if get_step(changed, n) != get_step(steps, n)] == [name]
+        assert {n: get_step(changed, n) for n in names} == {n: get_step(steps, n) for n in names} | {name: 7.0}
 
 
 def test_a_step_far_from_its_price_comes_back(fox):
     """Means four times too fine or too coarse: calibration moves them the other way."""
-    sequence, survey, _ = fox
-    wanted = {}
+    (sequence, survey, _), wanted = fox, []
+    scaled = StepSettings().at_scale(survey.scale)
     for factor in (0.25, 1.0, 4.0):
-        start = StepSettings().at_scale(survey.scale)
-        start = faces.with_step(start, "state.means", factor * get_step(start, "state.means"))
+        start = faces.with_step(scaled, "state.means", factor * scaled.state.means)
         subject = Subject.of(sequence, survey, replace(FAST, steps=start))
         sample = subject.sample(24.0)
         steps, price, saved = solve_steps(sample, subject)
         assert price > 0
         # what slopes foretell, and what two trials find, at errors that are not quite equal
         assert saved == pytest.approx(sample.cost(start).bytes - sample.cost(steps).bytes, rel=0.4)
-        others = [get_step(steps, n) / get_step(start, n) for n in ("state.quaternions", "state.log_scales")]
-        wanted[factor] = get_step(steps, "state.means") / get_step(start, "state.means") / float(np.mean(others))
-    assert wanted[0.25] > 1.3 * wanted[1.0] > 1.3**2 * wanted[4.0]
+        means, *others = (get_step(steps, f"state.{n}") / get_step(start, f"state.{n}") for n in MOTION)
+        wanted.append(means / float(np.mean(others)))
+    assert wanted[0] > 1.3 * wanted[1] > 1.3**2 * wanted[2]
 
 
 def test_ladders_descend(calibration):
@@ -117,7 +114,7 @@ def test_a_scene_that_stands_still_has_one_level():
     frame = random_gaussians(300)
     sequence = GaussianSequence.from_arrays([frame], cameras=faces.orbit_views(frame, count=4, size=64))
     found = calibrate(sequence, faces.survey_group(sequence, GroupSpan(0, 0, 1), ViewPlan.of(sequence, 24)), FAST)
-    assert found.levels == (faces.LevelSettings(0.0),) and found.key_factors == (1.0,)
+    assert (found.levels, found.key_factors) == ((faces.LevelSettings(0.0),), (1.0,))
     assert found.steps.state == StepSettings().state
 
 
@@ -125,12 +122,14 @@ def slopes(errors):
     return {name: (1.0, error) for name, error in zip(STEPS, errors, strict=False)}
 
 
-def test_steps_are_balanced_within_the_limit():
+def test_steps_are_balanced_within_the_limit_and_stay_where_nothing_depends_on_them():
     factors, price = balance(slopes([3.0] * 6))
     assert list(factors.values()) == pytest.approx([1.0] * 6)  # equal slopes change nothing
     assert price == pytest.approx(2 * 3.0)
     factors, _ = balance({"state.means": (1.0, 0.0), "state.opacity": (0.0, 1.0)})
     assert factors == {"state.means": pytest.approx(LARGEST), "state.opacity": pytest.approx(1 / LARGEST)}
+    for nothing in ({"grid": (0.0, 1.0)}, {"grid": (1.0, 0.0)}, {"grid": (-1.0, -1.0)}, {}):
+        assert balance(nothing) == ({}, 0.0), nothing
 
 
 @pytest.mark.parametrize("decades", [12, 300])
@@ -138,11 +137,6 @@ def test_errors_over_many_decades_keep_within_the_limit_and_in_order(decades):
     factors = list(balance(slopes([10.0 ** (-decades * i / 11) for i in range(12)]))[0].values())
     assert factors == sorted(factors)
     assert 1 / LARGEST <= factors[0] < 1 < factors[-1] <= LARGEST
-
-
-@pytest.mark.parametrize("given", [{"grid": (0.0, 1.0)}, {"grid": (1.0, 0.0)}, {"grid": (-1.0, -1.0)}, {}])
-def test_where_nothing_depends_on_steps_they_stay(given):
-    assert balance(given) == ({}, 0.0)
 
 
 @pytest.mark.parametrize("slope", [(math.nan, 1.0), (1.0, math.inf), (1.0, math.nan)])

@@ -37,16 +37,12 @@ def unchanged(one, other):
     return np.all([column.reshape(len(column), -1).all(axis=1) for column in columns], axis=0)
 
 
-def test_such_a_package_is_valid_and_keeps_its_promises(package):
+def test_such_a_package_is_valid_keeps_its_promises_and_costs_only_what_differs(package):
     m = package.manifest
     assert [group.keeps for group in m.groups] == [None, None, 2, 2, None, 5, 5, 5, None, 9, None, 11]
     assert "7 of 12 groups are coded as what differs from an earlier one" in m.decisions
     assert validate(package.files.path) == []
     assert faces.exceeded(faces.measure_errors(package, PACKAGES["keys"].scene())) == []
-
-
-def test_a_key_of_differences_costs_only_what_differs(package):
-    m = package.manifest
     assert all(key_bytes(m, group) < 0.75 * key_bytes(m, 2) for group in (3, 4))
     assert [t.count for t in m.groups[8].tiers] == [t.count for t in m.groups[9].tiers]
     assert m.groups[9].count == 5000 + round(MOVER * 5000)
@@ -67,37 +63,30 @@ def test_what_stands_still_is_that_of_the_base(package, quality):
 
 
 def test_a_viewer_with_fewer_tiers_has_the_first_rows(package):
-    frame = 9 * GROUP
-    few = next(faces.decode_frames(package, frame, frame + 1, tiers=1)).gaussians
-    all_ = decode(package, frame)
-    np.testing.assert_array_equal(few.means, all_.means[: package.manifest.groups[9].tiers[0].count])
+    few = next(faces.decode_frames(package, 9 * GROUP, 9 * GROUP + 1, tiers=1)).gaussians.means
+    count = package.manifest.groups[9].tiers[0].count
+    np.testing.assert_array_equal(few, decode(package, 9 * GROUP).means[:count])
 
 
 def test_a_base_that_cannot_be_one_is_refused(package):
     first, second = package.manifest.groups[4:6]
-
-    def opened(base):
-        groups = [*package.manifest.groups[:4], base, second]
-        return faces.Package(package.files, replace(package.manifest, groups=faces.Groups.of(groups)), 0)
-
-    wrong = [replace(first, keeps=1), replace(first, tiers=[replace(t, count=1) for t in first.tiers])]
-    wrong += [replace(first, tiers=[replace(t, factor=2 * t.factor) for t in first.tiers])]
-    wrong += [replace(first, grid=replace(first.grid, finest=9)), replace(first, colour_transform="")]
-    for base in [*wrong, replace(first, key_steps=replace(first.key_steps, opacity=1.0))]:
+    for wrong in (
+        {"keeps": 1}, {"tiers": [replace(t, count=1) for t in first.tiers]}, {"colour_transform": ""},
+        {"tiers": [replace(t, factor=2 * t.factor) for t in first.tiers]}, {"grid": replace(first.grid, finest=9)},
+        {"key_steps": replace(first.key_steps, opacity=1.0)},
+    ):  # fmt: skip
+        groups = faces.Groups.of([*package.manifest.groups[:4], replace(first, **wrong), second])
         with pytest.raises(faces.FormatError, match="group/6") as caught:
-            decode_canonical(opened(base), 5, 0)
+            decode_canonical(faces.Package(package.files, replace(package.manifest, groups=groups), 0), 5, 0)
         assert caught.value.reason == "bad_value"
 
 
-def test_what_changed_by_less_than_the_codec_errs_differs_by_nothing(package):
+def test_what_changed_by_less_than_the_codec_errs_differs_by_nothing_and_has_no_pictures(package):
     assert unchanged(*joined(package, 5, 6)).sum() == 380
     first, last = (decode(package, group * GROUP).sh_dc[:, 0] / KEPT_KEYS.steps.key.sh_dc for group in (4, 6))
     moved = np.abs(last - first)  # in one picture with rows that change much the others are no longer exact
     drawn = int((PACKAGES["keys"].groups()[4][0].opacities()[:100] >= 1 / 255).sum())
     assert [(moved < 3).sum(), (moved > 25).sum()] == [380 - drawn, drawn]
-
-
-def test_a_group_that_differs_by_nothing_has_no_pictures(package):
     assert [len(package.manifest.key_files(7, t, 0)) for t in range(2)] == [1, 1]
     one, other = (np.sort(decode(package, group * GROUP).means, axis=0) for group in (4, 7))
     np.testing.assert_array_equal(one, other)
@@ -113,9 +102,8 @@ def test_what_a_door_hides_in_the_base_is_fine_enough_where_it_is_seen(package):
 def test_a_base_that_knew_of_no_open_door_is_none():
     """The second group is coded by itself, where the first had no word of it."""
     sequence = faces.GaussianSequence.from_arrays([room_behind_a_door(1500, is_open) for is_open in (False, True)])
-    settings = KEPT_KEYS
-    views = faces.plan_views(sequence, settings)
-    known = {"sequence": sequence, "views": views, "settings": settings, "row_error": settings.row_error}
+    views = faces.plan_views(sequence, KEPT_KEYS)
+    known = {"sequence": sequence, "views": views, "settings": KEPT_KEYS, "row_error": KEPT_KEYS.row_error}
     for number in range(2):
         known["survey"] = faces.survey_group(sequence, GroupSpan(number, number, number + 1), views)
         STEPS["written"].do(known)

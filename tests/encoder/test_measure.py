@@ -5,14 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from airgs_codec.encoder.measure import (
-    measure_group,
-    pictures_a_segment,
-    pictures_of,
-    strides_of,
-    uncertainty_db,
-    with_quality,
-)
+from airgs_codec.encoder import measure
+from airgs_codec.encoder.measure import strides_of, with_quality
 from tests.faces import Difference, EncodeSettings, GaussianSequence, ViewPlan, encode, open_package, orbit_views, psnr
 from tests.support.packages import TWO_LEVELS
 from tests.support.scenes import moving_frames
@@ -23,13 +17,10 @@ COUNT = 12  # pictures of a segment
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
     """A package of two segments of three frames, L0 with Q0 and L1 with Q1, not measured, and its sequence."""
-    folder = tmp_path_factory.mktemp("quality") / "out"
-    frames = moving_frames(80, 6)
+    folder, frames = tmp_path_factory.mktemp("quality") / "out", moving_frames(80, 6)
     sequence = GaussianSequence.from_arrays(frames, cameras=orbit_views(frames[0], count=4, size=64))
-    settings = EncodeSettings(
-        calibrate="none", levels=TWO_LEVELS, measure_pictures=0, preset="ultrafast", segment_s=0.1
-    )
-    encode(sequence, folder, settings)
+    quick = {"calibrate": "none", "measure_pictures": 0, "preset": "ultrafast"}
+    encode(sequence, folder, EncodeSettings(levels=TWO_LEVELS, segment_s=0.1, **quick))
     return open_package(folder), sequence
 
 
@@ -38,7 +29,8 @@ def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(packag
     opened, sequence = package
     m, views = opened.manifest, ViewPlan.of(sequence, 24)
     assert strides_of(m) == {(0, 0): 1, (0, 1): 6, (1, 0): 6, (1, 1): 2}
-    errors = measure_group(opened, sequence, views.renderer, 0, pictures_of(views, m, 0, COUNT))
+    pictures = measure.pictures_of(views, m, 0, COUNT)
+    errors = measure.measure_group(opened, sequence, views.renderer, 0, pictures)
     measured = with_quality(m, [errors], COUNT).manifest
     assert measured.views.measured == COUNT and len(errors) == len(m.segments) == 2
     for segment, of_segment in zip(measured.segments, errors, strict=True):
@@ -57,7 +49,7 @@ def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(packag
 def test_an_encode_has_as_many_pictures_as_were_asked_for_and_each_segment_one(package_of, name, segments, of_segment):
     m = open_package(package_of(name)).manifest
     assert (len(m.segments), m.views.measured) == (segments, of_segment)
-    assert [pictures_a_segment(64, number) for number in (1, 3, 64, 1000)] == [64, 22, 1, 1]
+    assert [measure.pictures_a_segment(64, number) for number in (1, 3, 64, 1000)] == [64, 22, 1, 1]
 
 
 def uncertainty(m, *of_segments):
@@ -73,7 +65,8 @@ def test_a_claim_is_as_sure_as_its_pictures_agree(package):
     assert uncertainty(m, [0.0], [0.0]) == 0.0
     spread = 4 * 0.25**2 * 1.0 * 4 / 3  # four pictures, each for a quarter of the frames, 1 off their mean of 2
     assert uncertainty(m, [1.0, 3.0], [1.0, 3.0]) == pytest.approx(spread**0.5 / 2)
-    assert (uncertainty_db(0.0), uncertainty_db(0.5)) == (0.0, pytest.approx(10 * math.log10(2)))
+    decibels = [measure.uncertainty_db(share) for share in (0.0, 0.5)]
+    assert decibels == [0.0, pytest.approx(10 * math.log10(2))]
 
 
 def test_two_standard_errors_hold_for_most_draws_of_pictures(package):

@@ -13,22 +13,25 @@ from airgs_codec.encoder import plan, sample
 from airgs_codec.media.h264 import state_codec
 from tests import faces
 from tests.faces import STATIC, EncodeSettings, LevelSettings, as_preview, decode_canonical, decode_frames, open_package
-from tests.support.packages import PACKAGES, PAPER, SEEN
+from tests.support.packages import PACKAGES, PAPER, SEEN, laid_out
 from tests.support.scenes import write_sequence
 
 
-def test_tiers_hold_the_most_used_first():
+def test_tiers_hold_the_most_used_first_and_depths_keep_to_tiers():
     usage = np.array([0.1, 0.9, 0.5, 0.7, 0.3])
     assert plan.assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
     assert plan.assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
     assert plan.assign_tiers(np.array([1.0, 2.0]), (0.1, 0.9)).tolist() == [1, 0]  # the first is never empty
+    score, moving, tiers = np.array([5.0, 4.0, 3.0, 2.0]), np.ones(4, bool), np.array([0, 1, 0, 1], np.uint8)
+    assert plan.assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
+    assert plan.assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
 
 
-@given(
-    npst.arrays(np.float64, 30, elements=st.floats(0, 10)),
-    npst.arrays(np.bool_, 30),
-    st.lists(st.floats(0, 0.99), min_size=1, max_size=6).map(sorted),
-)
+SCORES = npst.arrays(np.float64, 30, elements=st.floats(0, 10))
+SHARES = st.lists(st.floats(0, 0.99), min_size=1, max_size=6).map(sorted)
+
+
+@given(SCORES, npst.arrays(np.bool_, 30), SHARES)
 def test_levels_are_nested_and_withhold_their_share_of_the_lowest_scores(score, moving, shares):
     depths = plan.assign_depths(score, moving, shares)
     assert (depths[~moving] == STATIC).all()
@@ -63,13 +66,6 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     assert scores[together] < 0.9 * scores[not together]
 
 
-def test_depths_keep_to_tiers():
-    score, moving = np.array([5.0, 4.0, 3.0, 2.0]), np.ones(4, bool)
-    tiers = np.array([0, 1, 0, 1], np.uint8)
-    assert plan.assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
-    assert plan.assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
-
-
 def test_levels_of_one_tier_do_with_the_first_tier(package_of):
     package = open_package(package_of("drift"))
     m = package.manifest
@@ -77,25 +73,23 @@ def test_levels_of_one_tier_do_with_the_first_tier(package_of):
     assert {group.keeps for group in m.groups} == {None}  # each is coded by itself, as was asked for
     assert not any("differs" in line for line in m.decisions)
     assert [level.tiers for level in m.levels] == [2, 2, 1, 1]
-    assert not any(path.startswith("key/T1") for path in m.rung_files(0, 3))
-    assert any(path.startswith("key/T1") for path in m.rung_files(0, 1))
-    core = m.groups[0].tiers[0].count
+    second = [any(path.startswith("key/T1") for path in m.rung_files(0, level)) for level in (1, 3)]
+    assert second == [True, False]
+    core, both = m.groups[0].tiers[0].count, decode_canonical(package, 0, 0)
     assert len(next(decode_frames(package, 0, 1, level=3)).gaussians) == core
-    both = decode_canonical(package, 0, 0)
     assert (both.depths[core:][both.depths[core:] != STATIC] < 2).all()
-    alone = list(faces.decode_segment(package, 0, decode_canonical(package, 0, 0, 1), 3, range(4)))
-    beside = list(faces.decode_segment(package, 0, both, 3, range(4)))  # of a viewer that has the second tier as well
-    for a, b in zip(alone, beside, strict=True):
+    # of a viewer that has the first tier alone, and of one that has the second as well
+    shown = (faces.decode_segment(package, 0, base, 3, range(4)) for base in (decode_canonical(package, 0, 0, 1), both))
+    for a, b in zip(*shown, strict=True):
         np.testing.assert_array_equal(a.means, b.means[:core])
         np.testing.assert_array_equal(a.opacity_logits, b.opacity_logits[:core])
 
 
 def test_the_share_withheld_follows_the_steps_without_a_jump():
-    settings = EncodeSettings(
-        calibrate="none", levels=(LevelSettings(0.0), LevelSettings(0.0, 2.0)), shares=((0.5, 0.2), (2.0, 0.6))
-    )
-    assert [level.pruned for level in settings.at(1.0).levels] == pytest.approx([0.4, 0.6])
-    assert [level.pruned for level in settings.at(0.25).levels] == pytest.approx([0.2, 0.2])
+    levels, shares = (LevelSettings(0.0), LevelSettings(0.0, 2.0)), ((0.5, 0.2), (2.0, 0.6))
+    settings = EncodeSettings(calibrate="none", levels=levels, shares=shares)
+    for quality, pruned in ((1.0, [0.4, 0.6]), (0.25, [0.2, 0.2])):
+        assert [level.pruned for level in settings.at(quality).levels] == pytest.approx(pruned)
     assert settings.at(1.001).levels[0].pruned == pytest.approx(0.4, abs=0.001)
 
 
@@ -107,13 +101,10 @@ def test_bands_that_do_not_show_are_left_out(package_of):
     assert next(decode_frames(package, 0, 1)).gaussians.sh_rest.shape[1] == 3
 
 
-def laid_out(sequence, settings):
+def seen(sequence, settings):
     """How the only group of a scene is laid out that is seen from SEEN."""
     views = faces.ViewPlan.of(sequence, settings.decide_pictures, region=SEEN)
-    survey, loaded = faces.survey_group(sequence, faces.GroupSpan(0, 0, 4), views), sequence.load(range(4))
-    settings = replace(settings, steps=settings.steps.at_scale(views.scale))
-    rows = faces.keep_rows(loaded.frames, survey, settings.row_error)
-    return faces.lay_out(loaded, survey, rows, settings, sequence.fps)
+    return laid_out(sequence, replace(settings, steps=settings.steps.at_scale(views.scale)), views)
 
 
 def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(package_of):
@@ -131,7 +122,7 @@ def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(packa
     moved = next(decode_frames(package, 3, 4, level=0)).gaussians
     assert np.abs(moved.means - canonical.means).max() > 0.05
 
-    hits, moving = laid_out(PACKAGES["paper"].scene(), PAPER).usage.hits, base.depths != STATIC
+    hits, moving = seen(PACKAGES["paper"].scene(), PAPER).usage.hits, base.depths != STATIC
     for low, high in zip(range(9), range(1, 10), strict=True):
         first, second = hits[moving & (base.depths == low)], hits[moving & (base.depths == high)]
         assert first.max() <= second.min()
@@ -145,7 +136,7 @@ def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(tmp_path, m
     fall = rise[::-1].astype(float)
     scene = write_sequence(tmp_path / "scene", PACKAGES["paper"].groups()[0])
     faces.save_usage(scene / faces.USAGE_NAME, {(0, 4): faces.Usage(fall, fall / 200, rise)})
-    layout = laid_out(faces.open_sequence(scene), replace(PAPER, usage=measure))
+    layout = seen(faces.open_sequence(scene), replace(PAPER, usage=measure))
     np.testing.assert_array_equal(layout.usage.hits, layout.rows + 1)
     falls = np.diff(layout.usage.score[np.argsort(layout.rows)])
     assert (falls > 0).all() if measure == "hits" else measure == "importance" or (falls < 0).all()
@@ -154,10 +145,10 @@ def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(tmp_path, m
 def test_hits_rank_alone_whatever_changes():
     rng = np.random.default_rng(0)
     changes, hits = rng.normal(size=(3, 13, 20)) * 9, rng.permutation(20).astype(float)
-    usage = plan.RowUsage(rng.random(20), hits)
-    score, moving = plan.rank_updates(changes, np.ones((13, 20)), usage, "hits")
+    usage, weights = plan.RowUsage(rng.random(20), hits), np.ones((13, 20))
+    score, moving = plan.rank_updates(changes, weights, usage, "hits")
     assert score.tolist() == hits.tolist() and moving.all()
-    by_usage, _ = plan.rank_updates(changes, np.ones((13, 20)), usage, "usage")
+    by_usage, _ = plan.rank_updates(changes, weights, usage, "usage")
     np.testing.assert_allclose(by_usage, usage.score * np.sqrt(np.square(changes).sum(axis=(0, 1)) / 3))
 
 

@@ -3,7 +3,6 @@
 import io
 import shutil
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from airgs_codec.media.h264 import open_segment
 from tests import faces
 from tests.faces import ConfigError, EncodeSettings, LevelSettings, decode, decode_canonical, decode_frames, psnr
 from tests.support.mutations import read_files
-from tests.support.packages import PACKAGES
+from tests.support.packages import PACKAGES, laid_out
 from tests.support.paths import FOX, VALID
 from tests.support.regions import region
 from tests.support.scenes import frozen, moving_frames, write_sequence
@@ -27,9 +26,8 @@ FAST = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", t
 def same(a, b):
     """Equal but for the order in which BLAS sums colours."""
     for name in a.__slots__:
-        np.testing.assert_allclose(
-            getattr(a, name), getattr(b, name), rtol=0, atol=1e-5 if name.startswith("sh") else 0
-        )
+        atol = 1e-5 if name.startswith("sh") else 0
+        np.testing.assert_allclose(getattr(a, name), getattr(b, name), rtol=0, atol=atol)
 
 
 @pytest.fixture(scope="module")
@@ -40,34 +38,27 @@ def fox(demo_package):
 @pytest.fixture(scope="module")
 def coded(fox):
     """Of each group of the fox: its number, its table, its frames, and how they were laid out."""
-    sequence = faces.open_sequence(FOX)
+    sequence, found = faces.open_sequence(FOX), []
     views = faces.ViewPlan.of(sequence, 24)
     settings = replace(FAST, steps=FAST.steps.at_scale(views.scale))
-    found = []
     for number, group in enumerate(fox.manifest.groups):
-        survey = faces.survey_group(sequence, faces.GroupSpan(number, group.start, group.stop), views)
-        loaded = sequence.load(range(group.start, group.stop))
-        rows = faces.keep_rows(loaded.frames, survey, FAST.row_error)
-        layout = faces.lay_out(loaded, survey, rows, settings, sequence.fps)
-        found.append(SimpleNamespace(number=number, group=group, frames=loaded.frames, layout=layout))
+        frames = sequence.load(range(group.start, group.stop)).frames
+        span = faces.GroupSpan(number, group.start, group.stop)
+        found.append((number, group, frames, laid_out(sequence, settings, views, span)))
     return found
 
 
-def test_the_embedded_scene_reaches_its_quality_and_size(fox):
+def test_the_embedded_scene_reaches_its_quality_and_size_and_both_fall_down_the_levels(fox):
     m, sequence, errors = fox.manifest, faces.open_sequence(FOX), []
     for number in (0, 4, 7):
         shown, original = decode(fox, number), sequence.load([number]).frames[0]
         for view in (camera for camera in sequence.cameras if camera.held_out):
             errors.append(faces.mse(faces.render(shown, view).rgb, faces.render(original, view).rgb))
-    assert psnr(float(np.mean(errors))) > 40.0
+    found = psnr(float(np.mean(errors)))
+    assert found > 40.0
+    assert found == pytest.approx(np.mean([s.levels[0].psnr[0] for s in m.segments]), abs=1.0)
     assert m.bytes_of(m.rung_files(0, 0)) / m.frames < 16_000
     assert m.media_bytes() <= 2.2 * m.bytes_of(m.rung_files(0, 0))
-    measured = [s.levels[0].psnr[0] for s in m.segments]
-    assert psnr(float(np.mean(errors))) == pytest.approx(np.mean(measured), abs=1.0)
-
-
-def test_quality_falls_and_bytes_fall_down_the_levels(fox):
-    m = fox.manifest
     for s, segment in enumerate(m.segments):
         sizes = [m.bytes_of(m.state_files(s, j)) for j in range(len(m.levels))]
         assert sizes == sorted(sizes, reverse=True)
@@ -91,8 +82,8 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
     A wrapped sample or a lost escape would be off by 20 steps (128 codes).
     """
     m = fox.manifest
-    for of in coded:
-        g, group, shown_rows = of.number, of.group, [f.take(of.layout.rows) for f in of.frames]
+    for g, group, frames, layout in coded:
+        shown_rows = [f.take(layout.rows) for f in frames]
         steps = faces.STATE.steps(group.state_steps, m.colour_channels)
         for j, level in enumerate(m.levels):
             base = decode_canonical(fox, g, level.quality)
@@ -108,8 +99,7 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
 
 def test_key_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_the_source(fox, coded):
     m = fox.manifest
-    for of in coded:
-        g, group, layout = of.number, of.group, of.layout
+    for g, group, _, layout in coded:
         factors = [tier.factor for tier in group.tiers]
         assert factors[0] < 1 < factors[1]
         factors = np.repeat(factors, [t.count for t in group.tiers])
@@ -126,15 +116,9 @@ def test_key_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_t
             assert len(np.unique(side)) > 2
 
 
-@pytest.mark.parametrize(
-    ("factors", "coarser"),
-    [
-        ((1.0,), (0,)),
-        ((1.0, 1.4, 1.8, 3.7, 11.0), (0, 0, 1, 1, 3)),
-        ((4.0, 1.0, 8.0), (0, 0, 1)),
-        ((1e-6, 1e6), (0, 21)),
-    ],
-)
+@pytest.mark.parametrize(("factors", "coarser"), [
+    ((1.0,), (0,)), ((1.0, 1.4, 1.8, 3.7, 11.0), (0, 0, 1, 1, 3)), ((4.0, 1.0, 8.0), (0, 0, 1)), ((1e-6, 1e6), (0, 21)),
+])  # fmt: skip
 def test_cells_of_positions_grow_with_the_steps_of_a_key_quality(factors, coarser):
     assert replace(FAST, levels=(LevelSettings(0.0),), key_factors=factors).coarser == coarser
 
@@ -144,19 +128,17 @@ def test_a_coarser_key_quality_has_fewer_bytes_of_positions(fox):
     assert [quality.coarser for quality in m.qualities] == [0, 1]
     for g, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
-            files = [open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"" for q in (0, 1)]
-            fine, coarse = map(len, files)
+            fine, coarse = (len(open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"") for q in (0, 1))
             assert fine - coarse > 3 * tier.count / 8  # a bit for each axis, and escapes
 
 
 def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(fox):
-    m = fox.manifest
-    data = fox.read(faces.POSTER_NAME)
+    region, data = fox.manifest.region, fox.read(faces.POSTER_NAME)
     assert 0 < len(data) <= 20_000
     with Image.open(io.BytesIO(data)) as opened:
         assert (opened.format, max(opened.size)) == ("JPEG", 640)
         poster = np.asarray(opened.convert("RGB"))
-    camera = faces.place_view(m.region, faces.levelled(m.region, m.world).places[0])
+    camera = faces.place_view(region, faces.levelled(region, fox.manifest.world).places[0])
     camera = faces.with_pixels(camera, *poster.shape[1::-1])
     expected = faces.to_bytes(faces.CPU.render(faces.open_sequence(FOX).load([0]).frames[0], camera).rgb)
     assert psnr(float(np.square((poster.astype(float) - expected) / 255).mean())) > 30  # what JPEG loses
@@ -181,25 +163,16 @@ def test_fine_steps_come_back_finely(tmp_path):
         assert np.sort(nearest.min(axis=1))[-1] < 0.02
 
 
-@pytest.fixture(scope="module")
-def few(package_of):
-    return faces.open_package(package_of("few"))
-
-
-def test_what_does_not_move_has_no_states(few):
+def test_what_does_not_move_has_no_states_and_constant_channels_have_no_plane(package_of):
     """Nothing moves in five frames; then something is where it was, on one side and on the other, a segment each."""
+    few = faces.open_package(package_of("few"))
     m = few.manifest
-    assert faces.validate(few.files.path) == []
     assert all(level.file.bytes == 0 for segment in m.groups[0].segments for level in segment.levels)
     assert [bool(m.state_files(s, 0)) for s in range(8)] == [False] * 6 + [True] * 2
     assert m.state_files(6, 0) == ["state/L0/7.m4s"]
     same(decode(few, 0), decode(few, 4))
     assert not np.array_equal(decode(few, 7).means, decode(few, 5).means)
-
-
-def test_constant_channels_have_no_plane(few):
-    flat = PACKAGES["few"].groups()[2][0]
-    group, shown = few.manifest.groups[2], decode(few, 8)
+    flat, group, shown = PACKAGES["few"].groups()[2][0], m.groups[2], decode(few, 8)
     assert not {6, 7, 8, 9} & set(group.tiers[0].qualities[0].planes)
     assert np.abs(shown.opacities() - flat.opacities()[0]).max() <= group.key_steps.opacity / 2 + 1e-6
     assert np.abs(shown.sh_dc - 1).max() <= np.sqrt(3) * group.key_steps.sh_dc / 2 + 1e-3
@@ -215,40 +188,25 @@ def test_awkward_counts_share_their_representations(package_of, name, start, deg
     assert all(np.isfinite(getattr(g, name)).all() for g in shown for name in g.__slots__)
 
 
-@pytest.mark.parametrize(
-    "arguments", [{"start": 0, "stop": 99}, {"start": -1, "stop": 1}, {"level": 9}, {"key_quality": 7}]
-)
-def test_what_is_not_there_is_refused(fox, arguments):
+@pytest.mark.parametrize("wrong", [{"start": 0, "stop": 99}, {"start": -1}, {"level": 9}, {"key_quality": 7}], ids=str)
+def test_what_is_not_there_is_refused(fox, wrong):
     with pytest.raises(ConfigError):
-        list(decode_frames(fox, **({"start": 0, "stop": 1} | arguments)))
+        list(decode_frames(fox, **({"start": 0, "stop": 1} | wrong)))
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        {"levels": ()},
-        {"calibrate": "none", "levels": (LevelSettings(0.5), LevelSettings(0.0))},
-        {"calibrate": "none", "levels": (LevelSettings(0.0, -1.0),)},
-        {"calibrate": "none", "levels": (LevelSettings(1.5),)},
-        {"calibrate": "none", "levels": (LevelSettings(0.0, tiers=1),)},  # the top level needs all tiers
-        {"calibrate": "none", "levels": (LevelSettings(0.0), LevelSettings(0.0, 1.5, 3))},
-        {"calibrate": "none", "levels": (LevelSettings(0.0, 1.0, 0, 2),)},  # key qualities are 0 and 1
-        {"calibrate": "none", "levels": (LevelSettings(0.0, 1.0, 0, 1), LevelSettings(0.0, 1.5))},
-        {"quality": 0.0},
-        {"segment_s": 0.0},
-        {"group_frames": 0},
-        {"tiers": (0.5, 0.4)},
-        {"usage": "none"},
-        {"preset": "warp"},
-        {"update_rank": "none"},
-        {"measure_pictures": -1},
-        {"margin": 0.0, "region": region()},
-        {"calibrate": "sometimes"},
-        {"levels": (LevelSettings(0.0),)},  # calibration would replace them
-        {"tiers": (0.5, 0.5)},
-        {"threads": 0},
-    ],
-)
+def bare(*levels, **more):
+    return {"calibrate": "none", "levels": tuple(LevelSettings(*level) for level in levels), **more}
+
+
+@pytest.mark.parametrize("settings", [
+    bare((0.5,), (0.0,)), bare((0.0, -1.0)), bare((1.5,)), {"levels": ()},
+    bare((0.0, 1.0, 1)), bare((0.0,), (0.0, 1.5, 3)),  # the top level needs all tiers, of which there are two
+    bare((0.0, 1.0, 0, 2)), bare((0.0, 1.0, 0, 1), (0.0, 1.5)),  # key qualities are 0 and 1
+    {"levels": (LevelSettings(0.0),)}, {"tiers": (0.5, 0.5)},  # calibration would replace them
+    {"tiers": (0.5, 0.4)}, {"quality": 0.0}, {"segment_s": 0.0}, {"group_frames": 0}, {"threads": 0},
+    {"usage": "none"}, {"update_rank": "none"}, {"preset": "warp"}, {"calibrate": "sometimes"},
+    {"measure_pictures": -1}, {"margin": 0.0, "region": region()},
+], ids=str)  # fmt: skip
 def test_settings_that_cannot_work_are_refused(settings):
     with pytest.raises(ConfigError):
         EncodeSettings(**settings)
@@ -266,25 +224,19 @@ def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "wild"]  # no stage is left behind
 
 
-@pytest.mark.parametrize("package", [False, True], ids=["alone", "beside a package"])
 @pytest.mark.parametrize("foreign", ["thesis.tex", "manifest.mpd", "key/notes.txt", ".thesis.tex.part"])
-def test_a_folder_with_other_files_is_never_replaced(tmp_path, package, foreign):
-    out = tmp_path / "out"
-    if package:
-        shutil.copytree(VALID / "moving", out)
-        foreign = foreign.replace("manifest.mpd", "other.mpd")
-    (out / foreign).parent.mkdir(parents=True, exist_ok=True)
-    (out / foreign).write_text("years of work")
-    before = read_files(out)
-    with pytest.raises(ConfigError, match="other files"), faces.staged_package(faces.Folder(out)):
-        raise AssertionError("unreachable")
-    assert read_files(out) == before
-
-
-def test_a_package_with_unfinished_files_of_its_own_is_replaced(tmp_path):
-    """A growing one whose writer was killed."""
+def test_a_folder_with_other_files_is_never_replaced_and_a_package_with_unfinished_ones_is(tmp_path, foreign):
+    """Other files alone, and beside a package; a growing package whose writer was killed."""
     out = shutil.copytree(VALID / "moving", tmp_path / "out")
-    (out / "group" / f".2.json.gz.{'0' * 16}.part").write_bytes(b"half")
+    for path in (tmp_path / "alone" / foreign, out / foreign.replace("manifest.mpd", "other.mpd")):
+        folder = tmp_path / path.relative_to(tmp_path).parts[0]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("years of work")
+        before = read_files(folder)
+        with pytest.raises(ConfigError, match="other files"), faces.staged_package(faces.Folder(folder)):
+            raise AssertionError("unreachable")
+        assert read_files(folder) == before
+    path.rename(out / "group" / f".2.json.gz.{'0' * 16}.part")
     with faces.staged_package(faces.Folder(out)) as stage:
         (stage / "airgs.json").write_text("{}")
     assert [path.name for path in out.iterdir()] == ["airgs.json"]
@@ -293,9 +245,7 @@ def test_a_package_with_unfinished_files_of_its_own_is_replaced(tmp_path):
 def test_a_linked_file_is_refused(tmp_path):
     package = shutil.copytree(VALID / "moving", tmp_path / "out")
     path = package / "key/T0/1.bin"
-    outside = tmp_path / "outside.bin"
-    path.rename(outside)
-    path.symlink_to(outside)
+    path.symlink_to(path.rename(tmp_path / "outside.bin"))
     with pytest.raises(faces.FormatError, match="link"):
         decode(faces.open_package(package), 0)
     assert "unsafe_path" in {f.reason for f in faces.validate(package)}

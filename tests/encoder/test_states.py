@@ -16,21 +16,18 @@ from airgs_codec.media import h264, mp4
 from tests import faces
 from tests.faces import EncodeSettings, decode, decode_canonical, decode_frames, measure_errors, open_package
 from tests.support.digests import decode_slopes
-from tests.support.packages import PACKAGES, PLAIN, SEGMENT, TWO_LEVELS
+from tests.support.packages import PACKAGES, PLAIN, SEGMENT, TWO_LEVELS, laid_out
 from tests.support.scenes import moving_frames, write_sequence
 
 CODEC, FPS = h264.state_codec("veryfast"), Fraction(24)
 LIMIT, UNIT = 96, 128  # of escapes: samples differ from 128 by at most LIMIT, and a base is UNIT codes
-SETTINGS = EncodeSettings(
-    calibrate="none", levels=TWO_LEVELS, segment_s=0.1, byte_price=1e-8, decide_pictures=2
-)  # fmt: skip
+SETTINGS = EncodeSettings(calibrate="none", levels=TWO_LEVELS, segment_s=0.1, byte_price=1e-8, decide_pictures=2)
 
 
 @pytest.fixture(scope="module")
 def sequence(tmp_path_factory):
     """Six frames in which some rows come and go, some jump far and one is never drawn."""
-    random = np.random.default_rng(3)
-    shown = []
+    random, shown = np.random.default_rng(3), []
     for t, g in enumerate(moving_frames(700, 6, degree=1)):
         logits, means = g.opacity_logits.copy(), g.means.copy()
         logits[random.integers(0, 700, 60)] = -9.0
@@ -43,13 +40,10 @@ def sequence(tmp_path_factory):
 @pytest.fixture(scope="module")
 def group(sequence):
     """Its frames, how they are laid out, and the canonical space of two key qualities."""
-    survey = faces.survey_group(sequence, faces.GroupSpan(0, 0, 6), faces.plan_views(sequence, SETTINGS))
-    loaded = sequence.load(range(6))
-    rows = faces.keep_rows(loaded.frames, survey, SETTINGS.row_error)
-    layout = faces.lay_out(loaded, survey, rows, SETTINGS, sequence.fps)
+    layout = laid_out(sequence, SETTINGS, faces.plan_views(sequence, SETTINGS))
     fine = layout.key_values().astype(np.float32)
     still = np.full(len(layout.rows), faces.STATIC, np.uint8)
-    return loaded.frames, layout, [layout.canonical_space(key, still) for key in (fine, np.round(fine, 1))]
+    return sequence.load(range(6)).frames, layout, [layout.canonical_space(k, still) for k in (fine, np.round(fine, 1))]
 
 
 @pytest.fixture
@@ -60,8 +54,7 @@ def small_chunks(monkeypatch):
 
 def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):
     frames, layout, (base, _) = group
-    shown = [frame.take(layout.rows) for frame in frames]
-    expected = channels.state_channels(shown, base, layout.state_steps)
+    expected = channels.state_channels([frame.take(layout.rows) for frame in frames], base, layout.state_steps)
     values = omit.StateValues.write(tmp_path / "values", frames, layout.rows, base, layout.state_steps)
     whole, some = values.part(slice(None)), np.arange(3, len(layout.rows), 5)
     np.testing.assert_allclose(whole, expected, rtol=0, atol=1e-12)
@@ -73,10 +66,9 @@ def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):
 
 def test_how_many_rows_are_looked_at_together_changes_nothing(group, tmp_path, small_chunks, monkeypatch):
     frames, layout, bases = group
-    coded = []
+    coded, clock = [], representation.Clock.of(Fraction(30))
     for name in ("few", "many"):
         (tmp_path / name).mkdir()
-        clock = representation.Clock.of(Fraction(30))
         coded.append(states.code_states(layout, bases, frames, SETTINGS, clock, tmp_path / name))
         monkeypatch.undo()
     few, many = coded
@@ -100,18 +92,17 @@ def test_frames_that_are_read_again_are_the_same(sequence, monkeypatch):
         assert all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in fields(a))
 
 
-@given(
-    npst.arrays(np.float64, (6, 5), elements=st.sampled_from([0.0, 0.002, 0.005, 0.02, 0.3, 1.0])),
-    st.floats(0.001, 0.02),
-)
+VALUES = npst.arrays(np.float64, (6, 5), elements=st.sampled_from([0.0, 0.002, 0.005, 0.02, 0.3, 1.0]))
+
+
+@given(VALUES, st.floats(0.001, 0.02))
 def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were(alpha, unit):
     base = np.array([0.0, 0.01, 0.3, 0.6, 1.0])
     changes, bases = level.hide_undrawn(alpha - base, base, unit)
     shown = base + changes - bases * UNIT * unit
-    drawn = alpha >= 1 / 255
+    drawn, hidden = alpha >= 1 / 255, bases > 0
     np.testing.assert_allclose(shown[drawn], alpha[drawn], atol=1e-12)
     assert (bases[drawn] == 0).all()
-    hidden = bases > 0
     assert (shown[hidden] <= -(UNIT - LIMIT) * unit + 1e-9).all()  # whatever the video codec errs
     assert (np.abs(shown - alpha)[~drawn & ~hidden] <= 16 * unit + 1e-9).all()
 
@@ -127,10 +118,16 @@ def lined(package_of):
     return open_package(package_of("lines"))
 
 
-def test_segments_of_even_motion_have_lines_and_those_of_one_frame_and_of_uneven_motion_have_none(lined):
-    lines = [[level.line for level in segment.levels] for segment in list(lined.manifest.segments)[:4]]
+def test_segments_of_even_motion_have_lines_whose_picture_stands_in_front_and_others_have_none(lined):
+    """Others are of one frame, and of uneven motion."""
+    m = lined.manifest
+    lines = [[level.line for level in segment.levels] for segment in list(m.segments)[:4]]
     assert lines == [[True, True], [True, True], [None, None], [None, None]]
-    assert lined.manifest.segments[3].levels[0].file.bytes
+    assert m.segments[3].levels[0].file.bytes
+    (path,) = m.state_files(0, 0)
+    found, segment = mp4.read_segment(lined.read(path)), m.segments[0].levels[0]
+    assert len(found.samples) == len(found.checksums) == SEGMENT + 1
+    assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
 
 
 def test_segments_of_one_frame_have_files_and_no_line(package_of):
@@ -166,21 +163,12 @@ def test_slopes_are_what_rows_rise_by_and_frames_hold_the_rest(lined):
     assert np.abs(left).mean() < gain / 2 < np.abs(slopes[:3]).mean()
 
 
-def test_the_picture_of_slopes_stands_in_front_and_shares_the_time(lined):
-    (path,) = lined.manifest.state_files(0, 0)
-    segment = lined.manifest.segments[0].levels[0]
-    found = mp4.read_segment(lined.read(path))
-    assert len(found.samples) == len(found.checksums) == SEGMENT + 1
-    assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
-
-
 def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(lined):
-    frames, m = PACKAGES["lines"].groups()[3], lined.manifest
-    shown = [f.gaussians for f in decode_frames(lined, 25, 30)]
-    far = int(np.argmax(shown[3].means[:, 0]))
-    most = 3 * m.groups[3].state_steps.means * decode_canonical(lined, 3, 0).motion_units[far]
+    frames, shown = PACKAGES["lines"].groups()[3], [f.gaussians.means for f in decode_frames(lined, 25, 30)]
+    far = int(np.argmax(shown[3][:, 0]))
+    most = 3 * lined.manifest.groups[3].state_steps.means * decode_canonical(lined, 3, 0).motion_units[far]
     for t in (3, 2):
-        assert np.abs(shown[t].means[far] - frames[t].means[11]).max() <= most
+        assert np.abs(shown[t][far] - frames[t].means[11]).max() <= most
 
 
 def test_a_line_is_taken_where_it_saves_bytes_alone():
@@ -203,21 +191,19 @@ def noise(reach, kind, count=6):
     return h264.ClosedGop(np.rint(128 + reach * signed).astype(np.uint8), 0, 1)
 
 
-@pytest.mark.parametrize("kind", ["ends", "even"])
-def test_the_limit_of_escapes_leaves_room_for_the_error_of_the_codec(kind):
-    closed = noise(escapes.LIMIT, kind)
-    assert h264.check_gop(h264.encode_gop(closed, (128, 128), FPS, CODEC), closed, CODEC).in_range
+NOISES = (escapes.LIMIT, "ends"), (escapes.LIMIT, "even"), (106, "ends"), (60, "ends")
 
 
-def test_pictures_that_would_leave_the_range_are_coded_finer():
+def test_pictures_that_would_leave_the_range_are_coded_finer_and_the_limit_of_escapes_leaves_room_for_errors():
     """They alone: the segments beside them keep their bytes."""
-    bright, calm = (noise(reach, "ends") for reach in (106, 60))
-    coarse = [h264.encode_gop(gop, (128, 128), FPS, CODEC) for gop in (bright, calm)]
-    assert not h264.check_gop(coarse[0], bright, CODEC).in_range
+    ends, even, bright, calm = (noise(*n) for n in NOISES)
+    coarse = [h264.encode_gop(gop, (128, 128), FPS, CODEC) for gop in (ends, even, calm, bright)]
+    checked = zip(coarse, (ends, even, calm, bright), strict=True)
+    assert [h264.check_gop(data, gop, CODEC).in_range for data, gop in checked] == [True, True, True, False]
     coded = representation.encode_checked([bright, calm], (128, 128), representation.Clock.of(FPS), CODEC).gops
     shown = list(coded[0].pictures("x"))
     assert len(shown) == 6 and all(h264.in_range(picture) for picture in shown)
-    assert len(coded[0].fragment) > len(coarse[0].fragment) and coded[1].fragment == coarse[1].fragment
+    assert len(coded[0].fragment) > len(coarse[3].fragment) and coded[1].fragment == coarse[2].fragment
 
 
 def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path, monkeypatch):
@@ -228,7 +214,6 @@ def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path
     assert faces.validate(tmp_path / "out") == []
     package = open_package(tmp_path / "out")
     assert all(found.error <= found.bound for found in measure_errors(package, sequence))
-    m = package.manifest
-    atlases = [*m.groups[0].tiers[0].qualities, m.groups[0].levels[0]]
-    assert all(atlas.pages > 1 and atlas.height == 64 for atlas in atlases)
-    assert len(m.segments) > 1
+    group = package.manifest.groups[0]
+    assert all(atlas.pages > 1 and atlas.height == 64 for atlas in (*group.tiers[0].qualities, group.levels[0]))
+    assert len(package.manifest.segments) > 1

@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 
 from tests import faces
-from tests.faces import (
-    MEASURING,
-    EncodeSettings,
-    Picture,
-    ViewPlan,
-    draw_views,
-    open_package,
-    open_sequence,
-    world_from,
-)
+from tests.faces import MEASURING, EncodeSettings, Picture, ViewPlan, draw_views, open_package, open_sequence
 from tests.support.multiview_files import write_cameras
 from tests.support.packages import TWO_LEVELS
 from tests.support.paths import FOX
@@ -53,32 +44,25 @@ def test_no_view_that_decides_measures(fox):
 
 @pytest.mark.parametrize("frames", [1, 2, 5, 10, 23, 24, 240])
 def test_all_frames_of_a_group_decide_or_evenly_many_from_end_to_end(fox, frames):
-    pictures = fox[1].decide(frames)
+    _, plan = fox
+    pictures = plan.decide(frames)
     numbers = {frame for frame, _ in pictures}
-    assert len(pictures) == fox[1].decided and len(numbers) == min(frames, fox[1].decided)
-    assert (min(numbers), max(numbers)) == (0, frames - 1)
-    assert len(places(view for _, view in pictures)) == fox[1].decided
+    assert len(pictures) == plan.decided == len(places(view for _, view in pictures))
+    assert (len(numbers), min(numbers), max(numbers)) == (min(frames, plan.decided), 0, frames - 1)
 
 
-def test_leaving_out_is_checked_in_views_that_did_not_rank(fox):
+def test_leaving_out_is_checked_in_views_that_did_not_rank_of_which_small_ones_are_twice_as_many(fox):
     ranking, checking = fox[1].decide(24), fox[1].check(24)
     assert len(checking) == 16 and len({frame for frame, _ in checking}) == 16
     assert not places(view for _, view in ranking) & places(view for _, view in checking)
-
-
-def test_of_small_pictures_twice_as_many_decide(fox):
     given = [replace(region(place(0.0)), width=width, height=300) for width in (300, 400)]
     assert [ViewPlan.of(fox[0], 10, region=one).decided for one in given] == [20, 10]
 
 
-@pytest.mark.parametrize("length", [1, 3, 5, 7, 12])
-def test_all_frames_of_a_segment_are_measured(fox, length):
-    pictures = fox[1].measure(2, 100, 100 + length, 12)
-    assert len(pictures) == 12 and {frame for frame, _ in pictures} == set(range(100, 100 + length))
-    assert [frame for frame, _ in pictures] == sorted(frame for frame, _ in pictures)
-
-
-def test_segments_are_measured_from_views_of_their_own(fox):
+def test_all_frames_of_a_segment_are_measured_from_views_of_its_own(fox):
+    for length in (1, 3, 5, 7, 12):
+        numbers = [frame for frame, _ in fox[1].measure(2, 100, 100 + length, 12)]
+        assert numbers == sorted(numbers) and len(numbers) == 12 and set(numbers) == set(range(100, 100 + length))
     looks = [places(view for _, view in fox[1].measure(index, 0, 24, 12)) for index in range(5)]
     assert all(len(look) == 12 for look in looks) and len(set.union(*looks)) == 60
 
@@ -94,11 +78,13 @@ def test_without_a_margin_the_held_out_cameras_measure(fox):
     assert len(places(alone.measuring)) == len(alone.region.places)  # no others: the places themselves
 
 
-def test_a_region_that_is_given_is_taken(fox):
-    given = region(place(0.0), source="file")
-    plan = ViewPlan.of(fox[0], 24, region=given)
-    assert plan.region == given and plan.trusted
-    assert all(is_inside(given, view) for view in plan.measuring)
+def test_a_region_that_is_given_is_taken_and_cameras_keep_their_own_up(fox):
+    (sequence, plan), given = fox, region(place(0.0), source="file")
+    taken = ViewPlan.of(sequence, 24, region=given)
+    assert taken.region == given and taken.trusted
+    assert all(is_inside(given, view) for view in taken.measuring)
+    told = ViewPlan.of(sequence, 24, world=faces.world_from((1, 0, 0)))
+    assert told.region == plan.region and plan.world is None
 
 
 def test_a_scene_without_cameras_is_not_trusted_and_its_up_is_guessed():
@@ -110,18 +96,11 @@ def test_a_scene_without_cameras_is_not_trusted_and_its_up_is_guessed():
 def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
     (tmp_path / "a.glb").write_bytes(glb_bytes(random_gaussians(40)))
     sequence = open_sequence(tmp_path / "a.glb")
-    plan, told = ViewPlan.of(sequence, 8), ViewPlan.of(sequence, 8, world=world_from((0, 0, -1)))
-    assert plan.world == world_from((0, 1, 0), 1.0)
+    plan, told = ViewPlan.of(sequence, 8), ViewPlan.of(sequence, 8, world=faces.world_from((0, 0, -1)))
+    assert plan.world == faces.world_from((0, 1, 0), 1.0)
     assert plan.notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
     assert faces.up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in told.notes)
-    for at in told.region.places:
-        assert at.up[2] <= 0, "the views that were found are upright"
-
-
-def test_cameras_keep_their_own_up(fox):
-    sequence, plan = fox
-    told = ViewPlan.of(sequence, 24, world=world_from((1, 0, 0)))
-    assert told.region == plan.region and plan.world is None
+    assert all(at.up[2] <= 0 for at in told.region.places), "the views that were found are upright"
 
 
 def test_a_world_that_no_reader_takes_is_refused_before_the_work():
@@ -130,10 +109,9 @@ def test_a_world_that_no_reader_takes_is_refused_before_the_work():
 
 
 def write_scene(folder, background=None):
-    write_sequence(folder, [coloured_cloud(60)], cameras=False)
+    more = {} if background is None else {"fps": 25, "background": background}
+    write_sequence(folder, [coloured_cloud(60)], cameras=False, **more)
     write_cameras(folder / "transforms.json", ring(4, size=64, held_out=1))
-    if background is not None:
-        (folder / "sequence.json").write_text(json.dumps({"fps": 25, "background": background}))
     return folder
 
 
@@ -149,28 +127,18 @@ def backgrounds(tmp_path_factory):
     return found
 
 
-def test_a_background_is_in_the_region_and_only_where_there_is_one(backgrounds):
-    (_, white), (_, plain) = backgrounds
-    assert white.manifest.region.background == [1, 1, 1]
-    assert plain.manifest.region.background is None
-    assert "background" not in json.loads((plain.files.path / "airgs.json").read_text())["region"]
-
-
-def test_views_of_all_kinds_see_the_background(backgrounds):
+def test_a_background_is_in_the_region_where_there_is_one_and_behind_views_of_all_kinds(backgrounds):
     (sequence, white), (_, plain) = backgrounds
-    views = [*draw_views(white.manifest.region, 2, MEASURING), *sequence.cameras]
-    views += faces.before_background(white.manifest.region, ring(2))
+    given, none = white.manifest.region, plain.manifest.region
+    assert (given.background, none.background) == ([1, 1, 1], None)
+    assert "background" not in json.loads((plain.files.path / "airgs.json").read_text())["region"]
+    views = [*draw_views(given, 2, MEASURING), *sequence.cameras, *faces.before_background(given, ring(2))]
     assert {view.background for view in views} == {WHITE}
-    assert {view.background for view in draw_views(plain.manifest.region, 2, MEASURING)} == {BLACK}
+    assert {view.background for view in draw_views(none, 2, MEASURING)} == {BLACK}
     picture = faces.render(coloured_cloud(1), views[0])
     np.testing.assert_allclose(picture.rgb[picture.transmittance == 1], 1)
-
-
-def test_a_background_is_behind_a_region_that_names_none_and_not_behind_one_that_does(backgrounds):
-    (sequence, white), (_, plain) = backgrounds
-    black = replace(white.manifest.region, background=list(BLACK))
-    assert ViewPlan.of(sequence, 8, region=plain.manifest.region).region.background == [1, 1, 1]
-    assert ViewPlan.of(sequence, 8, region=black).region.background == [0, 0, 0]
+    named = [none, replace(given, background=list(BLACK))]  # it is behind a region that names none alone
+    assert [ViewPlan.of(sequence, 8, region=one).region.background for one in named] == [[1, 1, 1], [0, 0, 0]]
 
 
 def test_claimed_psnr_is_that_before_the_background(backgrounds):

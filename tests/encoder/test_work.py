@@ -24,10 +24,6 @@ from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 SETTINGS = EncodeSettings(
     calibrate="steps", measure_pictures=1, decide_pictures=4, preset="ultrafast", group_frames=4, threads=1
 )
-WORDS = [
-    "--calibrate", "steps", "--measure-pictures", "1", "--decide-pictures", "4", "--x264-preset", "ultrafast",
-    "--group-frames", "4",
-]  # fmt: skip
 GIVEN = {
     "sequence", "span", "views", "settings", "fps", "renderer", "coded", "base", "first_segment", "tables", "pictures",
     "base_files", "frame", "camera", "row_error",
@@ -37,10 +33,9 @@ GIVEN = {
 @pytest.fixture(scope="module")
 def scene(tmp_path_factory):
     """Twelve frames: four of one thing, and eight of another, which rests, so that its last four keep rows."""
-    frames = moving_frames(120, 4)
     other = random_gaussians(120, seed=9)
     other = replace(other, means=3 + 2 * other.means)
-    return write_sequence(tmp_path_factory.mktemp("parts") / "scene", [*frames, *[other] * 8])
+    return write_sequence(tmp_path_factory.mktemp("parts") / "scene", [*moving_frames(120, 4), *[other] * 8])
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +43,7 @@ def expected(scene, made_once):
     """The files of the package as one process makes it."""
 
     def make(folder):
-        report = encode(open_sequence(scene), folder, SETTINGS)
+        report = encode(scene, folder, SETTINGS)
         assert [group.keeps for group in report.manifest.groups] == [None, None, 2]
         assert not validate(folder)
         kinds = Counter(record.kind for record in report.records)
@@ -59,8 +54,9 @@ def expected(scene, made_once):
 
 def test_processes_write_the_same_bytes(scene, expected, tmp_path):
     """The command shares the work among them and reports it."""
-    shared = ["--jobs", "2", "--work", str(tmp_path / "work"), "--report", str(tmp_path / "report")]
-    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *WORDS, *shared]) == 0
+    words = f"-o {tmp_path}/out --work {tmp_path}/work --report {tmp_path}/report --jobs 2 --calibrate steps"
+    words += " --group-frames 4 --measure-pictures 1 --decide-pictures 4 --x264-preset ultrafast"
+    assert airgs_encode([str(scene), *words.split()]) == 0
     assert read_files(tmp_path / "out") == expected
     assert "<svg" in (tmp_path / "report" / "index.html").read_text()
 
@@ -68,7 +64,7 @@ def test_processes_write_the_same_bytes(scene, expected, tmp_path):
 def test_an_object_store_holds_the_work_and_threads_change_nothing(scene, expected, bucket, tmp_path):
     store = open_store(f"{bucket}/work")
     work = Work(pickle.loads(pickle.dumps(store)))
-    encode(open_sequence(scene), tmp_path / "out", replace(SETTINGS, threads=4), work=work)
+    encode(scene, tmp_path / "out", replace(SETTINGS, threads=4), work=work)
     assert read_files(tmp_path / "out") == expected
     store.write("ab", b"1")
     store.place.write("ab/ab", b"damaged")
@@ -76,8 +72,7 @@ def test_an_object_store_holds_the_work_and_threads_change_nothing(scene, expect
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch):
-    store, done = open_store(tmp_path / "work"), []
-    perform = work_module.perform
+    store, done, again, perform = open_store(tmp_path / "work"), [], [], work_module.perform
 
     def some(where, job):
         if len(done) == 7:
@@ -87,99 +82,79 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 
     monkeypatch.setattr(work_module, "perform", some)
     with pytest.raises(KeyboardInterrupt):
-        encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(store))
+        encode(scene, tmp_path / "out", SETTINGS, work=Work(store))
     assert not (tmp_path / "out").exists()
-    again = []
     monkeypatch.setattr(work_module, "perform", lambda where, job: again.append(job.entry) or perform(where, job))
-    encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(store))
+    encode(scene, tmp_path / "out", SETTINGS, work=Work(store))
     assert read_files(tmp_path / "out") == expected
     assert again and not set(done) & set(again)
     again.clear()
-    encode(open_sequence(scene), tmp_path / "out", SETTINGS, work=Work(store))
+    encode(scene, tmp_path / "out", SETTINGS, work=Work(store))
     assert again == []
 
 
 def test_one_frame_that_changes_is_the_only_group_that_is_made_again(tmp_path, monkeypatch):
-    frames = moving_frames(120, 8)
-    folder = write_sequence(tmp_path / "scene", frames)
-    settings, store, done = replace(SETTINGS, calibrate="none", keys="apart"), open_store(tmp_path / "work"), []
-    encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
+    frames, done, perform = moving_frames(120, 8), [], work_module.perform
+    folder, store = write_sequence(tmp_path / "scene", frames), open_store(tmp_path / "work")
+    settings = replace(SETTINGS, calibrate="none", keys="apart")
+    encode(folder, tmp_path / "out", settings, work=Work(store))
     faces.write_ply(sorted(folder.glob("*.ply"))[6], frames[2])
-    perform = work_module.perform
     monkeypatch.setattr(work_module, "perform", lambda where, job: done.append(job.label) or perform(where, job))
-    encode(open_sequence(folder), tmp_path / "out", settings, work=Work(store))
+    encode(folder, tmp_path / "out", settings, work=Work(store))
     assert set(done) == {"frames 4-7"}
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--jobs", "0"], "--jobs: expected at least one"),
-        (["--executor", "ray"], "--executor: expected dask or dask:ADDRESS, got 'ray'"),
-        (["--executor", "dask:tcp://h:1"], "expected --work, a place that all workers see"),
-    ],
-)
+@pytest.mark.parametrize(("words", "expected"), [
+    ("--jobs 0", "--jobs: expected at least one"),
+    ("--executor ray", "--executor: expected dask or dask:ADDRESS, got 'ray'"),
+    ("--executor dask:tcp://h:1", "expected --work, a place that all workers see"),
+])  # fmt: skip
 def test_options_that_cannot_work_are_one_line(scene, tmp_path, capsys, words, expected):
-    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *words]) == 2
+    assert airgs_encode([str(scene), "-o", str(tmp_path / "out"), *words.split()]) == 2
     assert expected in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
-@pytest.fixture
-def reads(monkeypatch):
-    """How often the file of each frame is read."""
-    counts, read = Counter(), faces.read_frame
-
-    def counted(path):
-        counts[path.name] += 1
-        return read(path)
-
-    monkeypatch.setattr("airgs_codec.scene.sequence.read_frame", counted)
-    return counts
-
-
-def test_frames_are_read_once_where_memory_holds_all_and_else_three_times(tmp_path, reads, monkeypatch):
+def test_frames_are_read_once_where_memory_holds_all_and_else_three_times(tmp_path, monkeypatch):
     """To be named, surveyed, and encoded and measured; the first ones and the middle one are looked at before.
 
     The first one is that as well when the sequence is opened. There are no cameras, so that views are looked for.
     """
+    reads, read, out = Counter(), faces.read_frame, tmp_path / "out"
+    monkeypatch.setattr("airgs_codec.scene.sequence.read_frame", lambda path: reads.update([path.stem]) or read(path))
     scene = write_sequence(tmp_path / "scene", moving_frames(150, 6), cameras=False)
     settings = replace(SETTINGS, group_frames=2)
-    encode(open_sequence(scene), tmp_path / "out", settings)
-    assert reads == {f"{number:06d}.ply": 1 + (number == 0) for number in range(6)}  # the first for the origin as well
+    encode(scene, out, settings)
+    assert reads == {f"{number:06d}": 1 + (number == 0) for number in range(6)}  # the first for the origin as well
     settings = replace(settings, calibrate="none", region=SEEN)
-    encode(open_sequence(scene), tmp_path / "held", settings)
+    encode(scene, tmp_path / "held", settings)
     reads.clear()
     monkeypatch.setattr("airgs_codec.encoder.prepare.held_bytes", lambda: 2 * 150 * 4 * 14)  # one group of two frames
-    encode(open_sequence(scene), tmp_path / "out", settings)
-    looked = {f"{number:06d}.ply": 1 for number in (0, 1, 2, 3)} | {"000000.ply": 2}
+    encode(scene, out, settings)
+    looked = {"000000": 2, "000001": 1, "000002": 1, "000003": 1}
     assert len(reads) == 6 and all(count <= 3 + looked.get(name, 0) for name, count in reads.items())
-    assert read_files(tmp_path / "out") == read_files(tmp_path / "held")
+    assert read_files(out) == read_files(tmp_path / "held")
 
 
 def test_frames_are_held_up_to_so_many_bytes_and_by_one_process():
-    frames = [random_gaussians(10, seed=seed) for seed in range(3)]
-    asked = []
-
-    def read(number):
-        asked.append(number)
-        return frames[number]
-
+    frames, asked = [random_gaussians(10, seed=seed) for seed in range(3)], []
     held = faces.HeldFrames(2 * 10 * 4 * 14)  # two of them
     for number in (0, 1, 0, 2, 0, 1):
-        assert held.get(number, read) is frames[number]
+        assert held.get(number, lambda t: asked.append(t) or frames[t]) is frames[number]
     assert asked == [0, 1, 2, 1]
-    assert 0 in held and 1 in held and 2 not in held
+    assert [number in held for number in range(3)] == [True, True, False]
     copy = pickle.loads(pickle.dumps(held))
-    copy.get(0, read)
+    copy.get(0, frames.__getitem__)
     assert 0 not in copy
     held.clear()
     assert 0 not in held
 
 
-@pytest.mark.parametrize("step", STEPS.values(), ids=lambda step: step.name)
-def test_a_step_reads_what_is_given_or_made_by_another(step):
-    assert set(step.reads) <= GIVEN | set(STEPS)
-    assert len(inspect.signature(step.function).parameters) == len(step.reads)
+def test_a_step_reads_what_is_given_or_made_by_another_and_makes_its_value_known():
+    for step in STEPS.values():
+        assert set(step.reads) <= GIVEN | set(STEPS), step.name
+        assert len(inspect.signature(step.function).parameters) == len(step.reads), step.name
+    known = {"a": 2, "b": 5}
+    assert Step("sum", lambda a, b: a + b, ("a", "b"), "c").do(known) == 7 and known["c"] == 7
 
 
 def test_a_job_reads_the_results_of_the_steps_before_it(scene, tmp_path):
@@ -191,16 +166,9 @@ def test_a_job_reads_the_results_of_the_steps_before_it(scene, tmp_path):
     assert key.entry != prepared.job(KEY, 0, EncodeSettings()).entry
 
 
-def test_a_step_that_is_taken_at_once_makes_its_value_known():
-    known = {"a": 2, "b": 5}
-    step = Step("sum", lambda a, b: a + b, ("a", "b"), "c")
-    assert step.do(known) == 7 and known["c"] == 7
-
-
 def test_a_key_has_rows_of_other_groups_up_to_a_quarter_more_and_of_so_many_groups():
     own, few, many = np.arange(8), np.array([7, 8]), np.array([8, 9, 10])
-    rows, groups = with_rows_of_others([own, few, own, np.array([9]), many, few])
-    assert rows.tolist() == [*range(10)] and groups == 4
-    rows, groups = with_rows_of_others([own, many, few])
-    assert rows.tolist() == own.tolist() and groups == 1
+    for groups, count, joined in (([own, few, own, np.array([9]), many, few], 10, 4), ([own, many, few], 8, 1)):
+        rows, found = with_rows_of_others(groups)
+        assert (rows.tolist(), found) == ([*range(count)], joined)
     assert with_rows_of_others(itertools.repeat(own))[1] == 16

@@ -51,6 +51,16 @@ class Encoded:
         encode(self.scene(), folder, self.settings)
 
 
+def laid_out(
+    sequence: GaussianSequence, settings: EncodeSettings, views: faces.ViewPlan, span: faces.GroupSpan | None = None
+) -> faces.GroupLayout:
+    """How a group, or all frames as one, is laid out where it is seen from these views."""
+    span = span or faces.GroupSpan(0, 0, len(sequence))
+    survey, loaded = faces.survey_group(sequence, span, views), sequence.load(range(span.start, span.stop))
+    rows = faces.keep_rows(loaded.frames, survey, settings.row_error)
+    return faces.lay_out(loaded, survey, rows, settings, sequence.fps)
+
+
 def fox(folder: Path) -> None:
     """The embedded scene, measured, without calibration."""
     settings = EncodeSettings(calibrate="none", measure_pictures=8, preset="veryfast", threads=2)
