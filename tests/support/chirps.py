@@ -30,9 +30,7 @@ def write_chirp(path: Path, seconds: float, channels: int = 1, rate: int = 44_10
 
 def write_wav(path: Path, samples: NDArray[np.int16], rate: int = 48_000) -> Path:
     with wave.open(str(path), "wb") as file:
-        file.setnchannels(samples.shape[1])
-        file.setsampwidth(2)
-        file.setframerate(rate)
+        file.setparams((samples.shape[1], 2, rate, len(samples), "NONE", ""))
         file.writeframes(samples.tobytes())
     return path
 

@@ -7,17 +7,8 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from tests.faces import (
-    JSON_NAME,
-    Folder,
-    Groups,
-    LiveClock,
-    build_index,
-    open_package,
-    pack_group,
-    pack_json,
-    write_root,
-)
+from tests import faces
+from tests.faces import Folder, open_package
 from tests.support.paths import VALID
 
 PAGED = VALID / "paged"  # 65 groups of a frame; a page holds 64
@@ -39,13 +30,13 @@ class Growing:
             return
         self.count = count or self.count
         groups = self.whole.groups[: self.count]
-        _, pages = build_index(groups, [pack_group(group) for group in groups])
+        _, pages = faces.build_index(groups, [faces.pack_group(group) for group in groups])
         for path, page in pages.items():
-            Folder(self.folder).write(path, pack_json(page))
-        m = replace(self.whole, live=count > 0, frames=groups[-1].stop, groups=Groups.of(groups))
+            Folder(self.folder).write(path, faces.pack_json(page))
+        m = replace(self.whole, live=count > 0, frames=groups[-1].stop, groups=faces.Groups.of(groups))
         now = datetime.now(UTC)
-        write_root(Folder(self.folder), m, LiveClock(now, now))
+        faces.write_root(Folder(self.folder), m, faces.LiveClock(now, now))
 
     def received(self, path: str, data: bytes) -> None:
-        if path == JSON_NAME:
+        if path == faces.JSON_NAME:
             self.publish()

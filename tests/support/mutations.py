@@ -16,18 +16,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tests.faces import (
-    INIT_NAME,
-    JSON_NAME,
-    PAGE,
-    digest,
-    group_path,
-    key_media_path,
-    key_sidecar_path,
-    page_path,
-    sound_path,
-    state_media_path,
-)
+from tests import faces
+from tests.faces import INIT_NAME, JSON_NAME, PAGE, digest, group_path, page_path
 
 Files = dict[str, bytes]
 Mutation = Callable[[Files], Files]
@@ -39,11 +29,9 @@ class Link(bytes):
 
 
 def read_files(folder: Path) -> Files:
-    found = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file()}
-    return {
-        name: Link(os.readlink(path).encode()) if path.is_symlink() else path.read_bytes()
-        for name, path in found.items()
-    }
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    data = [Link(os.readlink(path).encode()) if path.is_symlink() else path.read_bytes() for path in paths]
+    return {path.relative_to(folder).as_posix(): one for path, one in zip(paths, data, strict=True)}
 
 
 def apply(files: Files, *mutations: Mutation) -> Files:
@@ -107,10 +95,8 @@ def pack_table(name: str, table: Any) -> bytes:
 def places(document: Any, above: Place = ()) -> Iterator[Place]:
     """Every place of a parsed JSON document, the root `()` first."""
     yield above
-    items = (
-        document.items() if isinstance(document, dict) else enumerate(document if isinstance(document, list) else [])
-    )
-    for key, inner in items:
+    found = dict(enumerate(document)) if isinstance(document, list) else document
+    for key, inner in found.items() if isinstance(found, dict) else ():
         yield from places(inner, (*above, key))
 
 
@@ -171,14 +157,14 @@ def honest(files: Files) -> Files:
 def _entries(table: Any, number: int, segment: int) -> Iterator[tuple[str, Any]]:
     """Path and entry of every file of a group, whose first segment has the number `segment`."""
     if "sound" in table:
-        yield sound_path(number), table["sound"]
+        yield faces.sound_path(number), table["sound"]
     for t, tier in enumerate(table["tiers"]):
-        yield key_sidecar_path(t, number), tier["sidecar"]
+        yield faces.key_sidecar_path(t, number), tier["sidecar"]
         for q, entry in enumerate(tier["pictures"]):
-            yield key_media_path(t, q, number), entry
+            yield faces.key_media_path(t, q, number), entry
     for s, part in enumerate(table["segments"], segment):
         for j, level in enumerate(part["levels"]):
-            yield state_media_path(j, s), level["file"]
+            yield faces.state_media_path(j, s), level["file"]
 
 
 def reindexed(files: Files) -> Files:

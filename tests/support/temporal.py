@@ -6,15 +6,14 @@ peak * exp(-((t - t0) / w)^2), its mean a cubic polynomial of t - t0. N rows; ti
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.faces import OPENGL_TO_OPENCV, Camera, Gaussians, look_at
+from tests.faces import Camera, Gaussians, look_at
+from tests.support.multiview_files import write_cameras
 from tests.support.scenes import frozen, write_sequence
 
 STATIC_SHARE = 0.4  # of the rows: a floor and a wall, there all the time
@@ -88,13 +87,8 @@ def _flashes(rng: np.random.Generator, frames: int) -> TemporalRows:
     azimuths, rises = (rng.uniform(low, high, FLASHES) for low, high in LOOK_FROM)
     means = 0.7 * np.stack([place(a, r) for a, r in zip(azimuths, rises, strict=True)])
     size = np.log(0.22) + rng.normal(size=(FLASHES, 3)) * 0.2
-    looks = _gaussians(
-        means,
-        rng.normal(size=(FLASHES, 4)),
-        size,
-        np.full(FLASHES, 1.5),
-        rng.uniform(-1.5, 1.5, (FLASHES, 3)),
-    )
+    turns, colours = rng.normal(size=(FLASHES, 4)), rng.uniform(-1.5, 1.5, (FLASHES, 3))
+    looks = _gaussians(means, turns, size, np.full(FLASHES, 1.5), colours)
     centres = (np.arange(FLASHES) + 0.5) / FLASHES
     widths = np.full(FLASHES, FLASH_FRAMES / max(frames - 1, 1))
     motion = np.zeros((3, FLASHES, 3))
@@ -102,16 +96,9 @@ def _flashes(rng: np.random.Generator, frames: int) -> TemporalRows:
     return TemporalRows(looks, centres, widths, motion)
 
 
-def _gaussians(
-    means: NDArray[np.float64],
-    quaternions: NDArray[np.float64],
-    log_scales: NDArray[np.float64],
-    opacity_logits: NDArray[np.float64],
-    colours: NDArray[np.float64],
-) -> Gaussians:
+def _gaussians(means: NDArray[np.float64], *others: NDArray[np.float64]) -> Gaussians:
     """Of SH degree 0; the logits are those at the peak."""
-    rest = np.zeros((len(means), 0, 3), np.float32)
-    return Gaussians(f32(means), f32(quaternions), f32(log_scales), f32(opacity_logits), f32(colours), rest)
+    return Gaussians(*map(f32, (means, *others, np.zeros((len(means), 0, 3)))))
 
 
 def f32(values: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -124,31 +111,21 @@ def place(azimuth: float, elevation: float) -> NDArray[np.float64]:
     return DISTANCE * np.array([np.sin(azimuth) * flat, np.sin(elevation), np.cos(azimuth) * flat])
 
 
-def camera_at(azimuth: float, elevation: float, name: str, size: int = 96) -> Camera:
+def camera_at(azimuth: float, elevation: float, name: str, size: int) -> Camera:
     """A camera that looks at the origin, square pictures of `size` pixels."""
     return look_at(place(azimuth, elevation), np.zeros(3), UP, size=size, fov_y=0.75, name=name)
 
 
 def temporal_cameras(size: int = 96) -> list[Camera]:
     """Twelve cameras for training and four held out, on the same part of a sphere."""
-    azimuths = np.linspace(*LOOK_FROM[0], 4)
-    rises = np.linspace(*LOOK_FROM[1], 3)
+    azimuths, rises = np.linspace(*LOOK_FROM[0], 4), np.linspace(*LOOK_FROM[1], 3)
     train = [camera_at(a, r, f"train{i}{j}", size) for i, a in enumerate(azimuths) for j, r in enumerate(rises)]
     between = [(a, r) for a in np.linspace(*LOOK_FROM[0], 5)[1:4:2] for r in np.linspace(*LOOK_FROM[1], 5)[1:4:2]]
     return train + [replace(camera_at(a, r, f"test{i}", size), split="test") for i, (a, r) in enumerate(between)]
 
 
-def transforms(cameras: Sequence[Camera]) -> dict[str, object]:
-    entries = []
-    for c in cameras:
-        numbers = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
-        matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
-        entries.append({"camera": c.name, "split": c.split, **numbers, "transform_matrix": matrix.tolist()})
-    return {"frames": entries}
-
-
 def write_temporal(folder: Path, count: int = 2000, frames: int = 24, size: int = 96) -> Path:
     """The clip and its cameras as a scene on disk, at 24 frames a second."""
-    write_sequence(folder, temporal_frames(count, frames), fps=24)
-    (folder / "transforms.json").write_text(json.dumps(transforms(temporal_cameras(size))))
+    write_sequence(folder, temporal_frames(count, frames), cameras=False, fps=24)
+    write_cameras(folder / "transforms.json", temporal_cameras(size))
     return folder

@@ -30,14 +30,9 @@ def coloured_cloud(count: int = 150, seed: int = 0) -> Gaussians:
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
     means *= 0.8 / np.linalg.norm(means, axis=1, keepdims=True)
-    return Gaussians(
-        means.astype(np.float32),
-        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
-        np.full((count, 3), np.log(0.12), np.float32),
-        np.full(count, 3.0, np.float32),
-        np.sin(4 * means).astype(np.float32),
-        np.zeros((count, 0, 3), np.float32),
-    )
+    turns, scales, logits = np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), np.log(0.12)), np.full(count, 3.0)
+    columns = (means, turns, scales, logits, np.sin(4 * means), np.zeros((count, 0, 3)))
+    return Gaussians(*(column.astype(np.float32) for column in columns))
 
 
 def random_parameters(rows: int, seed: int = 0) -> Parameters:
