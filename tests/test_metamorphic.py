@@ -5,24 +5,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from airgs_codec import encode, open_package, open_sequence
+from airgs_codec import encode
 from airgs_codec.scene.camera import placed
-from tests.faces import (
-    EncodeSettings,
-    Gaussians,
-    as_preview,
-    join_rows,
-    mix_rows,
-    orbit_views,
-    pooled_quality,
-    write_ply,
-)
+from tests import faces
+from tests.faces import EncodeSettings, Gaussians, join_rows, mix_rows
 from tests.support.camera_files import FORMS
 from tests.support.scenes import moving_frames
 
-SETTINGS = replace(as_preview(EncodeSettings()), threads=1)
+SETTINGS = replace(faces.as_preview(EncodeSettings()), threads=1)
 FRAMES = moving_frames(300, 2)
-RIG = orbit_views(FRAMES[0], count=3, size=48)
+RIG = faces.orbit_views(FRAMES[0], count=3, size=48)
 UTM = np.array([448262.0, 5411932.0, 113.0])
 
 
@@ -48,12 +40,11 @@ class Scene:
         """Rows, bytes of the top rung, and dB of two rungs."""
         folder.mkdir()
         for number, g in enumerate(self.frames):
-            write_ply(folder / self.name.format(number), g)
+            faces.write_ply(folder / self.name.format(number), g)
         if self.form:
             FORMS[self.form](folder, list(self.rig))
-        encode(open_sequence(folder), folder.with_suffix(".airgs"), SETTINGS)
-        m = open_package(folder.with_suffix(".airgs")).manifest
-        quality = [pooled_quality(m, level, level).psnr for level in (0, 1)]
+        m = encode(folder, folder.with_suffix(".airgs"), SETTINGS).manifest
+        quality = [faces.pooled_quality(m, level, level).psnr for level in (0, 1)]
         return m.groups[0].count, m.bytes_of(m.rung_files(0, 0)), quality
 
 
@@ -68,12 +59,10 @@ def with_row(at):
 
 def unfinished(value, logit):
     """A row of each frame has such a position, and such an opacity; it is the next one in the next frame."""
-
-    def change(g, t):
-        broken = replace(g, means=g.means + np.float32(value), opacity_logits=np.full(len(g), logit, np.float32))
-        return mix_rows(g, broken, np.arange(len(g)) != t)
-
-    return change
+    opacities = np.full(len(FRAMES[0]), logit, np.float32)
+    return lambda g, t: mix_rows(
+        g, replace(g, means=g.means + np.float32(value), opacity_logits=opacities), np.arange(len(g)) != t
+    )
 
 
 PLAIN = Scene()
@@ -104,10 +93,8 @@ def test_what_changes_nothing_changes_nothing(name, plain, tmp_path):
 
 
 def test_what_is_not_finite_in_a_frame_is_a_row_that_is_not_drawn_there(tmp_path):
-    broken, hidden = (
-        PLAIN.each(unfinished(value, logit)).figures(tmp_path / f"{value}") for value, logit in ((np.nan, 1), (0, -20))
-    )
-    assert broken == hidden
+    broken, hidden = (PLAIN.each(unfinished(*row)) for row in ((np.nan, 1), (0, -20)))
+    assert broken.figures(tmp_path / "broken") == hidden.figures(tmp_path / "hidden")
 
 
 def test_another_order_of_cameras_or_frames_shown_twice_move_figures_by_less_than_they_are_sure_of(plain, tmp_path):

@@ -23,10 +23,8 @@ def package(package_of):
 
 def fresh(package, segment, quality, level):
     m = package.manifest
-    base = decode_canonical(package, m.group_of(segment), quality, m.levels[level].tiers)
-    return list(
-        decode_segment(package, segment, base, level, range(m.segments[segment].stop - m.segments[segment].start))
-    )
+    base, span = decode_canonical(package, m.group_of(segment), quality, m.levels[level].tiers), m.segments[segment]
+    return list(decode_segment(package, segment, base, level, range(span.stop - span.start)))
 
 
 def same(a, b):
@@ -39,6 +37,14 @@ def test_errors_of_the_last_groups_are_those_of_the_first(package):
     of = [np.array([e.error for e in measured if e.where == f"group {g} state L0"]) for g in range(10)]
     assert len(package.manifest.groups) == 10
     assert (np.mean(of[-4:], axis=0) < 1.5 * np.mean(of[:4], axis=0)).all()
+
+
+@contextmanager
+def may_be_missing():
+    try:
+        yield
+    except FormatError as error:
+        assert error.reason == "missing_file"
 
 
 class Viewer:
@@ -62,46 +68,31 @@ class Viewer:
                 return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
 
 
-@contextmanager
-def may_be_missing():
-    try:
-        yield
-    except FormatError as error:
-        assert error.reason == "missing_file"
-
-
 def expected(package, index, quality, level, have):
     """What FORMAT.md section 5 promises a viewer of a whole package that has so many key tiers."""
     m = package.manifest
-    group = m.groups[m.group_of(index)]
-    needed = m.levels[level].tiers
-    moving = sum(tier.count for tier in group.tiers[: min(have, needed)])
-    still = decode_canonical(package, m.group_of(index), quality, have).to_gaussians()
+    group = m.group_of(index)
+    moving = sum(tier.count for tier in m.groups[group].tiers[: min(have, m.levels[level].tiers)])
+    still = decode_canonical(package, group, quality, have).to_gaussians()
     for frame in fresh(package, index, quality, level):
         rows = [np.concatenate([getattr(frame, n)[:moving], getattr(still, n)[moving:]]) for n in frame.__slots__]
         yield faces.Gaussians(*rows)
 
 
-@pytest.fixture
-def damaged(package, tmp_path):
-    """The same package without some of its files: states of every level, second tiers, and one first tier."""
-    shutil.copytree(package.files.path, tmp_path / "damaged")
-    chance = random.Random(3)
-    m = package.manifest
+def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(package, tmp_path):
+    """Levels that need one tier and two over keys of one tier and two, and segments after files that never came.
+
+    Of states every level lacks some, of second tiers some are missing, and of first tiers one.
+    """
+    m, chance = package.manifest, random.Random(3)
     states = [m.state_files(i, j)[0] for i in range(len(m.segments)) for j in range(len(m.levels))]
-    lost = [path for path in states if chance.random() < 0.1]
-    lost += [m.key_files(g, 1, q)[0] for g in range(0, len(m.groups), 4) for q in range(len(m.qualities))]
-    lost += [m.key_files(5, 0, 0)[0]]
-    for path in set(lost):
+    lost = {path for path in states if chance.random() < 0.1} | {m.key_files(5, 0, 0)[0]}
+    lost |= {m.key_files(g, 1, q)[0] for g in range(0, len(m.groups), 4) for q in range(len(m.qualities))}
+    shutil.copytree(package.files.path, tmp_path / "damaged")
+    for path in lost:
         (tmp_path / "damaged" / path).unlink()
-    return open_package(tmp_path / "damaged")
-
-
-def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(package, damaged):
-    """Levels that need one tier and two over keys of one tier and two, and segments after files that never came."""
-    m, chance = package.manifest, random.Random(1)
     assert {level.tiers for level in m.levels} == {1, 2}
-    viewer, at, met = Viewer(damaged), 0, Counter()
+    viewer, at, met, chance = Viewer(open_package(tmp_path / "damaged")), 0, Counter(), random.Random(1)
     for _ in range(80):
         at = chance.randrange(len(m.segments)) if chance.random() < 0.3 else (at + 1) % len(m.segments)
         level, quality = chance.randrange(len(m.levels)), chance.randrange(len(m.qualities))
@@ -116,21 +107,17 @@ def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(pac
 
 
 def test_a_session_over_a_bad_link_shows_the_bits_of_fresh_decodes(package):
-    m = package.manifest
-    levels = [
-        [replace(v, psnr=[45.0 - 2 * j, 38.0 - j], delta_e=[0.5, 0.5]) for j, v in enumerate(s.levels)]
-        for s in m.segments
-    ]
-    segments = [replace(s, levels=row) for s, row in zip(m.segments, levels, strict=True)]  # something to weigh
-    views = replace(m.views, reference="original")
-    c = faces.Offers(replace(with_segments(m, segments), views=views), root_bytes=package.root_bytes)
+    m, segments, chance = package.manifest, [], random.Random(2)
+    for s in m.segments:  # something to weigh
+        levels = [replace(v, psnr=[45.0 - 2 * j, 38.0 - j], delta_e=[0.5, 0.5]) for j, v in enumerate(s.levels)]
+        segments.append(replace(s, levels=levels))
+    m = replace(with_segments(m, segments), views=replace(m.views, reference="original"))
+    c = faces.Offers(m, root_bytes=package.root_bytes)
     lost = missing(*(f"state/L0/{n}.m4s" for n in range(3, 30, 5)), "key/T0/7.bin")
     link = faces.Link(faces.Trace.open("markov:1:0.02"))
     log = faces.simulate(c, link, "paper", faces.SessionSettings(loops=1), lost)
     assert len({s.rung for s in log.shown}) > 4 and any(s.rung is None for s in log.shown)
-    chance = random.Random(2)
-    ticks = log.screen_ticks
-    for (gaussians, entry), (_, frame) in zip(screen_frames(package, log), ticks, strict=True):
+    for (gaussians, entry), (_, frame) in zip(screen_frames(package, log), log.screen_ticks, strict=True):
         s = log.shown[entry]
         if s.rung is not None and chance.random() < 0.05:
             assert same(gaussians, fresh(package, s.segment, *c.rungs[s.rung])[frame])

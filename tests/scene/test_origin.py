@@ -31,15 +31,16 @@ def ascii_ply(g):
 
 
 def opened(folder, form, frame, cameras):
+    far = in_world(frame, UTM)
     if form == "memory":
-        return GaussianSequence.from_arrays([in_world(frame, UTM)], cameras=cameras)
+        return GaussianSequence.from_arrays([far], cameras=cameras)
     write_cameras(folder / "transforms.json", cameras)
     if form == "ascii":
-        (folder / "a.ply").write_bytes(ascii_ply(in_world(frame, UTM)))
+        (folder / "a.ply").write_bytes(ascii_ply(far))
     elif form == "node":
         (folder / "a.glb").write_bytes(glb_bytes(frame, translation=list(UTM)))
     else:
-        write_ply(folder / "a.ply", frame if form == "told" else in_world(frame, UTM))
+        write_ply(folder / "a.ply", frame if form == "told" else far)
         (folder / "sequence.json").write_text(json.dumps({"origin": UTM} if form == "told" else {}))
     return open_sequence(folder)
 
@@ -92,21 +93,19 @@ def package(tmp_path_factory):
     frames = moving_frames(80, 2)
     for number, frame in enumerate(frames):
         write_ply(scene / f"{number}.ply", in_world(frame, UTM))
-    rig = faces.orbit_views(frames[0], count=4, size=64)
-    write_cameras(scene / "transforms.json", cameras_from(np.negative(UTM), rig))
+    cameras = faces.orbit_views(frames[0], count=4, size=64)
+    write_cameras(scene / "transforms.json", cameras_from(np.negative(UTM), cameras))
     faces.encode(scene, out, faces.EncodeSettings(calibrate="none", measure_pictures=0))
     return scene, out
 
 
 def test_rows_know_which_they_were(package, tmp_path):
     """Of a package whose rows were sorted and left out, frame by frame; rows that are twice are none."""
-    scene, out = package
-    options = ["--frames", "1", "--level", "L1", "--against", str(scene)]
-    faces.airgs_decode([str(out), "-o", str(tmp_path / "back"), *options])
-    with np.load(tmp_path / "back" / "rows.npz") as file:
+    (scene, out), folder = package, tmp_path / "back"
+    faces.airgs_decode(f"{out} -o {folder} --frames 1 --level L1 --against {scene}".split())
+    with np.load(folder / "rows.npz") as file:
         rows = file["1"]
-    back, given = open_sequence(tmp_path / "back"), open_sequence(scene)
-    found = rows >= 0
+    back, given, found = open_sequence(folder), open_sequence(scene), rows >= 0
     assert len(rows) == back.count(0) and found.mean() > 0.95 and len(set(rows[found])) == found.sum()
     away = np.abs(back.read(0).means - given.at_origin(back.origin).read(1).means[rows])[found]
     assert np.median(away) < 0.01 and not np.array_equal(rows, np.sort(rows))
