@@ -21,6 +21,7 @@ CORE = Offers(replace(CORE, levels=[*CORE.levels[:2], replace(CORE.levels[2], ti
 KEPT = Offers(keeping(tiny_manifest()), 0, 1000)
 FOUR = Offers(keeping(keeping(tiny_manifest(groups=(10,) * 4)), 4), 0)  # the third group, between, stands by itself
 FIRST = frozenset({(0, 0, 0)})  # the finest keys of the first tier
+ONE_GROUP = [True, False]
 
 
 def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS, at=None, idle=0.0):
@@ -32,9 +33,6 @@ def horizon(*capacities, released=None, decoded=NONE, starts=None, offers=OFFERS
         for position, r, c, o in zip(at, released, capacities, starts, strict=True)
     )
     return Horizon(slots, decoded, idle)
-
-
-ONE_GROUP = [True, False]
 
 
 @pytest.mark.parametrize(("programme", "quality", "first_bytes"), [
@@ -134,11 +132,8 @@ def test_no_session_that_keeps_rows_beats_the_bound(rates, pictures):
         check_bound(play(m, link(rates), policy, loops=loops, replace=True, abandon=True))
 
 
-capacities = st.lists(st.integers(2300, 9000), min_size=1, max_size=5).map(np.cumsum)
-
-
 @settings(max_examples=60)
-@given(capacities=capacities)
+@given(st.lists(st.integers(2300, 9000), min_size=1, max_size=5).map(np.cumsum))
 def test_the_relaxation_bounds_the_integers_which_equal_enumeration(capacities):
     relaxed, exact = (solve_horizon(horizon(*capacities), integer=i) for i in (False, True))
     assert relaxed is not None and exact is not None

@@ -13,7 +13,10 @@ from tests.support.manifests import HASH, in_groups, link, missing, play, tiny_m
 from tests.support.regions import arc, row
 
 TINY = tiny_manifest()
+GROUPS = in_groups([replace(group, sound=FileEntry(700, HASH)) for group in TINY.groups])
+SOUNDING = replace(TINY, sound=Sound(2, 312, FileEntry(50, HASH)), groups=GROUPS)
 STEP_S = 2.0  # of a walk, from a place to the next
+FPS = Fraction(30_000, 1001)
 
 
 def positions(walk):
@@ -56,10 +59,6 @@ def test_a_session_has_a_picture_for_every_tick_and_they_have_a_bound(size, show
     assert len(views) == len(log.screen_ticks) == 40 and {(v.width, v.height) for v in views} == {shown}
 
 
-GROUPS = in_groups([replace(group, sound=FileEntry(700, HASH)) for group in TINY.groups])
-SOUNDING = replace(TINY, sound=Sound(2, 312, FileEntry(50, HASH)), groups=GROUPS)
-
-
 def test_every_rung_has_its_sound_first_and_until_it_is_there():
     offer = Offers(SOUNDING, 0).offer(1)
     for rung in range(len(offer.rungs)):
@@ -85,9 +84,6 @@ def test_a_group_without_its_sound_is_shown():
     assert [s.rung for s in log.shown] == [0, 0, 0, 0] and log.metrics.lost_frames == 0
     assert log.metrics.bytes["sound"] == 2 * 700
     assert any(sound_path(1) in line for line in log.lost)
-
-
-FPS = Fraction(30_000, 1001)
 
 
 def heard(samples, second):

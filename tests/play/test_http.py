@@ -39,9 +39,8 @@ def local(port, name=""):
 
 
 @pytest.mark.parametrize(("server", "name"), [
-    (plainly_serving, ""),
+    (plainly_serving, ""), (serving, PACKAGE.name),
     (partial(plainly_serving, protocol="HTTP/1.0"), ""),  # every connection ends
-    (serving, PACKAGE.name),
 ])  # fmt: skip
 def test_a_package_is_played_from_any_server_like_in_a_simulation(server, name):
     package, files = open_package(PACKAGE), {}
@@ -247,8 +246,7 @@ def test_waiting_for_room_takes_time_unless_as_fast(monkeypatch):
 def test_a_thousand_faults_bring_no_wrong_file():
     """Of every kind, on files of every kind; what cannot be had is lost, never used."""
     package, weather = open_package(PACKAGE), Weather(0.6, dict.fromkeys(FAULTS, 1.0) | {"stall": 0.05}, stall_s=5.0)
-    http = replace(FAST, timeout_s=0.1, outage_s=5.0)
-    retried, sessions = 0, 0
+    http, retried, sessions = replace(FAST, timeout_s=0.1, outage_s=5.0), 0, 0
 
     def check(path, data):
         assert data == (PACKAGE / path).read_bytes()

@@ -22,9 +22,13 @@ from tests.faces import NAMES, NONE, ConfigError, Decision, Download, Offers, Pl
 from tests.support.manifests import keys, link, tiny_manifest
 
 OFFERS = Offers(tiny_manifest(), header_bytes=0)
-OFFER = OFFERS.offer(0)
 FLAT = Offers(tiny_manifest(psnr=((40.0, 39.9), (39.8, 39.7), (39.6, 39.5))), header_bytes=0)
 STALL_DB, SWITCH_DB, LOW_BUFFER_DB, RESERVE_S = 20.0, 0.25, 1.0, 3.0  # what the controller holds against a second
+TABLE = json.loads(Path(__file__).with_name("ladder.json").read_text())  # cases that the browser's player reads, too
+NOTHING_FITS = "nothing fits 10 B, taking the smallest"
+NONE_FIT = Decision(1, False, "nothing fits 0 B, taking the smallest", 100)
+drawn = st.tuples(st.integers(0, 10_000), st.floats(0, 120) | st.just(math.inf))
+points = st.lists(drawn, min_size=1, max_size=12).map(lambda rows: [Option(i, *p, 0.1 * i) for i, p in enumerate(rows)])
 
 
 def state(rate=8e4, buffer_s=0.0, *, offers=OFFERS, position=0, end=20, held=NONE, shown=None, rtt=0.0, limit=10.0):
@@ -156,9 +160,6 @@ def test_an_oracle_needs_a_trace_and_what_policies_may_do_is_theirs():
     assert {name: (it.may_abandon, it.may_replace, it.needs_quality) for name, it in made.items()} == may
 
 
-TABLE = json.loads(Path(__file__).with_name("ladder.json").read_text())  # cases that the browser's player reads, too
-
-
 def dense(*qualities: float, sizes: list[int] | None = None, saved: list[float] | None = None) -> list[Option]:
     """Levels 100 bytes apart that save 10 % more each, unless sizes or shares are given."""
     count = len(qualities)
@@ -183,10 +184,6 @@ def test_undefined_cases_of_the_ladder(case):
 ])  # fmt: skip
 def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
     assert [p.index for p in Ladder.build(levels, **options).options] == left
-
-
-NOTHING_FITS = "nothing fits 10 B, taking the smallest"
-NONE_FIT = Decision(1, False, "nothing fits 0 B, taking the smallest", 100)
 
 
 @pytest.mark.parametrize(("qualities", "sizes", "budget", "expected"), [
@@ -226,10 +223,6 @@ def test_algorithm_1_as_printed(case):
     levels = dense(*map(float, case["qualities"]), sizes=case.get("sizes"))
     budget, beta = float(case.get("budget", "inf")), float(case.get("beta", 2.0))
     assert select_literal(levels, budget, beta) == case["answer"]
-
-
-drawn = st.tuples(st.integers(0, 10_000), st.floats(0, 120) | st.just(math.inf))
-points = st.lists(drawn, min_size=1, max_size=12).map(lambda rows: [Option(i, *p, 0.1 * i) for i, p in enumerate(rows)])
 
 
 @given(points=points, budget=st.floats(allow_nan=True, allow_infinity=True), beta=st.floats(1.01, 100))

@@ -20,6 +20,9 @@ ALIKE = tiny_manifest(groups=(10, 10, 10))
 UNMEASURED = tiny_manifest(psnr=None)
 KEPT = keeping(tiny_manifest())
 SLOW_THEN_FAST = link([3e4, 8e6], [0, 2], 1000)
+rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
+POLICIES = "paper", "paper-no-cliff", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"
+BAD = None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"
 
 
 def segmented(m, count=3):
@@ -52,6 +55,12 @@ def facts(log):
 
 
 EVEN, HALF, FAST = link([8e4]), link([4e4]), link([8e6])
+# Two groups with these rows in their two tiers; the last level needs the first tier alone, the others both.
+TIERED = [
+    replace(group, tiers=[replace(tier, count=n) for tier, n in zip(group.tiers, rows, strict=True)])
+    for group, rows in zip(TINY.groups, ((10, 30), (20, 60)), strict=True)
+]
+TIERED = with_core(replace(TINY, groups=in_groups(TIERED)))
 SEGMENTED, COARSE_THEN_FINE = segmented(tiny_manifest(groups=(30,))), ("Q1+L2", "Q1+L2", "Q0+L2")
 HAND = {  # name -> package, link, policy or rungs by turns, rules, and what comes of it
     # 10,000 B/s: 1000 B of airgs.json, then for each group 100 of table, and 4000 key + 2100 state + 200 sidecars.
@@ -294,11 +303,6 @@ def test_policies_of_ones_own_and_packages_are_taken_as_they_are():
     assert simulate(package, Trace.open("const:100"), "fixed:0", rules()).metrics.frames == package.manifest.frames
 
 
-rates = st.lists(st.sampled_from([0.0, 1e4, 5e4, 2e5, 5e6]), min_size=1, max_size=12).filter(any)
-POLICIES = "paper", "paper-no-cliff", "paper-literal", "throughput", "bola", "robust-mpc", "oracle-frame", "fixed:1"
-BAD = None, "state/L0/1.m4s", "key/T0/Q0/2.m4s", "key/T1/1.bin", "group/2.json.gz"
-
-
 @settings(max_examples=120)
 @given(
     rates=rates, policy=st.sampled_from(POLICIES), buffer_s=st.sampled_from([0.5, 2.0, 10.0]),
@@ -356,14 +360,6 @@ def test_figures_of_a_session_are_what_its_batches_and_segments_say():
     m = replace(log, link=None, shown=lost).metrics
     assert m.rungs == {"Q1+L0": 1, "lost": 1} and (m.lost_frames, m.stalls, m.change_db) == (10, 0, 0.0)
     assert m.utilisation is m.trace_end is None
-
-
-# Two groups with these rows in their two tiers; the last level needs the first tier alone, the others both.
-TIERED = [
-    replace(group, tiers=[replace(tier, count=n) for tier, n in zip(group.tiers, rows, strict=True)])
-    for group, rows in zip(TINY.groups, ((10, 30), (20, 60)), strict=True)
-]
-TIERED = with_core(replace(TINY, groups=in_groups(TIERED)))
 
 
 @pytest.mark.parametrize("policy", ["fixed:0", *faces.NAMES])

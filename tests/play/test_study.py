@@ -20,6 +20,13 @@ LOST = missing(*(TINY.state_files(1, level)[0] for level in range(3)))
 FAULTS, BELOW = "files had to be asked for again", "the link gave less than the lowest rung needs"
 OVER, ASKED = "less came than was expected", "the policy asked for more than the link gave"
 SHORT = "too little was buffered for what came next"
+BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1": 0.1}
+OUTAGE, THIN = (
+    play(TINY, link(rates), "fixed:Q1+L2", loops=8, buffer_s=2.0) for rates in ([8e4, 8e4, 0, 0, 0, 0], [1.5e4])
+)
+SMOOTH, LOSSES = (play(TINY, link([rate]), faults=faults) for rate, faults in ((8e6, ()), (8e4, LOST)))
+DARK = play(tiny_manifest(psnr=[[40.0, 36.0], [38.0, 35.0], [20.0, 18.0]]), link([8e6]), "fixed:2")
+DEFAULT = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), settings=SessionSettings(startup_s=0.0, loops=30))
 
 
 @pytest.mark.parametrize(("log", "why", "change"), [
@@ -36,14 +43,6 @@ def test_every_wait_has_its_reason_and_its_advice(log, why, change):
     told = answer(log)
     assert f"waited for {log.metrics.stall_s:.1f} s" in told["wrong"] and why in told["wrong"]
     assert change in told["change"]
-
-
-OUTAGE, THIN = (
-    play(TINY, link(rates), "fixed:Q1+L2", loops=8, buffer_s=2.0) for rates in ([8e4, 8e4, 0, 0, 0, 0], [1.5e4])
-)
-SMOOTH, LOSSES = (play(TINY, link([rate]), faults=faults) for rate, faults in ((8e6, ()), (8e4, LOST)))
-DARK = play(tiny_manifest(psnr=[[40.0, 36.0], [38.0, 35.0], [20.0, 18.0]]), link([8e6]), "fixed:2")
-DEFAULT = simulate(Offers(TINY), link([*[2e5] * 20, *[1e3] * 20]), settings=SessionSettings(startup_s=0.0, loops=30))
 
 
 @pytest.mark.parametrize(("log", "part", "words", "absent"), [
@@ -109,9 +108,6 @@ def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
     return Study(StudySettings(tuple(values), ("t",)), "p", tuple(rows), rungs)
 
 
-BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1": 0.1}
-
-
 @pytest.mark.parametrize(("some", "expected", "absent"), [
     (study(BOLA | {"paper": 39.0}), ["bola does best on 8 links", "1.00 dB above that of paper, the next",
                                      "Play with --policy bola."], ["chance"]),
@@ -125,8 +121,7 @@ BOLA, WAITING = {"robust-mpc": 38.0, "bola": 40.0}, {"robust-mpc": 0.2, "fixed:1
     (study(WAITING, 2, measured=False), ["may be chance", "10.0 % less waiting than robust-mpc"], ["nan", "dB"]),
     (study({"fixed:1": 0.0}, measured=False), ["Nothing: nobody waits."], ["nan"]),
     (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
-    (study({"robust-mpc": 38.0}, feasible=False),
-     ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
+    (study({"robust-mpc": 38.0}, feasible=False), ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
     (study({"robust-mpc": 38.0}), [], ["--levels", "no policy helps", "No policy showed"]),
     (study({"robust-mpc": 38.0}, rungs=("Q0+L0", "Q1+L1")), ["No policy showed Q1+L1"], []),
 ])  # fmt: skip
@@ -173,13 +168,11 @@ def test_a_study_compares_on_the_same_links_and_repeats_exactly(demo_package, ca
 
 
 @pytest.mark.parametrize(("options", "words"), [
-    (["--compare"], "--traces"),
-    (["--compare", "--traces", "none.csv"], "none.csv"),
-    (["--compare", "--traces", "."], "empty"),
+    ([], "--trace"), (["--compare"], "--traces"),
+    (["--compare", "--traces", "none.csv"], "none.csv"), (["--compare", "--traces", "."], "empty"),
     (["--compare", "--traces", "const:1", "--policies", "best"], "policy: expected"),
     (["--compare", "--traces", "const:1", "--policies", "paper,paper"], "policies"),
     (["--compare", "--traces", "const:1", "--offsets", "0"], "offset"),
-    ([], "--trace"),
     (["--trace", "const:1", "--player.decode-frame", "fast"], "--player.decode-frame"),
     (["--trace", "../second.csv", "--end", "error", "--player.loops", "30"], "ends after"),
 ])  # fmt: skip
@@ -193,14 +186,13 @@ def test_studies_that_cannot_be(demo_package, options, words, capsys, tmp_path, 
 
 
 def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
-    package = faces.open_package(demo_copy)
+    package, film = faces.open_package(demo_copy), tmp_path / "film.mp4"
     assert faces.find_faults(package) == {}
     first, second = (package.manifest.state_files(0, j)[0] for j in (0, 1))
     (demo_copy / first).unlink()
     (demo_copy / second).write_bytes(b"x" * package.manifest.entry(second).bytes)
     faults = faces.find_faults(package)
     assert (faults[first].reason, faults[second].reason) == ("missing_file", "hash_mismatch")
-    film = tmp_path / "film.mp4"
     play = [str(demo_copy), "--trace", "const:50", "--player.loops", "1", "--video", str(film)]
     assert airgs_play([*play, "--policy", "fixed:0"]) == 0
     assert first in capsys.readouterr().out and film.exists()

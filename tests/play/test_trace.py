@@ -26,6 +26,13 @@ def read(folder, content):
 
 OUTAGE = trace(8e6, 0, 8e6, starts=[0, 1, 5], duration=10)
 FALLING = trace(8e6, 4e6)
+rates = st.lists(st.sampled_from([0.0, 1e3, 1e6, 3e7]), min_size=1, max_size=8).filter(any)
+RACA = "Timestamp,State,DL_bitrate\n" + "".join(
+    f"2017.12.04_15.24.{row}\n" for row in ("12,D,3000", "12,D,1000", "13,D,-", "15,D,8000")
+)
+PLAIN = "time_s,mbps\n10,2\n12,4\n", "10,2\n12,4", "10 2\r\n12 4\r\n", "\ufefft,r\n10, 2\n12, 4\n\n"
+SABRE = """[{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20},
+ {"duration_ms": 1500, "bandwidth_kbps": 4000, "latency_ms": 40}]"""
 
 
 @pytest.mark.parametrize(("what", "size", "at", "arrival"), [
@@ -68,9 +75,6 @@ def test_what_can_pass_and_how_fast():
     assert [FALLING.ending(end).rate_at(2.5) for end in ("loop", "hold", "error")] == [8e6, 4e6, 0.0]
 
 
-rates = st.lists(st.sampled_from([0.0, 1e3, 1e6, 3e7]), min_size=1, max_size=8).filter(any)
-
-
 @given(rates=rates, size=st.integers(1, 10_000_000), at=st.floats(0, 50))
 def test_arrival_is_the_first_moment_with_enough_bits(rates, size, at):
     t = trace(*rates)
@@ -93,14 +97,6 @@ def test_a_cut_trace_is_the_same_trace_later(offset, size):
 def test_cuts_that_cannot_be(offset, scale):
     with pytest.raises(TransportError, match="expected"):
         trace(1e6, 1e6).cut(offset, scale)
-
-
-RACA = "Timestamp,State,DL_bitrate\n" + "".join(
-    f"2017.12.04_15.24.{row}\n" for row in ("12,D,3000", "12,D,1000", "13,D,-", "15,D,8000")
-)
-PLAIN = "time_s,mbps\n10,2\n12,4\n", "10,2\n12,4", "10 2\r\n12 4\r\n", "\ufefft,r\n10, 2\n12, 4\n\n"
-SABRE = """[{"duration_ms": 500, "bandwidth_kbps": 2000, "latency_ms": 20},
- {"duration_ms": 1500, "bandwidth_kbps": 4000, "latency_ms": 40}]"""
 
 
 @pytest.mark.parametrize(("text", "starts", "rates", "duration", "rtt"), [

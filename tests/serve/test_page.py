@@ -1,7 +1,4 @@
-"""The player above the packages, the list of packages, of which no bad one takes the others, and which files there are.
-
-Files are those of packages at the moment of a request, and nothing else.
-"""
+"""The player above the packages, the list of packages, of which no bad one takes the others, and their files."""
 
 import base64
 import gzip
@@ -27,6 +24,9 @@ PACKAGE = VALID / "two-groups-sh1"
 STATE = "state/L0/1.m4s"
 POLICY = "Content-Security-Policy"
 STRANGE = "a <b>&?#%é.airgs"
+TABLE = "group/1.json.gz"
+EMPTY = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
+MANY = {"frames": [PAGE**4], "segments": [PAGE**4], "bytes": [100], "sha256": "A" * 32}
 
 
 @pytest.fixture(scope="module")
@@ -156,11 +156,6 @@ def test_packages_that_appear_go_or_break_are_listed_as_they_are(page, tmp_path)
         assert ask(port, "/first/airgs.json")[0] == 404
 
 
-TABLE = "group/1.json.gz"
-EMPTY = {"frames": [], "segments": [], "bytes": [], "sha256": ""}
-MANY = {"frames": [PAGE**4], "segments": [PAGE**4], "bytes": [100], "sha256": "A" * 32}
-
-
 def table_of(data, size=None):
     """With these bytes as the table of the group, which airgs.json knows."""
     entry = {"frames": [4], "segments": [1], "bytes": [size or len(data)], "sha256": digest(data)}
@@ -249,8 +244,7 @@ def test_a_folder_that_may_not_be_looked_into_is_none_of_the_list(holder, monkey
 @pytest.mark.parametrize(("path", "expected"), [
     ("airgs.json", "application/json"),      ("group/7.json.gz", "application/gzip"),
     ("index/1/12.json", "application/json"), ("key/T0/1.bin", "application/octet-stream"),
-    ("init.mp4", "video/mp4"),               ("manifest.mpd", "application/dash+xml"),
-    (STATE, "video/mp4"),
+    ("init.mp4", "video/mp4"),               (STATE, "video/mp4"), ("manifest.mpd", "application/dash+xml"),
     *((path, None) for path in ("", "notes.json", "airgs.json/", "key", "key/T0/notes.txt", "x/1.bin")),
     *((path, None) for path in ("key/../airgs.json", "key/./1.bin", "/airgs.json", "key//1.bin", "key/.b.bin")),
     *((path, None) for path in (".airgs.json.part", "airgs.json\n", "key/T0/1.bin\0", "key\\1.bin", "key/é/1.bin")),

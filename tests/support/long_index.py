@@ -1,7 +1,5 @@
 """The index of a long package of which there is nothing else."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Small manifests with known sizes, and sessions over them, for tests of the player."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import accumulate
@@ -14,6 +12,7 @@ from tests.faces import FormatError, Groups, Link, Manifest, Offers, SessionLog,
 from tests.support.regions import region
 
 Floats = Sequence[float]
+HASH = mf.digest(b"")
 BARE = {"startup_s": 0.0, "resume_s": 0.0, "decode_frame_s": 0.0, "loops": 1}
 BARE |= {"pipelined": False, "replace": False, "abandon": False}
 
@@ -40,9 +39,6 @@ def play(
 def missing(*paths: str) -> dict[str, FormatError]:
     """Faults of a package without these files, as `find_faults` gives them."""
     return {path: FormatError("missing_file", path, "expected a file, got nothing") for path in paths}
-
-
-HASH = mf.digest(b"")
 
 
 def in_groups(groups: Sequence[mf.Group], table_bytes: int = 100) -> Groups:

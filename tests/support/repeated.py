@@ -1,7 +1,5 @@
 """A package that shows the groups of another one over and over, without encoding anything."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

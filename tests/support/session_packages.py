@@ -3,8 +3,6 @@
 T key tiers, Q key qualities, L levels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import accumulate, pairwise
