@@ -25,20 +25,17 @@ def test_columns_are_right_aligned_and_long_lists_of_names_cut():
     assert listed(list("abcdefg")) == "a, b, c, d, e and 2 more"
 
 
-WITH_PICTURES = {
-    "none --trace const:1 --policy fixed:0 --report": airgs_play, "inspect none --plot": airgs_manifest,
-    "none -o out --report": airgs_train,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("words", WITH_PICTURES)
-def test_without_matplotlib_pictures_are_refused_before_the_work(words, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("main", "words"), [
+    (airgs_play, "none --trace const:1 --policy fixed:0 --report"), (airgs_manifest, "inspect none --plot"),
+    (airgs_train, "none -o out --report"),
+])  # fmt: skip
+def test_without_matplotlib_pictures_are_refused_before_the_work(main, words, tmp_path, monkeypatch, capsys):
     """What is looked at does not exist here: what is refused first must be the picture."""
     for name in [name for name in sys.modules if name.split(".")[0] == "matplotlib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.chdir(tmp_path)
-    assert WITH_PICTURES[words]([*words.split(), "picture.png"]) == 2
+    assert main([*words.split(), "picture.png"]) == 2
     error = capsys.readouterr().err
     assert f"{words.split()[-1]} needs matplotlib: pip install 'airgs-codec[plot]'" in error and error.count("\n") == 1
     assert not list(tmp_path.iterdir())

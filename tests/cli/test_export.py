@@ -110,16 +110,13 @@ def altered(name, *changes):
     return lambda folder: on_disk(shutil.copytree(PACKAGE, folder / name), *changes)
 
 
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (altered("broken", rewrite("state/L0/3.m4s", lambda data: data[:-1] + b"?")), "hash_mismatch"),
-        (altered("growing", set_value(("live",), True)), "still growing"),
-        (lambda folder: folder / "nothing", "missing_file"),
-        (lambda folder: "ftp://a/b", "expected a folder or an address"),
-        (altered("other/moving"), "different names"),
-    ],
-)
+@pytest.mark.parametrize(("make", "words"), [
+    (altered("broken", rewrite("state/L0/3.m4s", lambda data: data[:-1] + b"?")), "hash_mismatch"),
+    (altered("growing", set_value(("live",), True)), "still growing"),
+    (lambda folder: folder / "nothing", "missing_file"),
+    (lambda folder: "ftp://a/b", "expected a folder or an address"),
+    (altered("other/moving"), "different names"),
+])  # fmt: skip
 @pytest.mark.parametrize("before", [False, True])
 def test_a_package_that_cannot_be_exported_changes_nothing(tmp_path, capsys, make, words, before):
     package, site = make(tmp_path), tmp_path / "out" / "site"

@@ -84,14 +84,10 @@ def test_the_viewing_region_is_told_in_figures_and_words():
     assert "nobody knows from where" in format_summary(summarise(guess, MANIFESTS))
 
 
-DRAWN = {
-    "measured": tiny_manifest(), "not measured": tiny_manifest(psnr=None),
-    "one still frame": tiny_manifest(groups=(1,), state_bytes=(0,), psnr=[[100.0, 100.0]]),
-    "absurd": with_measured(tiny_manifest(), 0, -1e300, 0.9),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("m", DRAWN.values(), ids=DRAWN)
+@pytest.mark.parametrize("m", [
+    tiny_manifest(), tiny_manifest(psnr=None), with_measured(tiny_manifest(), 0, -1e300, 0.9),
+    tiny_manifest(groups=(1,), state_bytes=(0,), psnr=[[100.0, 100.0]]),
+], ids=["measured", "not measured", "absurd", "one still frame"])  # fmt: skip
 def test_the_picture_is_drawn(m, tmp_path):
     plot_ladder(m, MANIFESTS, tmp_path / "ladder.png")
     picture = read_picture(tmp_path / "ladder.png")

@@ -103,16 +103,13 @@ ENDLESS = [set_value(("key_steps", name), 1e30, TABLE) for name in ("log_scales"
 ENDLESS += [set_value(("qualities", q, "factor"), 1e6) for q in (0, 1)] + [set_value(("key_gain",), 1e-3)]
 
 
-@pytest.mark.parametrize(
-    ("changes", "reason"),
-    [
-        *[([set_value(("qualities", 1, "coarser"), cells)], "bad_sidecar") for cells in (0, 2, 3)],  # it was 1
-        *[([frame_bytes(more), reindexed], "size_mismatch") for more in (1, 10**9)],  # than the file has
-        ([*ENDLESS, reindexed], "bad_value"),  # steps that decode to no finite number
-        ([mutations.edit_tables(forget_keys, TABLE), reindexed], "missing_entry"),
-        ([lower_depths], "count_mismatch"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "reason"), [
+    *[([set_value(("qualities", 1, "coarser"), cells)], "bad_sidecar") for cells in (0, 2, 3)],  # it was 1
+    *[([frame_bytes(more), reindexed], "size_mismatch") for more in (1, 10**9)],  # than the file has
+    ([*ENDLESS, reindexed], "bad_value"),  # steps that decode to no finite number
+    ([mutations.edit_tables(forget_keys, TABLE), reindexed], "missing_entry"),
+    ([lower_depths], "count_mismatch"),
+])  # fmt: skip
 def test_tables_and_files_that_do_not_fit_each_other_are_refused(changes, reason):
     assert OPENED.manifest.qualities[1].coarser == 1
     found = findings(apply(MOVING, *changes))
