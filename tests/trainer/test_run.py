@@ -136,10 +136,6 @@ def without_a_picture(scene):
     return scene
 
 
-def of_one_camera(scene):
-    return replace(faces.with_held_out(scene, [f"cam0{i}" for i in range(1, 7)]), points=None)
-
-
 def of_cameras_that_look_outwards(scene):
     def turned(shot):
         flip = np.diag([-1.0, 1.0, -1.0, 1.0])
@@ -152,7 +148,8 @@ def of_cameras_that_look_outwards(scene):
 @pytest.mark.parametrize(("change", "reference", "message"), [
     (None, "cam99", "expected a training camera of cam"),
     (without_a_picture, None, "cam01/0001.png: expected a picture"),
-    (of_one_camera, None, "expected a cloud of points or at least two training views, got one view"),
+    (lambda scene: replace(faces.with_held_out(scene, [f"cam0{i}" for i in range(1, 7)]), points=None), None,
+     "expected a cloud of points or at least two training views, got one view"),
     (of_cameras_that_look_outwards, None, "views that look at a common place: no point to start from was found"),
     (None, None, "the loss is not finite"),
 ])  # fmt: skip

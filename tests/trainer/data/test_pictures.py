@@ -1,8 +1,10 @@
 """Pictures at training size: rays, memory, exposure; and plates: what rests, and what is never flattened."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -28,23 +30,16 @@ def test_smaller_pictures_keep_their_rays_and_are_within_half_a_level(moving):
     assert shown.shape == (24, 24, 3) and 0 < np.abs(shown - resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
 
 
-@dataclass
-class Counted:
-    """A place whose pictures are noise of one seed each, and how often they were read."""
-
-    seed: int
-    reads: list[int]
-
-    def read(self, size):
-        self.reads.append(self.seed)
-        return np.random.default_rng(self.seed).integers(0, 256, (*size[::-1], 3), np.uint8)
-
-
 def noise(cameras, width, height):
-    """A frame of many cameras, and the seeds that were read so far."""
+    """A frame of many cameras whose pictures are noise of one seed each, and the seeds that were read so far."""
     reads: list[int] = []
+
+    def read(seed, size):
+        reads.append(seed)
+        return np.random.default_rng(seed).integers(0, 256, (*size[::-1], 3), np.uint8)
+
     rig = (replace(camera, width=width, height=height) for camera in ring(cameras, size=16))
-    shots = tuple(faces.Shot(camera, Counted(i, reads)) for i, camera in enumerate(rig))
+    shots = tuple(faces.Shot(camera, SimpleNamespace(read=partial(read, i))) for i, camera in enumerate(rig))
     return faces.MultiviewScene(Path("noise"), Fraction(30), (shots,)), reads
 
 
