@@ -287,7 +287,7 @@ def gaussians(name, value):
     (partial(airgs.encode, FOX, 3), "path: expected a path or an address, got int 3"),
     (partial(airgs.open_package, None), "path: expected a path or an address, got None"),
     (partial(airgs.open_sequence, [1, 2]), r"folder: expected a path or an address, got list \[1, 2\]"),
-    (partial(airgs.compare, FOX, FOX, frames=range(99)), r"frames: expected some of range\(0, 10\), got range\(0, 99\)"),
+    (partial(airgs.compare, FOX, FOX, frames=range(99)), r"frames: expected some of range\(0, 10\), got .*\(0, 99\)"),
     (partial(airgs.Trace.open, 5), "trace: expected a path or an address, got int 5"),
     (partial(airgs.validate, None), "path: expected a path or an address, got None"),
     (partial(airgs.simulate, [], "const:5"), r"package: expected an open package or .* of one, got list \[\]"),

@@ -23,6 +23,7 @@ from tests.faces import FileKind, Memory, digest, file_kind, open_package, valid
 from tests.makers.refusals import TABLE, with_columns
 from tests.support import mutations
 from tests.support.mutations import Files, add_file, apply, honest, read_files, reindexed, set_value, write_files
+from tests.support.packages import PACKAGES
 from tests.support.paths import FOX, VALID
 from tests.support.refusals import base_files, findings
 from tests.support.scenes import moving_frames, write_sequence
@@ -225,20 +226,6 @@ def test_text_of_a_package_does_not_act_on_a_terminal(tmp_path, capsys):
     assert r"\x1b[2J\x9b2J\u202eby a friend" in said and all(c.isprintable() or c == "\n" for c in said)
 
 
-@pytest.fixture(scope="module")
-def turned(made_once):
-    """A package without the rows that pictures do not need, in which most that swings is not updated; its sequence."""
-
-    def make(folder):
-        sequence = faces.open_sequence(write_sequence(folder / "scene", moving_frames(400, 4, 1)))
-        levels = faces.LevelSettings(0.6), faces.LevelSettings(0.6, 2.0)
-        fast = faces.EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", threads=2, levels=levels)
-        faces.encode(sequence, folder / "out", fast)
-
-    folder = made_once("turned", make)
-    return open_package(folder / "out"), faces.open_sequence(folder / "scene")
-
-
 def test_every_atlas_keeps_its_bound_and_the_bound_is_tight_and_wider_in_coarser_levels(demo_package):
     package = open_package(demo_package)
     m, measured = package.manifest, list(faces.measure_errors(package, faces.open_sequence(FOX)))
@@ -267,9 +254,9 @@ def test_a_lie_is_found_and_another_sequence_refused(demo_copy, tmp_path, capsys
         list(faces.measure_errors(open_package(demo_copy), other))
 
 
-def test_rows_that_are_left_out_turned_or_never_updated_keep_their_promises(turned):
+def test_rows_that_are_left_out_turned_or_never_updated_keep_their_promises(package_of):
     """The rows are in another order; those that move and are never updated are found by their mean."""
-    package, sequence = turned
+    package, sequence = open_package(package_of("turned")), PACKAGES["turned"].scene()
     measured, base = list(faces.measure_errors(package, sequence)), faces.decode_canonical(package, 0, 0)
     assert validate(package.files.path) == faces.exceeded(measured) == []
     assert max(m.ambiguous for m in measured) == 0 and all(e.error <= e.bound for e in measured)

@@ -27,6 +27,7 @@ PLAIN = EncodeSettings(calibrate="none", measure_pictures=0, preset="veryfast", 
 GROUP = 3  # frames of a group of `keys` and `rows`
 SEGMENT = 8  # frames of a segment of `lines`
 SEEN = replace(region(place(0.0)), width=96, height=72)
+TURNED = LevelSettings(0.6), LevelSettings(0.6, 2.0)  # most that swings is not updated
 NTSC = Fraction(30_000, 1001)  # frames a second of `sound`
 
 
@@ -207,4 +208,5 @@ PACKAGES: dict[str, Callable[[Path], object]] = {
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
     "harmonics": Encoded(harmonic_frames, replace(QUICK, segment_s=1.0, levels=TWO_LEVELS), fps=4, cameras=True),
     "drift": Encoded(swaying, replace(QUICK, preset="ultrafast", keys=faces.APART, levels=TIERED_LEVELS)),
+    "turned": Encoded(lambda: [moving_frames(400, 4, 1)], replace(PLAIN, keep_all=False, levels=TURNED), cameras=True),
 }
