@@ -69,11 +69,6 @@ class Target:
 
 
 @cache
-def seeds(target: Target) -> list[Files]:
-    return target.make()
-
-
-@cache
 def packages() -> list[Files]:
     return [read_files(folder) for folder in sorted(VALID.iterdir())]
 
@@ -94,9 +89,8 @@ def decode_all(files: Files) -> str:
                 frames = range(m.segments[index].stop - m.segments[index].start)
                 for level in range(len(m.levels)):
                     shown += faces.decode_segment(package, index, bases[0], level, frames)
-            for gaussians in shown:
-                for attribute in fields(gaussians):
-                    digest.update(getattr(gaussians, attribute.name).tobytes())
+            for values in (getattr(g, attribute.name) for g in shown for attribute in fields(g)):
+                digest.update(values.tobytes())
     except AirgsError as error:
         if is_valid:
             raise AssertionError(f"what validate lets pass is refused: {error}") from error
@@ -232,10 +226,8 @@ def _beside() -> list[Files]:
     values = np.ones(9)
     usage = {(0, 5): faces.Usage(values, values, np.arange(9))}
     sabre = [{"duration_ms": 1000, "bandwidth_kbps": 800, "latency_ms": 20}] * 20
-    numbers = dict.fromkeys(
-        ("gaussians", "added", "psnr", "held_out_psnr", "held_out_matched", "held_out_ssim", "rejected_psnr"), 1
-    )
-    frame = numbers | {"frame": 0, "kind": "first", "seconds": 1}
+    marks = ("psnr", "held_out_psnr", "held_out_matched", "held_out_ssim", "rejected_psnr")
+    frame = dict.fromkeys(("gaussians", "added", *marks), 1) | {"frame": 0, "kind": "first", "seconds": 1}
     record = {"version": faces.MODEL_VERSION, "scene": {}, "settings": {}, "total": 1, "fps": "30", "frames": [frame]}
     texts = {
         "trace.csv": (FOX / "trace.csv").read_text()[:3000],
@@ -277,30 +269,29 @@ def _splatvs() -> list[Files]:
     return [{"a.splatv": splatv_bytes(random_rows(30), cameras=rig)} for rig in ((), (*as_inria(ring(3)),))]
 
 
-def _numbered() -> list[Files]:
-    return [{"a.4dgs": numbered_4dgs([(g, np.arange(40)) for g in moving_frames(40, 5)], 12)}]
-
-
+SCENES: dict[str, tuple[float, Callable[[], list[Files]]]] = {  # weights of targets
+    ".ply": (6, _plys),
+    ".splat": (2, lambda: _scenes(".splat")),
+    ".glb": (6, lambda: _scenes(".glb")),
+    ".splatv": (5, _splatvs),
+    ".spz": (0.5, lambda: _scenes(".v2.spz", ".v3.spz", ".v4.spz")),
+    ".sog": (0.5, lambda: _scenes(".sog")),
+    ".4dgs": (0.3, lambda: [{"a.4dgs": numbered_4dgs([(g, np.arange(40)) for g in moving_frames(40, 5)], 12)}]),
+    ".splat4d": (0.3, lambda: [_written(write_splat4d, "a.splat4d", moving_frames(40, 5), 24)]),
+}
 TARGETS = (
     Target("package", 60, packages, decode_all, change_package),
     Target("tables", 10, packages, look_and_play, change_package),
     Target("cameras", 8, lambda: [_written(write, "", ring(3)) for write in FORMS.values()], on_disk(read_rig)),
     Target("beside", 4, _beside, on_disk(read_beside)),
     Target("store", 2, lambda: [_stored()], read_store),
-    *(
-        Target(name, weight, make, on_disk(read_scene))
-        for name, weight, make in (
-            (".ply", 6, _plys),
-            (".splat", 2, lambda: _scenes(".splat")),
-            (".glb", 6, lambda: _scenes(".glb")),
-            (".splatv", 5, _splatvs),
-            (".spz", 0.5, lambda: _scenes(".v2.spz", ".v3.spz", ".v4.spz")),
-            (".sog", 0.5, lambda: _scenes(".sog")),
-            (".4dgs", 0.3, _numbered),
-            (".splat4d", 0.3, lambda: [_written(write_splat4d, "a.splat4d", moving_frames(40, 5), 24)]),
-        )
-    ),
+    *(Target(name, weight, make, on_disk(read_scene)) for name, (weight, make) in SCENES.items()),
 )
+
+
+@cache
+def seeds(target: Target) -> list[Files]:
+    return target.make()
 
 
 @cache

@@ -1,5 +1,7 @@
 """Loops, and the packages that people see first."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,14 +11,15 @@ from tests.support.scenes import moving_frames, write_sequence
 from tools.make_loop import main, mix
 
 SHOWCASE = CORPUS / "showcase"
-MOST_BYTES = 1_500_000
 
 
-def test_the_end_of_a_loop_turns_into_what_was_before_its_beginning(tmp_path):
+def test_the_end_of_a_loop_turns_into_what_was_before_its_beginning(tmp_path, capsys):
     frames = moving_frames(50, 12)
-    source = write_sequence(tmp_path / "long", frames)
-    words = ["--frames", "4:10", "--blend", "3", "--position", "0,0.5,3", "--focus", "0,0,0"]
-    assert main([str(source), "-o", str(tmp_path / "loop"), *words]) == 0
+    words = [str(write_sequence(tmp_path / "long", frames)), "-o", str(tmp_path / "loop"), "--frames", "4:10"]
+    words += ["--position", "0,0.5,3", "--focus", "0,0,0"]
+    assert main(words) == 2 and not (tmp_path / "loop").exists()
+    assert "--frames: expected A:B from 12 to 12, got 4:10" in capsys.readouterr().err
+    assert main([*words, "--blend", "3"]) == 0
     loop = open_sequence(tmp_path / "loop")
     assert len(loop) == 6 and {camera.split for camera in loop.cameras} == {"train", "test"}
     for place in range(3):
@@ -24,22 +27,10 @@ def test_the_end_of_a_loop_turns_into_what_was_before_its_beginning(tmp_path):
     for place, share in ((3, 0.25), (4, 0.5), (5, 0.75)):
         expected = frames[4 + place].means * (1 - share) + frames[place - 2].means * share
         np.testing.assert_allclose(loop.read(place).means, expected, atol=1e-5)
-
-
-def test_turns_are_mixed_the_shorter_way():
-    a, b = moving_frames(50, 2)
-    mixed = mix(a, b, 0.5).quaternions
-    other = mix(a, type(b)(**{**{f: getattr(b, f) for f in b.__slots__}, "quaternions": -b.quaternions}), 0.5)
+    a, b = frames[:2]
+    mixed, other = (mix(a, replace(b, quaternions=sign * b.quaternions), 0.5).quaternions for sign in (1, -1))
     np.testing.assert_allclose(np.linalg.norm(mixed, axis=1), 1, atol=1e-5)
-    np.testing.assert_allclose(other.quaternions, mixed, atol=1e-6)
-
-
-def test_frames_that_are_not_there_are_refused(tmp_path, capsys):
-    source = write_sequence(tmp_path / "long", moving_frames(50, 12))
-    words = ["-o", str(tmp_path / "loop"), "--position", "0,0,3", "--focus", "0,0,0"]
-    assert main([str(source), *words, "--frames", "4:10"]) == 2
-    assert "--frames: expected A:B from 12 to 12, got 4:10" in capsys.readouterr().err
-    assert not (tmp_path / "loop").exists()
+    np.testing.assert_allclose(other, mixed, atol=1e-6)  # the shorter way
 
 
 @pytest.mark.parametrize("name", ["head.airgs", "fox.airgs"])
@@ -47,7 +38,7 @@ def test_the_showcase_is_whole_small_and_says_whose_it_is(name):
     package = open_package(SHOWCASE / name)
     m = package.manifest
     assert find_faults(package) == {} and m.poster and m.attribution
-    assert m.media_bytes() + package.manifest_bytes <= MOST_BYTES
+    assert m.media_bytes() + package.manifest_bytes <= 1_500_000
 
 
 def test_the_end_of_the_head_meets_its_beginning():

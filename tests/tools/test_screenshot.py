@@ -2,25 +2,17 @@
 
 import sys
 
-import pytest
-
 from tests.support.paths import VALID
 from tools import screenshot
 
 
-@pytest.fixture
-def arguments(tmp_path, monkeypatch):
+def test_it_says_what_is_missing_and_the_browser_gets_the_address_of_the_package(monkeypatch, tmp_path, capsys):
     monkeypatch.setattr(sys, "argv", ["screenshot", str(VALID / "moving"), "-o", str(tmp_path / "a.png")])
-
-
-def test_it_says_what_is_missing(arguments, monkeypatch, capsys):
-    monkeypatch.setattr(screenshot.shutil, "which", lambda name: None)
-    assert screenshot.main() == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(screenshot.shutil, "which", lambda name: None)
+        assert screenshot.main() == 0
     out = capsys.readouterr().out
     assert "chromium" in out and "node" in out and out.count("\n") == 1
-
-
-def test_the_browser_gets_the_address_of_the_package(arguments, monkeypatch, tmp_path):
     monkeypatch.setattr(screenshot, "missing", list)
     node = tmp_path / "node"
     node.write_text(f"#!{sys.executable}\nimport sys\nopen(sys.argv[3], 'w').write(sys.argv[2])\nsys.exit(2)\n")

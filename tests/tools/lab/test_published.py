@@ -35,9 +35,9 @@ def test_every_number_of_results_is_in_the_file_of_figures(path):
 
 
 def test_the_first_page_shows_an_answer_of_every_page_that_has_one():
-    entries, text = published.read_figures(), (published.RESULTS / "README.md").read_text()
+    entries = published.read_figures()
     table = published.answers_of(entries)
-    assert published.markdown_table(table) in text
+    assert published.markdown_table(table) in (published.RESULTS / "README.md").read_text()
     told = {one["question"].partition("](")[2].removesuffix(".md)"): one["answer"] for one in table.rows}
     assert told.keys() == {path.stem for path in PAGES} - {"README"}
     assert all(told[one["document"]] for one in entries.values() if one["answers"] and one["document"] != "README")
@@ -80,20 +80,17 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
     (folder / "thing.md").write_text("# A thing\n" + marks.format("thing") + marks.format("second"))
     (folder / "README.md").write_text(marks.format("answers"))
     (tmp_path / "README.md").write_text(marks.format("thing"))
-    for name, value in {
-        "RESULTS": folder,
-        "README": tmp_path / "README.md",
-        "FIGURES": folder / "figures.json",
-    }.items():
+    thing = Measurement("thing", "thing", "thing")
+    instead = {"RESULTS": folder, "README": tmp_path / "README.md", "FIGURES": folder / "figures.json"}
+    for name, value in (instead | {"MEASUREMENTS": (thing,)}).items():
         monkeypatch.setattr(published, name, value)
-    monkeypatch.setattr(published, "MEASUREMENTS", (Measurement("thing", "thing", "thing"),))
     rows = [{"name": "a|b", "ms": 1.25, "ok": True, "more": 1}, {"name": "c", "ms": math.nan, "ok": False}]
     times = Table("times", rows, {"name": ("name", ""), "ms": ("ms", ".1f"), "ok": ("good", "")})
     brief = Table("brief", [{"name": "a", "ms": 1.25}], {"ms": ("time", ".2f")})
     section = Section("It takes 1 ms.", "How long?", [Picture("line", "A line", lambda figure: None)], [times])
     page = Page([section, Section("No.", "More?")], "By hand.", brief=[brief])
     made = Made("thing", "How long?", "python -m tools.lab thing", "2 cores", 3.2, "2026-11-26", "abc1234", 4)
-    published.publish(Measurement("thing", "thing", "thing"), page, made, tmp_path)
+    published.publish(thing, page, made, tmp_path)
     assert "|time|\n|---:|\n|1.25|\n" in (tmp_path / "README.md").read_text()
     assert "|[A thing](thing.md)|It takes 1 ms.|" in (folder / "README.md").read_text()
     assert (folder / "line.png").read_bytes() == b"picture"
@@ -111,12 +108,10 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
         published.publish(Measurement("other", "thing", "other"), page, replace(made, name="other"), tmp_path)
 
 
-@pytest.mark.parametrize(
-    "words", [["stiff", "--quick"], ["work-precision"], ["stiff", "--publish", "stiff", "--quick"]]
-)
-def test_only_the_command_that_documents_show_is_published(words):
-    with pytest.raises(ConfigError, match=r"expected the command that documents show, python -m tools\.lab stiff"):
-        measurement_of("stiff", words)
+def test_only_the_command_that_documents_show_is_published():
+    for words in (["stiff", "--quick"], ["work-precision"], ["stiff", "--publish", "stiff", "--quick"]):
+        with pytest.raises(ConfigError, match=r"expected the command that documents show, python -m tools\.lab stiff"):
+            measurement_of("stiff", words)
     assert measurement_of("stiff", ["stiff", "--publish", "stiff", "-o", "a"]).name == "stiff"
 
 
@@ -153,10 +148,7 @@ ABOVE = curve((10, 60), (20, 62), (30, 64), (40, 66))
         (WIDE, WIDE[:3], (), None),  # four points are needed
     ],
 )
-def test_bd_rate_of_known_curves(points, against, span, rate):
+def test_rates_and_bytes_of_known_curves_lie_between_their_points(points, against, span, rate):
     assert bd_rate(points, against, *span) == (rate if rate is None else pytest.approx(rate))
-
-
-def test_bytes_at_a_quality_are_between_points_and_never_beyond_them():
     assert [kb_at(WIDE, 44), kb_at(WIDE, 42.5)] == pytest.approx([20, (14 * 20) ** 0.5])
     assert kb_at(WIDE, 37) is None is kb_at(WIDE[:1], 38)

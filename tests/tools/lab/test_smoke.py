@@ -69,17 +69,9 @@ def train_chunk(capture, frames, *rest):
         yield TrainedFrame(coloured_cloud(20), FrameRecord(t, kind, gaussians=20, added=0, seconds=1.0, **shown))
 
 
-def train_first(capture, *rest):
-    return next(train_chunk(capture, range(1)))
-
-
 def alone(function, *arguments, limit_s=None):
     took, value = seconds_of(lambda: function(*arguments))
     return Alone(took, 1.0), value
-
-
-def command(words, **_):
-    return SimpleNamespace(returncode=airgs_train(words[3:]))
 
 
 def known_extremes(*_):
@@ -89,6 +81,9 @@ def known_extremes(*_):
     return extremes.page([known[case.name] for case in sequences.CASES])
 
 
+ENCODE = {"encode": encode}
+TRAIN = {"train_first": lambda capture, *rest: next(train_chunk(capture, range(1)))}
+COMMAND = SimpleNamespace(run=lambda words, **_: SimpleNamespace(returncode=airgs_train(words[3:])), DEVNULL=None)
 FARM = f"""
 import os, shutil, sys
 os.chdir(sys.argv[2])
@@ -98,18 +93,14 @@ for name in ("jobs/one", "records"):
 shutil.copytree("one.airgs", "farm.airgs")
 """
 INSTEAD = {
-    "airgs_codec.trainer.pipeline": {"train_first": train_first, "train_chunk": train_chunk},
-    "tools.lab.baselines.airgs": {"encode": encode},
-    "tools.lab.bench.claims": {"encode": encode},
-    "tools.lab.bench.devices": {"encode": encode, "alone": alone},
-    "tools.lab.bench.jobs": {"encode": encode},
-    "tools.lab.bench.mechanisms": {"encode": encode, "train_first": train_first, "SPLITS": (1,), "FRAMES": 2},
-    "tools.lab.bench.scale": {"encode": encode, "alone": alone},
-    "tools.lab.bench.soak_farm": {"encode": encode, "PAUSE_S": 0.02, "ROWS": 9, "COMMAND": FARM},
+    "airgs_codec.trainer.pipeline": {**TRAIN, "train_chunk": train_chunk},
+    **{f"tools.lab.{name}": ENCODE for name in ("baselines.airgs", "bench.claims", "bench.jobs", "bench.tracked")},
+    **{f"tools.lab.bench.{name}": {**ENCODE, "alone": alone} for name in ("devices", "scale")},
+    "tools.lab.bench.mechanisms": {**ENCODE, **TRAIN, "SPLITS": (1,), "FRAMES": 2},
+    "tools.lab.bench.soak_farm": {**ENCODE, "PAUSE_S": 0.02, "ROWS": 9, "COMMAND": FARM},
     "tools.lab.bench.soak_farm.Cluster": {"keep": lambda _: None, "kill": lambda *_: None},
-    "tools.lab.bench.splits": {"subprocess": SimpleNamespace(run=command, DEVNULL=None)},
-    "tools.lab.bench.static": {"encode": encode, "DRAWS": 2},
-    "tools.lab.bench.tracked": {"encode": encode},
+    "tools.lab.bench.splits": {"subprocess": COMMAND},
+    "tools.lab.bench.static": {**ENCODE, "DRAWS": 2},
     "tools.lab.numerics.extremes": {"run": known_extremes},
     "tools.lab.numerics.rows.Bench": {"ladder": lambda *_: open_package(GOLDEN / "fox")},
     "tools.lab.numerics.stiff": {"CASES": [case for case in stiff.CASES if case.name.startswith("codec-closed")]},
