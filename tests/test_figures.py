@@ -1,7 +1,6 @@
 """Callers take figures and events of sessions as plain values, make traces, and compare, read and write frames."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,32 +11,21 @@ from tests.support.paths import FOX, GOLDEN
 PACKAGE = GOLDEN / "fox"
 
 
-@pytest.fixture(scope="module")
-def log():
-    return airgs.simulate(PACKAGE, "const:5", "bola")
-
-
-def test_figures_and_events_are_plain_values(log):
-    figures = json.loads(json.dumps(log.metrics.as_dict()))
+def test_figures_and_events_are_plain_values_and_a_data_frame():
+    log = airgs.simulate(PACKAGE, "const:5", "bola")
+    figures, events = json.loads(json.dumps([log.metrics.as_dict(), log.events]))
     assert figures["psnr_mean"] == log.metrics.psnr_mean
-    events = json.loads(json.dumps(log.events))
-    assert [event["event"] for event in events].count("fetch") == len(log.fetches)
-    shown = [event for event in events if event["event"] == "show"]
-    assert [event["at_s"] for event in shown] == [segment.start_s for segment in log.shown]
-    assert [event["at_s"] for event in events] == sorted(event["at_s"] for event in events)
-
-
-def test_events_are_a_data_frame_with_the_figures_of_the_session(log):
+    kinds, times = ([event[key] for event in events] for key in ("event", "at_s"))
+    assert kinds.count("fetch") == len(log.fetches) and times == sorted(times)
+    assert [event["at_s"] for event in events if event["event"] == "show"] == [part.start_s for part in log.shown]
     frame = log.to_pandas()
-    assert list(frame["event"]) == [event["event"] for event in log.events]
+    assert list(frame["event"]) == kinds and frame.attrs == log.metrics.as_dict()
     assert frame["bytes"].sum() == sum(fetch.bytes for fetch in log.fetches)
-    assert frame.attrs == log.metrics.as_dict()
 
 
 def test_a_trace_is_made_of_arrays():
     trace = airgs.Trace.from_arrays([10, 11, 13], np.array([8.0, 0, 4]))
-    assert [trace.rate_at(at) for at in (0.5, 1.5, 3.5)] == [8e6, 0, 4e6]
-    assert trace.duration_s == 5
+    assert [trace.rate_at(at) for at in (0.5, 1.5, 3.5)] == [8e6, 0, 4e6] and trace.duration_s == 5
     assert airgs.simulate(PACKAGE, trace, "bola").metrics.trace_mean_bps == trace.mean_bps
 
 
@@ -53,8 +41,7 @@ def test_a_policy_knows_the_throughput():
 
 
 def test_what_is_open_is_compared_and_what_is_at_a_path():
-    cameras = [airgs.Camera.look_at((0, -1, -4), (0, 0, 0), size=(64, 48))]
-    frames = range(0, 4, 2)
+    cameras, frames = [airgs.Camera.look_at((0, -1, -4), (0, 0, 0), size=(64, 48))], range(0, 4, 2)
     package = airgs.open_package(PACKAGE)
     top = airgs.Sequence.from_arrays([f.gaussians for f in airgs.decode_frames(package, 0, 4)], fps=24)
     same, low = (airgs.compare(top, package, rung=r, cameras=cameras, frames=frames) for r in (None, "Q1+L1"))
@@ -71,28 +58,23 @@ def test_a_frame_is_written_and_read_in_formats_by_their_names(tmp_path):
 
 
 NO_TRACES = (([], []), ([0, 1], [5]), ([[0]], [[5]]), ([1, 0], [5, 5]), ([0], [-1]), (["a"], [1]), (0, 5))
+BOTH = "expected an open sequence or package, or the path of one"
 
 
 @pytest.mark.parametrize(
-    ("call", "line"),
+    ("call", "arguments", "settings", "line"),
     [
-        *((partial(airgs.Trace.from_arrays, *arrays), "arrays: ") for arrays in NO_TRACES),
-        (
-            partial(airgs.compare, 3, PACKAGE),
-            "reference: expected an open sequence or package, or the path of one, got int 3",
-        ),
-        (partial(airgs.compare, PACKAGE, PACKAGE, frames=range(0, 99)), "frames: expected some of"),
-        (partial(airgs.compare, PACKAGE, PACKAGE, frames=3), "frames: expected a range, got int 3"),
-        (partial(airgs.compare, FOX, FOX, rung="Q0+L0"), "expected a package for the rung"),
-        (partial(airgs.read, FOX), "expected one frame, got"),
-        (partial(airgs.read, 3), "path: expected a path or an address, got int 3"),
-        (partial(airgs.write, FOX, "x.ply"), "gaussians: expected Gaussians or a mapping of their arrays, got"),
-        (
-            lambda: airgs.write(airgs.read(FOX / "000000.ply"), None),
-            "path: expected a path or an address, got None",
-        ),
+        *((airgs.Trace.from_arrays, arrays, {}, "arrays: ") for arrays in NO_TRACES),
+        (airgs.compare, (3, PACKAGE), {}, f"reference: {BOTH}, got int 3"),
+        (airgs.compare, (PACKAGE, PACKAGE), {"frames": range(0, 99)}, "frames: expected some of"),
+        (airgs.compare, (PACKAGE, PACKAGE), {"frames": 3}, "frames: expected a range, got int 3"),
+        (airgs.compare, (FOX, FOX), {"rung": "Q0+L0"}, "expected a package for the rung"),
+        (airgs.read, (FOX,), {}, "expected one frame, got"),
+        (airgs.read, (3,), {}, "path: expected a path or an address, got int 3"),
+        (airgs.write, (FOX, "x.ply"), {}, "gaussians: expected Gaussians or a mapping of their arrays, got"),
+        (airgs.write, (airgs.read(FOX / "000000.ply"), None), {}, "path: expected a path or an address, got None"),
     ],
 )
-def test_what_is_no_trace_no_frame_or_cannot_be_compared_is_refused(call, line):
+def test_what_is_no_trace_no_frame_or_cannot_be_compared_is_refused(call, arguments, settings, line):
     with pytest.raises(airgs.AirgsError, match=line):
-        call()
+        call(*arguments, **settings)

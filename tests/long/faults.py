@@ -17,7 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import partial
@@ -181,8 +181,8 @@ def jump(times: int, seed: int, folder: Path) -> Told:
     for number in range(times):
         target, clock, wrong = folder / f"jumped{number}", Clock(chance, back=True), ""
         dates = SimpleNamespace(now=clock.now, fromtimestamp=datetime.fromtimestamp)
-        clocks = {"live.time": clock.module(), "live.datetime": dates}
-        with replaced("encoder", clocks), replaced("package", {"publish.datetime": dates}):
+        clocks = patch.multiple("airgs_codec.encoder.live", time=clock.module(), datetime=dates)
+        with clocks, patch("airgs_codec.package.publish.datetime", dates):
             for _ in publish(scene, target):
                 wrong = wrong or judge(0, "", (0,), target)
         yield f"publisher, {clock.jumped_s:.0f} s", wrong or judge(0, "", (0,), target)
@@ -190,7 +190,8 @@ def jump(times: int, seed: int, folder: Path) -> Told:
         rules = faces.SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0)
         settings = faces.HttpSettings(as_fast=True)
         with (
-            replaced("play", {"http.time": clock.module(), "player.POLL_S": 0.0}),
+            patch("airgs_codec.play.http.time", clock.module()),
+            patch("airgs_codec.play.player.POLL_S", 0.0),
             faultily_serving(growing.folder, Weather(0.0)) as port,
             faces.HttpDownloader(f"http://127.0.0.1:{port}", settings, growing.received) as link,
         ):
@@ -198,15 +199,6 @@ def jump(times: int, seed: int, folder: Path) -> Told:
         shown = [s.segment for s in log.shown]
         lost = "" if shown and not log.lost and shown == sorted(shown) else f"showed {shown}, lost {log.lost}"
         yield f"player, {clock.jumped_s:.0f} s", lost
-
-
-@contextmanager
-def replaced(part: str, values: dict[str, Any]) -> Iterator[None]:
-    """Other values of names of modules of a folder of airgs_codec."""
-    with ExitStack() as stack:
-        for name, value in values.items():
-            stack.enter_context(patch(f"airgs_codec.{part}.{name}", value))
-        yield
 
 
 def publish(scene: Path, target: Path) -> Iterator[object]:
@@ -228,9 +220,10 @@ def failing(folder: Path, calls: int) -> Iterator[list[str]]:
 
         return call
 
-    with ExitStack() as stack:
-        for name in ("open", "sizes", "write", "delete"):
-            stack.enter_context(patch.object(faces.Folder, name, wrapped(getattr(faces.Folder, name))))
+    broken: dict[str, Any] = {
+        name: wrapped(getattr(faces.Folder, name)) for name in ("open", "sizes", "write", "delete")
+    }
+    with patch.multiple(faces.Folder, **broken):
         try:
             yield said
         except faces.TransportError as error:

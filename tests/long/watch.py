@@ -32,10 +32,8 @@ for (;;) {
   await new Promise((resolve) => setTimeout(resolve, 1000 * EVERY));
   const { framesShown, framesDropped, stalls, bytes } = element.player?.stats ?? {};
   const trouble = element.shadowRoot.querySelector(".card")?.innerText;
-  await fetch("/report", {
-    method: "POST",
-    body: JSON.stringify({ framesShown, framesDropped, stalls, bytes, problems, trouble }),
-  });
+  const body = JSON.stringify({ framesShown, framesDropped, stalls, bytes, problems, trouble });
+  await fetch("/report", { method: "POST", body });
 }
 </script>""".replace("EVERY", str(EVERY_S))
 
@@ -50,18 +48,16 @@ def watch_browsers(times: int, seed: int, folder: Path) -> Iterator[tuple[str, s
 
 def watch(browser: Browser, minutes: float) -> list[str]:
     reports: list[dict[str, Any]] = []
+    sizes: list[int] = []
+    shown: list[int] = []
 
     def told(body: bytes) -> bytes:
         reports.append(json.loads(body))
         return b""
 
-    sizes: list[int] = []
-    shown: list[int] = []
     folders = {"page": PACKAGE / "serve" / "page", "package": CORPUS / "showcase" / "fox.airgs"}
-    with (
-        serve(folders, {"/watch.html": WATCH.encode}, told) as site,
-        browser.start(site.url + "/watch.html") as process,
-    ):
+    site = serve(folders, {"/watch.html": WATCH.encode}, told)
+    with site as here, browser.start(here.url + "/watch.html") as process:
         end = time.monotonic() + 60 * minutes
         while time.monotonic() < end:
             time.sleep(min(60, max(0, end - time.monotonic())))
