@@ -51,11 +51,11 @@ def test_nothing_is_lost_far_from_zero(tmp_path, form, scale):
     frame = random_gaussians(60).placed(np.zeros(3), scale)
     cameras = cameras_from(np.negative(UTM), faces.orbit_views(frame, count=3))
     sequence = opened(tmp_path, form, frame, cameras)
-    back, given = sequence.read(0), frame.means + np.array(UTM)
+    back, origin, given = sequence.read(0), np.array(sequence.origin), frame.means + np.array(UTM)
     assert back.means.dtype == np.float32
-    np.testing.assert_allclose(back.means + np.array(sequence.origin), given, atol=1e-7 * scale, rtol=0)
+    np.testing.assert_allclose(back.means + origin, given, atol=1e-7 * scale, rtol=0)
     for found, camera in zip(sequence.cameras, cameras, strict=True):
-        np.testing.assert_allclose(found.position + sequence.origin, camera.position, atol=1e-8, rtol=0)
+        np.testing.assert_allclose(found.position + origin, camera.position, atol=1e-8, rtol=0)
     assert any("448262" in note and "100%" in note for note in sequence.notes) == (form != "told")
 
 
@@ -134,7 +134,7 @@ def test_trainers_begin_there_and_files_are_in_the_world(tmp_path, write):
         if model.is_dir():
             rows = [f"{i} {x!r} {y!r} {z!r} 9 9 9 0" for i, (x, y, z) in enumerate((cloud.means + shift).tolist())]
             (model / "points3D.txt").write_text("\ufeff" + "\r\n".join(rows), encoding="utf-8")
-    near, far = faces.open_scene(tmp_path / "near"), faces.open_scene(tmp_path / "far")
+    near, far = (faces.open_scene(tmp_path / name) for name in ("near", "far"))
     assert near.origin == (0, 0, 0) and abs(far.origin[0] - UTM[0]) < 4
     away = np.array(far.origin) - UTM
     for a, b in zip(near.cameras, far.cameras, strict=True):

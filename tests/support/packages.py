@@ -20,6 +20,7 @@ from tests.support.rooms import room_behind_a_door, room_frames
 from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
 
 TWO_LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
+LINED_LEVELS = (LevelSettings(0.0), LevelSettings(0.3, 2.0))
 TIERED_LEVELS = (
     LevelSettings(0.0), LevelSettings(0.3, 1.5), LevelSettings(0.5, 2.0, 1, 1), LevelSettings(0.6, 3.0, 1, 1),
 )  # fmt: skip
@@ -68,20 +69,18 @@ def fox(folder: Path) -> None:
     encode(open_sequence(FOX), folder, settings)
 
 
-def sound(folder: Path) -> None:
-    """Three groups of 13 frames that move, with a chirp as long as they."""
-    with TemporaryDirectory() as root:
-        shutil.copytree(write_chirping(Path(root), 39, NTSC, 13), folder)
+def chirping(frames: int, fps: Fraction, group_frames: int) -> Callable[[Path], None]:
+    """Groups that move, with a chirp as long as they."""
 
+    def make(folder: Path) -> None:
+        with TemporaryDirectory() as root:
+            shutil.copytree(write_chirping(Path(root), frames, fps, group_frames), folder)
 
-def chirping(folder: Path) -> None:
-    """Six groups of a second that move, 25 frames each, with a chirp as long as they."""
-    with TemporaryDirectory() as root:
-        shutil.copytree(write_chirping(Path(root), 150, Fraction(25), 25), folder)
+    return make
 
 
 def silent(folder: Path) -> None:
-    """The same without sound."""
+    """`sound` without it."""
     with TemporaryDirectory() as root:
         scene = write_sequence(Path(root), moving_frames(40, 39))
         encode(open_sequence(scene, fps=NTSC), folder, replace(SOUNDING, group_frames=13))
@@ -138,12 +137,15 @@ def lined_groups() -> list[list[Gaussians]]:
     """Two segments of even motion, a frame alone, a segment of uneven motion, one in which a row jumps and returns."""
     rng, first, even = np.random.default_rng(1), random_gaussians(300), drifting(900, 2 * SEGMENT + 1)
     shifts = rng.normal(size=(SEGMENT, 300, 3)).astype(np.float32) / 9
-    uneven = [replace(first, means=first.means + shift) for shift in shifts]
     jump = moving_frames(200, 5)
-    means = jump[3].means.copy()
-    means[11] += 500.0
-    jump[3] = replace(jump[3], means=means)
-    return [even[:-1], even[-1:], uneven, jump]
+    away = (np.arange(200) == 11)[:, None] * np.float32(500)
+    jump[3] = replace(jump[3], means=jump[3].means + away)
+    return [even[:-1], even[-1:], [replace(first, means=first.means + shift) for shift in shifts], jump]
+
+
+def few_rows(degree: int = 0) -> list[list[Gaussians]]:
+    """Few rows and those about 16 times 16, a group each."""
+    return [moving_frames(count, 2, degree=degree) for count in (1, 2, 255, 256, 257)]
 
 
 def few_groups() -> list[list[Gaussians]]:
@@ -151,16 +153,8 @@ def few_groups() -> list[list[Gaussians]]:
     constant colours and opacities, few rows and those about 16 times 16."""
     still, g = moving_frames(60, 1)[0], random_gaussians(80)
     there, back = (replace(still, means=still.means + np.float32(shift)) for shift in (0.1, -0.1))
-    flat = Gaussians(
-        g.means, g.quaternions, g.log_scales, np.full(80, 3, np.float32), np.ones((80, 3), np.float32), g.sh_rest
-    )
-    counts = [moving_frames(count, 2) for count in (1, 2, 255, 256, 257)]
-    return [moving_frames(50, 1) * 5, [still, there, back], [flat], *counts]
-
-
-def wide_groups() -> list[list[Gaussians]]:
-    """Few rows and those about 16 times 16, with all SH bands."""
-    return [moving_frames(count, 2, degree=3) for count in (1, 2, 255, 256, 257)]
+    flat = replace(g, opacity_logits=np.full(80, 3, np.float32), sh_dc=np.ones((80, 3), np.float32))
+    return [moving_frames(50, 1) * 5, [still, there, back], [flat], *few_rows()]
 
 
 def dim_bands() -> list[list[Gaussians]]:
@@ -174,15 +168,14 @@ def dim_bands() -> list[list[Gaussians]]:
 def swaying() -> list[list[Gaussians]]:
     """Ten groups of thirty frames of a scene that goes there and back."""
     there = moving_frames(60, 40)
-    turn = [*range(40), *range(38, 0, -1)]
-    frames = [there[turn[i % len(turn)]] for i in range(300)]
-    return [frames[i : i + 30] for i in range(0, 300, 30)]
+    turn = [*there, *there[-2:0:-1]]
+    return [[turn[t % len(turn)] for t in range(start, start + 30)] for start in range(0, 300, 30)]
 
 
 def harmonic_frames() -> list[list[Gaussians]]:
     """Rows with all SH bands that move on evenly, every fifth one far."""
-    first, rng = random_gaussians(700, degree=3), np.random.default_rng(0)
-    way = rng.normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
+    first = random_gaussians(700, degree=3)
+    way = np.random.default_rng(0).normal(size=(700, 3)) * np.where(np.arange(700) % 5, 0.02, 1.0)[:, None]
     return [[frozen(replace(first, means=(first.means + t * way).astype(np.float32))) for t in range(8)]]
 
 
@@ -192,18 +185,14 @@ PAPER = faces.as_in_paper(
 )
 PACKAGES: dict[str, Callable[[Path], object]] = {
     "fox": fox,
-    "sound": sound,
-    "chirping": chirping,
+    "sound": chirping(39, NTSC, 13),
+    "chirping": chirping(150, Fraction(25), 25),
     "silent": silent,
     "keys": Encoded(kept_groups, KEPT_KEYS, fps=GROUP),
     "rows": Encoded(pruned_groups, replace(KEPT_KEYS, keep_all=False), fps=GROUP),
-    "lines": Encoded(
-        lined_groups,
-        replace(PLAIN, segment_s=SEGMENT / 30, levels=(LevelSettings(0.0), LevelSettings(0.3, 2.0))),
-        cameras=True,
-    ),
+    "lines": Encoded(lined_groups, replace(PLAIN, segment_s=SEGMENT / 30, levels=LINED_LEVELS), cameras=True),
     "few": Encoded(few_groups, replace(PLAIN, segment_s=1 / 30), cameras=True),
-    "wide": Encoded(wide_groups, replace(PLAIN, levels=TWO_LEVELS), cameras=True),
+    "wide": Encoded(lambda: few_rows(3), replace(PLAIN, levels=TWO_LEVELS), cameras=True),
     "paper": Encoded(lambda: [moving_frames(200, 4)], PAPER),
     "calibrated": Encoded(dim_bands, EncodeSettings(preset="veryfast", threads=2), cameras=True),
     "harmonics": Encoded(harmonic_frames, replace(QUICK, segment_s=1.0, levels=TWO_LEVELS), fps=4, cameras=True),

@@ -17,16 +17,10 @@ JITTER, LOST, SPLIT = 0.1, 0.05, 0.05  # of a size, and shares of the rows
 
 
 def random_gaussians(count: int, degree: int = 0, seed: int = 0) -> Gaussians:
-    rng = np.random.default_rng(seed)
-    size = np.log(0.6 / max(count, 2) ** (1 / 3))
-    arrays = [
-        rng.normal(size=(count, 3)) * 0.5,
-        rng.normal(size=(count, 4)),
-        size + rng.normal(size=(count, 3)) * 0.4,
-        rng.normal(size=count) * 2,
-        rng.normal(size=(count, 3)) * 0.6,
-        rng.normal(size=(count, SH_REST[degree], 3)) * 0.1,
-    ]
+    rng, size = np.random.default_rng(seed), np.log(0.6 / max(count, 2) ** (1 / 3))
+    arrays = [rng.normal(size=(count, 3)) * 0.5, rng.normal(size=(count, 4))]
+    arrays += [size + rng.normal(size=(count, 3)) * 0.4, rng.normal(size=count) * 2]
+    arrays += [rng.normal(size=(count, 3)) * 0.6, rng.normal(size=(count, SH_REST[degree], 3)) * 0.1]
     return frozen(Gaussians(*(a.astype(np.float32) for a in arrays)))
 
 
@@ -58,14 +52,9 @@ def frozen(g: Gaussians) -> Gaussians:
 
 
 def moving_frames(count: int, frames: int, degree: int = 0, seed: int = 0) -> list[Gaussians]:
-    first = random_gaussians(count, degree, seed)
-    moves = (np.arange(count) % 2)[:, None]
-    out = []
-    for t in range(frames):
-        shift = np.array([0.3 * np.sin(0.4 * t), 0.1 * t, 0], np.float32) * moves
-        means = (first.means + shift).astype(np.float32)
-        out.append(frozen(Gaussians(means, *(getattr(first, n) for n in first.__slots__[1:]))))
-    return out
+    first, moves = random_gaussians(count, degree, seed), (np.arange(count) % 2)[:, None]
+    shifts = (np.array([0.3 * np.sin(0.4 * t), 0.1 * t, 0], np.float32) * moves for t in range(frames))
+    return [frozen(replace(first, means=(first.means + shift).astype(np.float32))) for shift in shifts]
 
 
 def write_sequence(folder: Path, frames: list[Gaussians], *, cameras: bool = True, **settings: object) -> Path:
