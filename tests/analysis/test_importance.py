@@ -152,8 +152,7 @@ def test_bytes_are_of_first_pictures_and_of_changes_and_large_values_count_as_th
 
 @pytest.fixture(scope="module")
 def measured():
-    sequence = open_sequence(FOX)
-    frame, cameras = sequence.load([4]).frames[0], list(sequence.cameras)[:4]
+    frame, cameras = open_sequence(FOX).load([4]).frames[0], list(open_sequence(FOX).cameras)[:4]
     return frame, cameras, measure_sensitivity([frame] * 8, cameras)
 
 

@@ -39,6 +39,7 @@ def lattice():
     return [Gaussians(np.add(places, [move, 0, 0]).astype(np.float32), *looks) for move in moves]
 
 
+LACKS = "rows: of those of the first 3 frames, each lacks "
 MOVING, LATTICE = moving_frames(300, 6), lattice()
 TURNED = [*MOVING[:3], *(g.take(np.random.default_rng(0).permutation(300)) for g in MOVING[3:])]
 
@@ -81,15 +82,12 @@ def test_where_nothing_is_lost_all_stays_as_it_is(sequence, mode, breaks):
     assert (found.notes, found.sequence.breaks, bool(found.sequence.orders)) == ([], breaks, False)
 
 
-def test_frames_that_nothing_joins_start_groups():
+def test_frames_that_nothing_joins_start_groups_and_other_counts_every_frame_are_said_and_not_matched():
     frames = [*MOVING[:2], *(random_gaussians(300, seed=s) for s in (7, 8)), random_gaussians(300, seed=8)]
     restored = restore_rows(in_memory(frames))
     assert restored.unmatched == (2, 3) and plan_groups(restored.sequence).spans == [(0, 2), (2, 3), (3, 5)]
     [note] = restored.notes
     assert note.startswith("frames 2-3: rows are not those of the frame before") and "times the bytes" in note
-
-
-def test_other_counts_every_frame_are_said_and_not_matched():
     sequence = in_memory([random_gaussians(300 + i, seed=i) for i in range(3)])
     restored = restore_rows(sequence)
     assert restored.alone == (0, 1, 2) and "another number of Gaussians" in restored.notes[0]
@@ -163,8 +161,8 @@ def test_a_row_that_was_away_is_not_expected_to_go_on():
         (MOVING[:4], "", True),
         (shuffled(MOVING[:4], {1}), "rows: out of order", True),
         (thinned(MOVING[:4], 0.03)[0], "rows: out of order", True),
-        (thinned(MOVING[:4], 0.3)[0], "rows: of those of the first 3 frames, each lacks ", False),
-        ([predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])], "rows: of those of the", False),
+        (thinned(MOVING[:4], 0.3)[0], LACKS, False),
+        ([predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])], LACKS, False),
         ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
         ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
     ],
@@ -226,7 +224,7 @@ def alike(g):
     return Gaussians(g.means, *(getattr(g, name)[:1].repeat(len(g), 0) for name in g.__slots__[1:]))
 
 
-def test_rows_that_all_look_alike_are_found_where_they_were_going():
+def test_rows_that_all_look_alike_are_found_where_they_were_going_and_so_are_a_few():
     """They move by many times what is between them, so that where they were is no help."""
     before = alike(random_gaussians(300))
     speed = np.random.default_rng(1).normal(size=(300, 3)).astype(np.float32)
@@ -234,6 +232,8 @@ def test_rows_that_all_look_alike_are_found_where_they_were_going():
     other, where = in_disorder(now)
     np.testing.assert_array_equal(match_rows(going_on(before, last), other).order, where)
     assert (match_rows(last, other).order == where).mean() < 0.5
+    for few in (random_gaussians(1), random_gaussians(2)):
+        assert match_rows(few, few.take(slice(None, None, -1))).order.tolist() == [*range(len(few))][::-1]
 
 
 @pytest.mark.parametrize("start", [0, 5])
@@ -294,9 +294,3 @@ def test_broken_and_equal_rows_are_each_given_one_row_and_are_told_apart(monkeyp
     assert searched and all(np.isfinite(points).all() for points in searched)
     assert all(len(np.unique(points, axis=0)) == len(points) for points in searched if points.shape[1] > 3)
     np.testing.assert_array_equal(np.sort(matched.order), np.arange(count))
-
-
-@pytest.mark.parametrize("count", [1, 2])
-def test_a_few_rows_can_be_matched(count):
-    g = random_gaussians(count)
-    np.testing.assert_array_equal(match_rows(g, g.take(slice(None, None, -1))).order, np.arange(count)[::-1])
