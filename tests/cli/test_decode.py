@@ -45,10 +45,9 @@ def test_a_file_is_one_frame_of_a_rung(tmp_path, key, capsys):
     assert any("readers of" in line for line in report["notes"]) == (key in ("spz", "glb")), "nobody told what is up"
 
 
-RANGES = [("frames", None), ("frames/", None), ("frames.v2/", None), *(("frames", key) for key in KEYS)]
-
-
-@pytest.mark.parametrize(("place", "key"), [*RANGES, ("f.v2/", KEYS[-1])])
+@pytest.mark.parametrize(("place", "key"), [
+    ("frames", None), ("frames/", None), ("frames.v2/", None), *(("frames", key) for key in KEYS), ("f.v2/", KEYS[-1]),
+])  # fmt: skip
 def test_a_range_is_a_folder_that_opens_as_a_sequence(tmp_path, place, key):
     assert run("-o", f"{tmp_path}/{place}", *(["--format", key] if key else []), "--frames", "1:3") == 0
     names = [f"00000{i}.{key or 'ply'}" for i in (1, 2)]
