@@ -11,14 +11,9 @@ from tests import faces
 from tests.faces import find_viewpoints, region_around
 from tests.support.paths import FOX
 from tests.support.scenes import random_gaussians
-from tests.support.views import joined, ring
+from tests.support.views import joined, ring, without_sh
 
 UP, FOCUS = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 4.0])
-
-
-def _gaussians(means, quaternions, log_scales, logits, dc):
-    columns = (means, quaternions, log_scales, logits, dc, np.zeros((len(means), 0, 3)))
-    return faces.Gaussians(*(column.astype(np.float32) for column in columns))
 
 
 def discs(means, normals, size, thickness=0.05):
@@ -28,7 +23,7 @@ def discs(means, normals, size, thickness=0.05):
     quaternions[np.linalg.norm(quaternions, axis=1) < 1e-6] = (0, 1, 0, 0)  # turns z to -z
     scales = np.log(size) + np.array([0, 0, np.log(thickness)])
     colours = rng.normal(size=(count, 3)) * 0.3
-    return _gaussians(means, quaternions, np.tile(scales, (count, 1)), np.full(count, 4.0), colours)
+    return without_sh(means, quaternions, np.tile(scales, (count, 1)), np.full(count, 4.0), colours)
 
 
 def directions(count, seed):
@@ -52,7 +47,7 @@ def needles(count, length=0.5):
     rng = np.random.default_rng(0)
     scales = np.log(length * np.array([1, 0.06, 0.06])) + rng.normal(size=(count, 3)) * 0.2
     means, quaternions, colours = rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), rng.normal(size=(count, 3))
-    return _gaussians(means, quaternions, scales, rng.normal(size=count) + 1, colours)
+    return without_sh(means, quaternions, scales, rng.normal(size=count) + 1, colours)
 
 
 def filmed_room():

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tests.faces import Camera, Gaussians, look_at
 from tests.support.multiview_files import write_cameras
 from tests.support.scenes import frozen, write_sequence
+from tests.support.views import without_sh
 
 STATIC_SHARE = 0.4  # of the rows: a floor and a wall, there all the time
 FLASHES = 6  # large rows between content and lens, each seen in three or four frames
@@ -65,7 +66,7 @@ def _room(rng: np.random.Generator, count: int) -> TemporalRows:
     scales = np.where(floor[:, None], [size, 0.03, size], [size, size, 0.03])
     colours = np.sin(2.5 * means @ rng.normal(size=(3, 3))) * 0.8
     turns = np.concatenate([np.ones((count, 1)), rng.normal(size=(count, 3)) * 0.05], axis=1)
-    looks = _gaussians(means, turns, np.log(scales), np.full(count, 4.0), colours)
+    looks = without_sh(means, turns, np.log(scales), np.full(count, 4.0), colours)
     return TemporalRows(looks, np.full(count, 0.5), np.full(count, 1e3), np.zeros((3, count, 3)))
 
 
@@ -78,7 +79,7 @@ def _dancers(rng: np.random.Generator, count: int) -> TemporalRows:
     motion = speeds[:, :, None] * rng.normal(size=(3, count, 3))
     size = np.log(0.5 / count ** (1 / 3)) + rng.normal(size=(count, 3)) * 0.5
     colours = np.sin(3 * means) + rng.normal(size=(count, 3)) * 0.25
-    looks = _gaussians(means, rng.normal(size=(count, 4)), size, rng.normal(2, 1, count), colours)
+    looks = without_sh(means, rng.normal(size=(count, 4)), size, rng.normal(2, 1, count), colours)
     return TemporalRows(looks, rng.uniform(-0.1, 1.1, count), widths, motion)
 
 
@@ -88,17 +89,12 @@ def _flashes(rng: np.random.Generator, frames: int) -> TemporalRows:
     means = 0.7 * np.stack([place(a, r) for a, r in zip(azimuths, rises, strict=True)])
     size = np.log(0.22) + rng.normal(size=(FLASHES, 3)) * 0.2
     turns, colours = rng.normal(size=(FLASHES, 4)), rng.uniform(-1.5, 1.5, (FLASHES, 3))
-    looks = _gaussians(means, turns, size, np.full(FLASHES, 1.5), colours)
+    looks = without_sh(means, turns, size, np.full(FLASHES, 1.5), colours)
     centres = (np.arange(FLASHES) + 0.5) / FLASHES
     widths = np.full(FLASHES, FLASH_FRAMES / max(frames - 1, 1))
     motion = np.zeros((3, FLASHES, 3))
     motion[0] = rng.normal(size=(FLASHES, 3)) * 0.5
     return TemporalRows(looks, centres, widths, motion)
-
-
-def _gaussians(means: NDArray[np.float64], *others: NDArray[np.float64]) -> Gaussians:
-    """Of SH degree 0; the logits are those at the peak."""
-    return Gaussians(*map(f32, (means, *others, np.zeros((len(means), 0, 3)))))
 
 
 def f32(values: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -26,13 +26,17 @@ def ring(count: int = 8, size: int = 48, held_out: int = 0) -> list[Camera]:
     return cameras
 
 
+def without_sh(means: np.ndarray, *others: np.ndarray) -> Gaussians:
+    """Gaussians of SH degree 0 of the other columns, of any type."""
+    return Gaussians(*(column.astype(np.float32) for column in (means, *others, np.zeros((len(means), 0, 3)))))
+
+
 def coloured_cloud(count: int = 150, seed: int = 0) -> Gaussians:
     rng = np.random.default_rng(seed)
     means = rng.normal(size=(count, 3))
     means *= 0.8 / np.linalg.norm(means, axis=1, keepdims=True)
     turns, scales, logits = np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), np.log(0.12)), np.full(count, 3.0)
-    columns = (means, turns, scales, logits, np.sin(4 * means), np.zeros((count, 0, 3)))
-    return Gaussians(*(column.astype(np.float32) for column in columns))
+    return without_sh(means, turns, scales, logits, np.sin(4 * means))
 
 
 def random_parameters(rows: int, seed: int = 0) -> Parameters:
