@@ -178,8 +178,9 @@ def test_undefined_cases_of_the_ladder(case):
     # From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %: a cliff; the same levels 10 % apart have none.
     (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), {}, [0, 1]),
     (dense(40.0, 38.0, 36.8), {}, [0, 1, 2]),
-    # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff; of 1 dB it would be one.
-    (dense(40.0, 36.0, 34.0, 31.7, saved=[0.0, 0.4, 0.5, 0.6]), {}, [0, 1, 2, 3]),
+    # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff and 2.5 is one.
+    (dense(40, 36, 34, 31.7, saved=[0, 0.4, 0.5, 0.6]), {}, [0, 1, 2, 3]),
+    (dense(40, 36, 34, 31.5, saved=[0, 0.4, 0.5, 0.6]), {}, [0, 1, 2]),
     (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), {}, [0, 1, 3]),  # 9: sizes that do not fall
 ])  # fmt: skip
 def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
