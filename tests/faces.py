@@ -15,7 +15,7 @@ from airgs_codec.scene.gaussians import (
     multiply, sigmoid, to_matrices, to_rotation_vector,
 )  # fmt: skip
 from airgs_codec.scene.camera import (
-    Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, training_views, with_pixels,
+    Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, placed, training_views, with_pixels,
 )  # fmt: skip
 from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
 from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, read_settings, save_usage
@@ -25,7 +25,7 @@ from airgs_codec.scene.formats.ply import read_ply, read_points, write_ply
 from airgs_codec.scene.formats.table import (
     COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame, read_frame_header,
 )  # fmt: skip
-from airgs_codec.media.image import read_picture, to_bytes, write_png
+from airgs_codec.media.image import box_mean, read_picture, resize, to_bytes, write_png
 from airgs_codec.media.movie import VideoReader, write_movie
 from airgs_codec.media.sound import decode_sound, encode_sound
 from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
@@ -45,7 +45,7 @@ from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
 from airgs_codec.encoder.track import tracked
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
-from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, with_step
+from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, to_codes, with_step
 
 # Packages: tables, paths, the MPD, validation
 from airgs_codec.package.layout import (
@@ -53,31 +53,39 @@ from airgs_codec.package.layout import (
     key_media_path, key_sidecar_path, locate, page_path, sound_path, state_media_path,
 )  # fmt: skip
 from airgs_codec.package.tables import (
-    Atlas, FileEntry, Grid, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment, Sound,
-    StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
+    Atlas, FileEntry, Grid, Group, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
+    Sound, Spans, StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
 from airgs_codec.package.package import (
-    Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest, root_of,
+    Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest,
+    root_of, write_file,
 )  # fmt: skip
 from airgs_codec.package.parse import (
-    build_index, extend_index, pack_group, pack_json, parse_group, parse_root, read_region,
+    MAX_TABLE_BYTES, build_index, extend_index, pack_group, pack_json, parse_group, parse_root, read_region,
 )  # fmt: skip
 from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
 from airgs_codec.package.references import check_base, check_group, check_root
 from airgs_codec.package.region import (
-    MEASURING, before_background, draw_views, levelled, place_view, read_world, up_of, upright, world_from,
+    FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, place_view, read_world,
+    up_of, upright, world_from,
 )  # fmt: skip
 from airgs_codec.package.views import set_view
-from airgs_codec.package.dash_check import check_mpd
-from airgs_codec.package.index import GroupIndex
-from airgs_codec.inspect.validate import exceeded, validate, validate_files
+from airgs_codec.package.dash_check import check_mpd, largest_picture
+from airgs_codec.package.index import GroupIndex, count_groups
+from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import format_summary, summarise
-from airgs_codec.inspect.sides import left_out, open_side, rung_streams
-from airgs_codec.inspect.compare import compare_streams
+from airgs_codec.inspect.summary import (
+    bytes_by_kind, describe_left_out, format_ladder, format_summary, segment_rates, summarise,
+)  # fmt: skip
+from airgs_codec.inspect.sides import (
+    comparable, compared_views, left_out, open_side, region_views, rung_streams, shared_views,
+)  # fmt: skip
+from airgs_codec.inspect.compare import (
+    LABEL, compare_streams, compare_two, comparison_json, difference_gain, format_two, side_by_side,
+)  # fmt: skip
 
 # Decoding
 from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_segment
@@ -91,16 +99,16 @@ from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, de
 
 # Training
 from airgs_codec.trainer import train
-from airgs_codec.trainer.settings import Temporal, TrainSettings, preset
+from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
 from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.multiview import (
     MultiviewScene, Points, Shot, content_of, read_contents, with_held_out, with_near,
 )  # fmt: skip
-from airgs_codec.trainer.data.pictures import Pictures, Target, View
+from airgs_codec.trainer.data.pictures import PICTURE_BYTES, Pictures, TARGET_BYTES, Target, View
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
 from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, from_gaussians
+from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, Parameters, from_gaussians
 from airgs_codec.trainer.fit.points import from_points, scene_extent
 from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_in_jobs
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
@@ -111,22 +119,24 @@ from airgs_codec.play.trace import Link, Trace
 from airgs_codec.play.offers import Batch, NONE, Offers
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
-    Arrival, Arrived, BatchKind, Lost, Replaced, Request, Shown, SimulatedDownloader,
+    Arrival, Arrived, BatchKind, Cut, Event, GiveUp, Lost, Replaced, Request, Shown, SimulatedDownloader,
 )  # fmt: skip
 from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables, fetch_beside
 from airgs_codec.play.player import run
 from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
-from airgs_codec.play.study import Study, StudySettings, format_study, run_study, study_answer
+from airgs_codec.play.study import (
+    Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer,
+)  # fmt: skip
 from airgs_codec.play.session import SessionLog, measure_decoding, play, session_bound, simulate
 from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
-from airgs_codec.play.policies.state import Download, PlayerState, Policy, STALL_DB
+from airgs_codec.play.policies.state import Coming, Download, PlayerState, Policy, STALL_DB, estimate_throughput
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 
 # Serving
-from airgs_codec.serve.app import Packages, media_type
-from airgs_codec.serve.pages import content_policy, is_built
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
+from airgs_codec.serve.app import Packages, make_app, media_type
+from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
+from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen, serve
 from airgs_codec.serve.export import export_page
 
 # Work in jobs
@@ -141,3 +151,4 @@ from airgs_codec.cli.manifest import main as airgs_manifest
 from airgs_codec.cli.play import main as airgs_play
 from airgs_codec.cli.serve import main as airgs_serve
 from airgs_codec.cli.train import main as airgs_train
+from airgs_codec.cli.train import match_cameras

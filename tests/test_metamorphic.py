@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from airgs_codec import encode
-from airgs_codec.scene.camera import placed
 from tests import faces
-from tests.faces import EncodeSettings, Gaussians, join_rows, mix_rows
+from tests.faces import EncodeSettings, Gaussians, join_rows, mix_rows, placed
 from tests.support.camera_files import FORMS
 from tests.support.scenes import moving_frames
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import atlas, channels, escapes, kernels
-from airgs_codec.coding.quantize import to_codes
-from tests.faces import Atlas, SceneError, decode_frames, from_codes, open_package, pack_matrix, unpack_matrix
+from tests.faces import Atlas, SceneError, decode_frames, from_codes, open_package, pack_matrix, to_codes, unpack_matrix
 from tests.support.paths import GOLDEN
 
 

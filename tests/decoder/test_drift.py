@@ -47,25 +47,21 @@ def may_be_missing():
         assert error.reason == "missing_file"
 
 
-class Viewer:
-    """Keeps the key tiers that it could fetch, and shows what it can with them."""
+def show(package, tiers, index, quality, level):
+    """Frames of a segment, or None where a file is missing without which nothing can be shown.
 
-    def __init__(self, package):
-        self.package = package
-        self.tiers = Counter()  # (group, quality) -> how many of its tiers are decoded, from the first on
-
-    def show(self, index, quality, level):
-        """Frames of a segment, or None where a file is missing without which nothing can be shown."""
-        m = self.package.manifest
-        segment, group, wanted = m.segments[index], m.group_of(index), m.levels[level].tiers
-        with may_be_missing():
-            for tier in range(self.tiers[group, quality], wanted):
-                decode_key(self.package, group, tier, quality)
-                self.tiers[group, quality] += 1
-        with may_be_missing():
-            if have := self.tiers[group, quality]:
-                base = decode_canonical(self.package, group, quality, have)
-                return list(decode_segment(self.package, index, base, level, range(segment.stop - segment.start)))
+    `tiers`: how many of the key tiers of (group, quality) a viewer has decoded, from the first on.
+    """
+    m = package.manifest
+    segment, group = m.segments[index], m.group_of(index)
+    with may_be_missing():
+        for tier in range(tiers[group, quality], m.levels[level].tiers):
+            decode_key(package, group, tier, quality)
+            tiers[group, quality] += 1
+    with may_be_missing():
+        if have := tiers[group, quality]:
+            base = decode_canonical(package, group, quality, have)
+            return list(decode_segment(package, index, base, level, range(segment.stop - segment.start)))
 
 
 def expected(package, index, quality, level, have):
@@ -92,15 +88,15 @@ def test_a_viewer_that_jumps_about_and_loses_files_sees_what_a_new_one_would(pac
     for path in lost:
         (tmp_path / "damaged" / path).unlink()
     assert {level.tiers for level in m.levels} == {1, 2}
-    viewer, at, met, chance = Viewer(open_package(tmp_path / "damaged")), 0, Counter(), random.Random(1)
+    damaged, tiers, at, met, chance = open_package(tmp_path / "damaged"), Counter(), 0, Counter(), random.Random(1)
     for _ in range(80):
         at = chance.randrange(len(m.segments)) if chance.random() < 0.3 else (at + 1) % len(m.segments)
         level, quality = chance.randrange(len(m.levels)), chance.randrange(len(m.qualities))
-        shown = viewer.show(at, quality, level)
+        shown = show(damaged, tiers, at, quality, level)
         if shown is None:
             met["lost"] += 1
             continue
-        have, needed = viewer.tiers[m.group_of(at), quality], m.levels[level].tiers
+        have, needed = tiers[m.group_of(at), quality], m.levels[level].tiers
         met["fewer tiers" if have < needed else "more tiers" if have > needed else "its tiers"] += 1
         assert all(same(a, b) for a, b in zip(shown, expected(package, at, quality, level, have), strict=True))
     assert min(met[name] for name in ("lost", "fewer tiers", "more tiers", "its tiers")) >= 3

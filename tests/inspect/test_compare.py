@@ -7,10 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.inspect.compare import LABEL, compare_two, comparison_json, difference_gain, format_two, side_by_side
-from airgs_codec.inspect.sides import comparable, compared_views, region_views, shared_views
 from tests import faces
-from tests.faces import PSNR_CAP, ConfigError, airgs_manifest, decode_frames, left_out, open_package, open_side
+from tests.faces import (
+    LABEL,
+    PSNR_CAP,
+    ConfigError,
+    airgs_manifest,
+    comparable,
+    compare_two,
+    compared_views,
+    comparison_json,
+    decode_frames,
+    difference_gain,
+    format_two,
+    left_out,
+    open_package,
+    open_side,
+    region_views,
+    shared_views,
+    side_by_side,
+)
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX, VALID
 from tests.support.regions import arc

@@ -5,8 +5,19 @@ from dataclasses import replace
 
 import pytest
 
-from airgs_codec.inspect.summary import bytes_by_kind, describe_left_out, format_ladder, segment_rates
-from tests.faces import LeftOut, format_summary, open_package, plot_ladder, pooled_quality, read_picture, summarise
+from tests.faces import (
+    LeftOut,
+    bytes_by_kind,
+    describe_left_out,
+    format_ladder,
+    format_summary,
+    open_package,
+    plot_ladder,
+    pooled_quality,
+    read_picture,
+    segment_rates,
+    summarise,
+)
 from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.regions import arc

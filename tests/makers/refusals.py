@@ -22,8 +22,7 @@ import numpy as np
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import pack_key_sidecar, unpack_key_sidecar
 from airgs_codec.media.mp4 import box, read_boxes, read_segment, sound_segment, with_own_box
-from airgs_codec.package.parse import MAX_TABLE_BYTES
-from tests.faces import JSON_NAME, MPD_NAME, Grid, digest, parse_root
+from tests.faces import JSON_NAME, MAX_TABLE_BYTES, MPD_NAME, Grid, digest, parse_root
 from tests.support import mutations
 from tests.support.mutations import Files, apply, drop_value, honest, parse_table, remove_file, rewrite, set_value
 from tests.support.paths import INVALID

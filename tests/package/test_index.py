@@ -9,9 +9,19 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.package.index import count_groups
 from tests import faces
-from tests.faces import FormatError, GroupIndex, Groups, build_index, decode, digest, open_package, pack_json, root_of
+from tests.faces import (
+    FormatError,
+    GroupIndex,
+    Groups,
+    build_index,
+    count_groups,
+    decode,
+    digest,
+    open_package,
+    pack_json,
+    root_of,
+)
 from tests.makers.vectors.packages import pages_to
 from tests.support.manifests import no_page, tiny_manifest
 from tests.support.mutations import read_files, write_files

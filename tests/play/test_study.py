@@ -8,9 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.play.study import interval, is_feasible, offsets_of
 from tests import faces
-from tests.faces import Offers, SessionSettings, Study, StudySettings, airgs_play, answer, simulate, study_answer
+from tests.faces import (
+    Offers,
+    SessionSettings,
+    Study,
+    StudySettings,
+    airgs_play,
+    answer,
+    interval,
+    is_feasible,
+    offsets_of,
+    simulate,
+    study_answer,
+)
 from tests.support.manifests import link, missing, play, rules, tiny_manifest
 from tests.support.paths import VALID
 

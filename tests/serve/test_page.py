@@ -12,8 +12,17 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 
 import pytest
 
-from airgs_codec.serve.pages import describe, list_page
-from tests.faces import PAGE, ConfigError, Packages, digest, media_type, open_package, pooled_quality
+from tests.faces import (
+    PAGE,
+    ConfigError,
+    Packages,
+    describe,
+    digest,
+    list_page,
+    media_type,
+    open_package,
+    pooled_quality,
+)
 from tests.support.effort import few_calls
 from tests.support.mutations import apply, edit_text, link_file, read_files, remove_file, set_value, write_files
 from tests.support.page import FILES, INLINE, put_page

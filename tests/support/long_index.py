@@ -4,8 +4,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-from airgs_codec.package.tables import Spans
-from tests.faces import build_index
+from tests.faces import Spans, build_index
 
 
 @cache

@@ -11,8 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from airgs_codec.inspect.validate import Finding
-from tests.faces import Memory, validate, validate_files
+from tests.faces import Finding, Memory, validate, validate_files
 from tests.support.mutations import Files, Link, read_files, write_files
 from tests.support.paths import INVALID, VALID
 

@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.package.region import FORGIVEN_DEGREES, FORGIVEN_SHARE
-from tests.faces import Camera, EncodeSettings, Place, Region
+from tests.faces import FORGIVEN_DEGREES, FORGIVEN_SHARE, Camera, EncodeSettings, Place, Region
 
 
 def place(x: float, *, reach: float = 0.5) -> Place:

@@ -4,11 +4,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from airgs_codec.media.mp4 import init_segment
-from airgs_codec.package.dash_check import largest_picture
-from airgs_codec.package.package import write_file
-from airgs_codec.package.tables import Group
 from tests import faces
-from tests.faces import INIT_NAME, Folder, Groups, Package
+from tests.faces import INIT_NAME, Folder, Group, Groups, Package, largest_picture, write_file
 
 
 def write_repeated(package: Package, folder: Path, times: int, fps: int) -> Path:

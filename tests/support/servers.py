@@ -13,9 +13,7 @@ from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
 
-from airgs_codec.serve.app import make_app
-from airgs_codec.serve.server import serve
-from tests.faces import Packages, ServerSettings, bucket_at, listen
+from tests.faces import Packages, ServerSettings, bucket_at, listen, make_app, serve
 
 Around = Callable[[ASGIApp], ASGIApp]
 

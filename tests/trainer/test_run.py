@@ -14,9 +14,17 @@ import pytest
 import airgs_codec as airgs
 from airgs_codec.trainer.frames import is_known
 from airgs_codec.trainer.report import frames_to_show, training_answer
-from airgs_codec.trainer.settings import settings_from_table
 from tests import faces
-from tests.faces import ConfigError, FrameRecord, Record, SceneError, TrainSettings, open_scene, train
+from tests.faces import (
+    ConfigError,
+    FrameRecord,
+    Record,
+    SceneError,
+    TrainSettings,
+    open_scene,
+    settings_from_table,
+    train,
+)
 from tests.support.training import APPEARS, SETTINGS, files
 from tests.support.views import coloured_cloud, measure_usage, ring
 

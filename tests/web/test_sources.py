@@ -9,7 +9,7 @@ from graphlib import TopologicalSorter
 
 import pytest
 
-from airgs_codec.serve.pages import PAGE_TYPES, is_built
+from tests.faces import PAGE_TYPES, is_built
 from tests.support.browser import WEB, missing
 from tests.support.page import SHIPPED
 from tests.support.paths import PACKAGE, REPOSITORY

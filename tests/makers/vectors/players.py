@@ -12,11 +12,24 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.play.downloader import Cut, Event, GiveUp
 from airgs_codec.play.policies.mpc import discounted_throughput
-from airgs_codec.play.policies.state import Coming, estimate_throughput
 from tests import faces
-from tests.faces import NONE, Arrived, FormatError, Link, Lost, Offers, PlayerState, Replaced, SimulatedDownloader
+from tests.faces import (
+    NONE,
+    Arrived,
+    Coming,
+    Cut,
+    Event,
+    FormatError,
+    GiveUp,
+    Link,
+    Lost,
+    Offers,
+    PlayerState,
+    Replaced,
+    SimulatedDownloader,
+    estimate_throughput,
+)
 from tests.support.manifests import keys
 from tests.support.paths import GOLDEN
 from tests.support.session_packages import Numbers, growing_offers, offers_of

@@ -10,12 +10,23 @@ import cv2
 import numpy as np
 import pytest
 
-from airgs_codec.media.image import box_mean, resize
-from airgs_codec.trainer.data.pictures import PICTURE_BYTES, TARGET_BYTES
 from airgs_codec.trainer.data.plates import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
 from tests import faces
-from tests.faces import Capture, Pictures, SceneError, Target, TrainSettings, View, open_scene, rested
+from tests.faces import (
+    PICTURE_BYTES,
+    TARGET_BYTES,
+    Capture,
+    Pictures,
+    SceneError,
+    Target,
+    TrainSettings,
+    View,
+    box_mean,
+    open_scene,
+    resize,
+    rested,
+)
 from tests.support.multiview_files import write_panoptic, write_views
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import coloured_cloud, ring

@@ -12,11 +12,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from airgs_codec.cli.train import match_cameras
 from airgs_codec.jobs.job import digest
 from airgs_codec.trainer.data import multiview, sync
 from tests import faces
-from tests.faces import Capture, MultiviewScene, Pictures, SceneError, Shot, TrainSettings, Work, open_scene, rested
+from tests.faces import (
+    Capture,
+    MultiviewScene,
+    Pictures,
+    SceneError,
+    Shot,
+    TrainSettings,
+    Work,
+    match_cameras,
+    open_scene,
+    rested,
+)
 from tests.support.multiview_files import plain, write_filmed
 from tests.support.views import ring
 
