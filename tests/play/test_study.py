@@ -9,19 +9,7 @@ import numpy as np
 import pytest
 
 from tests import faces
-from tests.faces import (
-    Offers,
-    SessionSettings,
-    Study,
-    StudySettings,
-    airgs_play,
-    answer,
-    interval,
-    is_feasible,
-    offsets_of,
-    simulate,
-    study_answer,
-)
+from tests.faces import Offers, SessionSettings, Study, StudySettings, airgs_play, answer, simulate, study_answer
 from tests.support.manifests import link, missing, play, rules, tiny_manifest
 from tests.support.paths import VALID
 
@@ -143,19 +131,24 @@ def test_what_a_study_recommends(some, expected, absent):
 
 def test_offsets_are_seeded_and_a_traces_own():
     trace, other = faces.Trace.open("markov:1"), faces.Trace.open("markov:2")
-    assert offsets_of(trace, 4, 1) == offsets_of(trace, 4, 1) != offsets_of(trace, 4, 2) != offsets_of(other, 4, 2)
-    assert all(0 <= o < trace.duration_s for o in offsets_of(trace, 100, 3))
+    assert (
+        faces.offsets_of(trace, 4, 1)
+        == faces.offsets_of(trace, 4, 1)
+        != faces.offsets_of(trace, 4, 2)
+        != faces.offsets_of(other, 4, 2)
+    )
+    assert all(0 <= o < trace.duration_s for o in faces.offsets_of(trace, 100, 3))
 
 
 def test_feasible_means_that_the_smallest_rungs_keep_up():
     for rate, loops, expected in ((2300, 10, True), (2000, 30, False)):  # exactly what a second of Q1+L2 takes, or less
-        assert is_feasible(Offers(TINY, 0, 1000), link([8 * rate]), rules(buffer_s=10.0), loops) is expected
+        assert faces.is_feasible(Offers(TINY, 0, 1000), link([8 * rate]), rules(buffer_s=10.0), loops) is expected
 
 
 def test_intervals_are_over_traces():
     values = np.array([1.0, 1.0, 3.0, 3.0, np.nan])
-    assert interval(values, ["a", "a", "b", "b", "b"]) == (2.0, 1.0, 3.0)  # two traces, however many offsets
-    assert np.isnan(interval(np.array([np.nan]), ["a"])).all()
+    assert faces.interval(values, ["a", "a", "b", "b", "b"]) == (2.0, 1.0, 3.0)  # two traces, however many offsets
+    assert np.isnan(faces.interval(np.array([np.nan]), ["a"])).all()
 
 
 def test_a_study_compares_on_the_same_links_and_repeats_exactly(demo_package, capsys):
