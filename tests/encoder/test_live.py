@@ -11,10 +11,8 @@ from tests.faces import APART, EncodeSettings, SceneError, decode_frames, follow
 from tests.support.packages import SEEN, TWO_LEVELS
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
-SETTINGS = EncodeSettings(
-    calibrate="none", levels=TWO_LEVELS, group_frames=3, measure_pictures=2, decide_pictures=4, preset="ultrafast",
-    threads=1, region=SEEN,
-)  # fmt: skip
+QUICK = {"calibrate": "none", "measure_pictures": 2, "decide_pictures": 4, "preset": "ultrafast", "threads": 1}
+SETTINGS = EncodeSettings(levels=TWO_LEVELS, group_frames=3, region=SEEN, **QUICK)
 FRAMES = moving_frames(150, 8)
 
 
@@ -68,8 +66,8 @@ def test_it_holds_what_encoding_at_once_would(tmp_path):
     _, grown = followed(tmp_path, FRAMES, apart)
     faces.encode(tmp_path / "scene", tmp_path / "once", apart)
     once = open_package(tmp_path / "once")
-    paths = [path for group in range(2) for path in once.manifest.group_files(group)]
-    assert [once.manifest.entry(path) for path in paths] == [grown.manifest.entry(path) for path in paths]
+    for path in (path for group in range(2) for path in once.manifest.group_files(group)):
+        assert once.manifest.entry(path) == grown.manifest.entry(path)
     for level in (0, 1):
         for frames in zip(*(decode_frames(package, 0, 8, level=level) for package in (once, grown)), strict=True):
             for name in faces.Gaussians.__slots__:
@@ -84,12 +82,12 @@ def test_a_base_has_rows_of_groups_before_it_if_these_have_the_same_rows(tmp_pat
     shared, join = [], module.join_surveys
     monkeypatch.setattr(module, "join_surveys", lambda surveys: shared.append(len(surveys)) or join(surveys))
     more, others = faces.join_rows([FRAMES[1], random_gaussians(5, seed=3)]), 6 * [random_gaussians(150, seed=5)]
-    first, turns = FRAMES[0].take(np.arange(140)), []
+    turns = []
     for t in range(12):
-        logits = first.opacity_logits.copy()
+        logits = FRAMES[0].opacity_logits[:140].copy()
         logits[:20] = 4.0
         logits[slice(10, 20) if t // 3 % 2 else slice(10)] = -20.0
-        turns.append(replace(first, opacity_logits=logits))
+        turns.append(replace(FRAMES[0].take(np.arange(140)), opacity_logits=logits))
     _, grown = followed(tmp_path, [*FRAMES[:4], more, FRAMES[2], *others, *turns], SETTINGS)
     assert [group.keeps for group in grown.manifest.groups] == [None, None, None, 3, None, None, 6, 6]
     assert shared == [1, 1, 2]

@@ -52,27 +52,21 @@ def test_an_encode_has_as_many_pictures_as_were_asked_for_and_each_segment_one(p
     assert [measure.pictures_a_segment(64, number) for number in (1, 3, 64, 1000)] == [64, 22, 1, 1]
 
 
-def uncertainty(m, *of_segments):
-    """What `with_quality` says of squared errors of the top rung of two segments."""
-    rungs = len(strides_of(m))
-    errors = [[[Difference(value, 1.0, 0.0) for value in of]] * rungs for of in of_segments]
-    return with_quality(m, [errors], len(of_segments[0])).uncertainty
-
-
 def test_a_claim_is_as_sure_as_its_pictures_agree(package):
-    m = package[0].manifest
-    assert uncertainty(m, [2.0, 2.0], [2.0, 2.0]) == 0.0
-    assert uncertainty(m, [0.0], [0.0]) == 0.0
+    """Two standard errors hold for most draws of pictures, whose errors are heavy-tailed: here, log-normal."""
+    m, rng, inside = package[0].manifest, np.random.default_rng(0), 0
+
+    def uncertainty(*of_segments):
+        """What `with_quality` says of squared errors of the top rung of two segments."""
+        errors = [[[Difference(value, 1.0, 0.0) for value in of]] * len(strides_of(m)) for of in of_segments]
+        return with_quality(m, [errors], len(of_segments[0])).uncertainty
+
+    assert uncertainty([2.0, 2.0], [2.0, 2.0]) == uncertainty([0.0], [0.0]) == 0.0
     spread = 4 * 0.25**2 * 1.0 * 4 / 3  # four pictures, each for a quarter of the frames, 1 off their mean of 2
-    assert uncertainty(m, [1.0, 3.0], [1.0, 3.0]) == pytest.approx(spread**0.5 / 2)
+    assert uncertainty([1.0, 3.0], [1.0, 3.0]) == pytest.approx(spread**0.5 / 2)
     decibels = [measure.uncertainty_db(share) for share in (0.0, 0.5)]
     assert decibels == [0.0, pytest.approx(10 * math.log10(2))]
-
-
-def test_two_standard_errors_hold_for_most_draws_of_pictures(package):
-    """Errors of pictures are heavy-tailed: here, log-normal."""
-    m, rng, inside = package[0].manifest, np.random.default_rng(0), 0
     for _ in range(400):
         errors = rng.lognormal(sigma=0.7, size=(2, 16))
-        inside += abs(errors.mean() / math.exp(0.7**2 / 2) - 1) <= 2 * uncertainty(m, *errors.tolist()) + 1e-12
+        inside += abs(errors.mean() / math.exp(0.7**2 / 2) - 1) <= 2 * uncertainty(*errors.tolist()) + 1e-12
     assert 0.88 <= inside / 400 <= 0.98

@@ -1,6 +1,7 @@
 """Tiers and levels are nested, and hold what is used most; the ladder of the paper; settings for a first look."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -109,23 +110,19 @@ def seen(sequence, settings):
 
 def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(package_of):
     package = open_package(package_of("paper"))
-    m = package.manifest
+    m, base = package.manifest, decode_canonical(package, 0, 0)
     assert [v.pruned for v in m.levels] == [i / 10 for i in range(11)]  # none is dropped, whatever was measured
     assert {v.factor for v in m.levels} == {1.0} and len(m.qualities) == 1 == len(m.groups[0].tiers)
     rows = [atlas.rows for atlas in m.groups[0].levels]
     assert rows[0] == 100 and rows == sorted(rows, reverse=True) and rows[-1] == 0
-    base = decode_canonical(package, 0, 0)
-    canonical = base.to_gaussians()
     assert not m.state_files(0, 10)
+    still = base.to_gaussians().means
     for frame in decode_frames(package, 0, 4, level=10):
-        np.testing.assert_array_equal(frame.gaussians.means, canonical.means)
-    moved = next(decode_frames(package, 3, 4, level=0)).gaussians
-    assert np.abs(moved.means - canonical.means).max() > 0.05
-
+        np.testing.assert_array_equal(frame.gaussians.means, still)
+    assert np.abs(faces.decode(package, 3).means - still).max() > 0.05
     hits, moving = seen(PACKAGES["paper"].scene(), PAPER).usage.hits, base.depths != STATIC
-    for low, high in zip(range(9), range(1, 10), strict=True):
-        first, second = hits[moving & (base.depths == low)], hits[moving & (base.depths == high)]
-        assert first.max() <= second.min()
+    for low, high in pairwise(range(10)):
+        assert hits[moving & (base.depths == low)].max() <= hits[moving & (base.depths == high)].min()
     assert moving.sum() == 100 and len(set(hits[moving].tolist())) > 20
 
 
@@ -154,6 +151,6 @@ def test_hits_rank_alone_whatever_changes():
 
 def test_a_first_look_keeps_what_was_asked_for():
     """The command tells what else it is (tests/cli/test_encode.py)."""
-    asked = as_preview(EncodeSettings(quality=1.6, group_frames=12, measure_pictures=0))
-    assert (asked.quality, asked.group_frames, asked.measure_pictures) == (1.6, 12, 0)
-    assert as_preview(PAPER).levels == PAPER.levels
+    asked = {"quality": 1.6, "group_frames": 12, "measure_pictures": 0}
+    made = as_preview(EncodeSettings(**asked))
+    assert {name: getattr(made, name) for name in asked} == asked and as_preview(PAPER).levels == PAPER.levels

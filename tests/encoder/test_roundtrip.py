@@ -90,20 +90,21 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
             values = channels.state_channels(shown_rows, base, group.state_steps)
             rows = (base.depths >= j) & (base.depths != 255)
             for t, shown in enumerate(faces.decode_pictures(fox, g, j, range(group.stop - group.start))):
-                decoded = shown.values(slice(None), state_units(fox, g, j))
-                error = (decoded - values[t][:, rows]) / (steps * level.factor)[:, None]
+                error = shown.values(slice(None), state_units(fox, g, j)) - values[t][:, rows]
+                error /= (steps * level.factor)[:, None]
                 drawn = shown_rows[t].opacities()[rows] >= 1 / 255
                 assert np.abs(error[:, drawn]).max() <= 5
                 assert np.sqrt(np.mean(error**2)) <= 0.5
 
 
 def test_key_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_the_source(fox, coded):
+    """A coarser key quality has fewer bytes of positions: a bit for each axis, and escapes."""
     m = fox.manifest
+    assert [quality.coarser for quality in m.qualities] == [0, 1]
     for g, group, _, layout in coded:
-        factors = [tier.factor for tier in group.tiers]
+        factors, counts = [tier.factor for tier in group.tiers], [tier.count for tier in group.tiers]
         assert factors[0] < 1 < factors[1]
-        factors = np.repeat(factors, [t.count for t in group.tiers])
-        steps = np.outer(faces.KEY.steps(group.key_steps, m.colour_channels), factors)
+        steps = np.outer(faces.KEY.steps(group.key_steps, m.colour_channels), np.repeat(factors, counts))
         for q, quality in enumerate(m.qualities):
             if group.keeps is None:
                 codes = np.concatenate([faces.decode_key(fox, g, t, q)[0] for t in range(2)], axis=1)
@@ -114,6 +115,9 @@ def test_key_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_t
             side = group.grid.step * 2.0 ** (layout.wider + grid.cell_bits(cells, group.grid, quality.coarser))
             assert (error <= side / 2 * (1 + 1e-6)).all()
             assert len(np.unique(side)) > 2
+        for t, count in enumerate(counts):
+            fine, coarse = (len(open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"") for q in (0, 1))
+            assert fine - coarse > 3 * count / 8
 
 
 @pytest.mark.parametrize(("factors", "coarser"), [
@@ -123,41 +127,29 @@ def test_cells_of_positions_grow_with_the_steps_of_a_key_quality(factors, coarse
     assert replace(FAST, levels=(LevelSettings(0.0),), key_factors=factors).coarser == coarser
 
 
-def test_a_coarser_key_quality_has_fewer_bytes_of_positions(fox):
-    m = fox.manifest
-    assert [quality.coarser for quality in m.qualities] == [0, 1]
-    for g, group in enumerate(m.groups):
-        for t, tier in enumerate(group.tiers):
-            fine, coarse = (len(open_segment(fox.read(m.key_files(g, t, q)[1]), "x")[0] or b"") for q in (0, 1))
-            assert fine - coarse > 3 * tier.count / 8  # a bit for each axis, and escapes
-
-
-def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(fox):
-    region, data = fox.manifest.region, fox.read(faces.POSTER_NAME)
+def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(fox, monkeypatch):
+    """A poster is worse and then smaller until it fits."""
+    region, data, sequence = fox.manifest.region, fox.read(faces.POSTER_NAME), faces.open_sequence(FOX)
     assert 0 < len(data) <= 20_000
     with Image.open(io.BytesIO(data)) as opened:
         assert (opened.format, max(opened.size)) == ("JPEG", 640)
         poster = np.asarray(opened.convert("RGB"))
     camera = faces.place_view(region, faces.levelled(region, fox.manifest.world).places[0])
     camera = faces.with_pixels(camera, *poster.shape[1::-1])
-    expected = faces.to_bytes(faces.CPU.render(faces.open_sequence(FOX).load([0]).frames[0], camera).rgb)
+    expected = faces.to_bytes(faces.CPU.render(sequence.load([0]).frames[0], camera).rgb)
     assert psnr(float(np.square((poster.astype(float) - expected) / 255).mean())) > 30  # what JPEG loses
-
-
-@pytest.mark.parametrize("most", [20_000, 5_000, 900])
-def test_a_poster_is_worse_and_then_smaller_until_it_fits(most, monkeypatch):
-    monkeypatch.setattr("airgs_codec.encoder.pipeline.MAX_POSTER_BYTES", most)
-    sequence = faces.open_sequence(FOX)
-    data = draw_poster(sequence, 0, sequence.cameras[0], faces.CPU)
-    with Image.open(io.BytesIO(data)) as opened:
-        assert len(data) <= most and opened.size[0] == opened.size[1] <= 640
+    for most in (20_000, 5_000, 900):
+        monkeypatch.setattr("airgs_codec.encoder.pipeline.MAX_POSTER_BYTES", most)
+        data = draw_poster(sequence, 0, sequence.cameras[0], faces.CPU)
+        with Image.open(io.BytesIO(data)) as opened:
+            assert len(data) <= most and opened.size[0] == opened.size[1] <= 640
 
 
 def test_fine_steps_come_back_finely(tmp_path):
     opaque = np.ones(300, np.float32)  # what is not drawn may hold any value
     frames = [frozen(replace(frame, opacity_logits=opaque)) for frame in moving_frames(300, 4)]
-    steps = replace(FAST.steps, grid=0.00002)
-    faces.encode(write_sequence(tmp_path / "scene", frames), tmp_path / "out", replace(FAST, quality=0.05, steps=steps))
+    fine = replace(FAST, quality=0.05, steps=replace(FAST.steps, grid=0.00002))
+    faces.encode(write_sequence(tmp_path / "scene", frames), tmp_path / "out", fine)
     for shown in decode_frames(faces.open_package(tmp_path / "out"), 0, 4):
         nearest = np.linalg.norm(shown.gaussians.means[:, None] - frames[shown.number].means[None], axis=2)
         assert np.sort(nearest.min(axis=1))[-1] < 0.02
@@ -178,14 +170,14 @@ def test_what_does_not_move_has_no_states_and_constant_channels_have_no_plane(pa
     assert np.abs(shown.sh_dc - 1).max() <= np.sqrt(3) * group.key_steps.sh_dc / 2 + 1e-3
 
 
-@pytest.mark.parametrize(("name", "start", "degree"), [("few", 9, 0), ("wide", 0, 3)])
-def test_awkward_counts_share_their_representations(package_of, name, start, degree):
-    package = faces.open_package(package_of(name))
-    assert faces.validate(package.files.path) == []
-    shown = [frame.gaussians for frame in decode_frames(package, start, start + 10)]
-    assert [len(g) for g in shown] == np.repeat([1, 2, 255, 256, 257], 2).tolist()
-    assert {g.sh_degree for g in shown} == {degree}
-    assert all(np.isfinite(getattr(g, name)).all() for g in shown for name in g.__slots__)
+def test_awkward_counts_share_their_representations(package_of):
+    for name, start, degree in (("few", 9, 0), ("wide", 0, 3)):
+        package = faces.open_package(package_of(name))
+        assert faces.validate(package.files.path) == []
+        shown = [frame.gaussians for frame in decode_frames(package, start, start + 10)]
+        assert [len(g) for g in shown] == np.repeat([1, 2, 255, 256, 257], 2).tolist()
+        assert {g.sh_degree for g in shown} == {degree}
+        assert all(np.isfinite(getattr(g, name)).all() for g in shown for name in g.__slots__)
 
 
 @pytest.mark.parametrize("wrong", [{"start": 0, "stop": 99}, {"start": -1}, {"level": 9}, {"key_quality": 7}], ids=str)
@@ -213,13 +205,11 @@ def test_settings_that_cannot_work_are_refused(settings):
 
 
 def test_values_that_no_code_holds_are_refused_and_leave_the_old_package(tmp_path):
-    out = shutil.copytree(VALID / "moving", tmp_path / "out")
-    before = read_files(out)
-    frames = moving_frames(20, 4)
-    frames[2] = replace(frames[2], sh_dc=np.where(np.arange(20)[:, None] == 12, np.float32(1e30), frames[2].sh_dc))
-    folder = write_sequence(tmp_path / "wild", frames)
+    out, frames = shutil.copytree(VALID / "moving", tmp_path / "out"), moving_frames(20, 4)
+    before, row = read_files(out), np.arange(20)[:, None]
+    frames[2] = replace(frames[2], sh_dc=np.where(row == 12, np.float32(1e30), frames[2].sh_dc))
     with pytest.raises(faces.SceneError, match=r"frame 2 \(.*ply\): sh_dc of row 12 is 1e\+30 .* codes"):
-        faces.encode(folder, out, FAST)
+        faces.encode(write_sequence(tmp_path / "wild", frames), out, FAST)
     assert read_files(out) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out", "wild"]  # no stage is left behind
 

@@ -50,8 +50,7 @@ def test_a_goal_between_two_trials_is_in_reach_however_they_jump():
     tried = {}
 
     def trial(factor):
-        tried[factor] = 42.0 - 7.0 * math.log(factor) + (1.0 if factor < 1.5 else -1.0)
-        return tried[factor]
+        return tried.setdefault(factor, 42.0 - 7.0 * math.log(factor) + (1.0 if factor < 1.5 else -1.0))
 
     found = search.find_quality(Goal(PSNR, 39.1), trial, 1.0)
     assert abs(tried[found] - 39.1) == min(abs(got - 39.1) for got in tried.values()) > 0.3
@@ -63,26 +62,27 @@ def first_frames(tmp_path_factory):
     return write_demo(tmp_path_factory.mktemp("targets") / "fox", frames=3, rows=3000, scale=0.4)
 
 
-def run(scene, tmp_path, capsys, *options):
-    quick = ["--x264-preset", "veryfast", "--decide-pictures", "12", "--json"]
-    code = faces.airgs_encode([str(scene), "-o", str(tmp_path / "out"), *quick, *options])
+def run(scene, out, capsys, words):
+    quick = "--x264-preset veryfast --decide-pictures 12 --json"
+    code = faces.airgs_encode(f"{scene} -o {out} {quick} {words}".split())
     captured = capsys.readouterr()
     return code, json.loads(captured.out) if code == 0 else captured.err
 
 
 def test_targets_are_reached(first_frames, tmp_path, capsys):
-    code, report = run(first_frames, tmp_path, capsys, "--target-psnr", "41", "--measure-pictures", "16")
-    assert code == 0 and faces.validate(tmp_path / "out") == []
-    m = open_package(tmp_path / "out").manifest
+    out = tmp_path / "out"
+    code, report = run(first_frames, out, capsys, "--target-psnr 41 --measure-pictures 16")
+    assert code == 0 and faces.validate(out) == []
+    m = open_package(out).manifest
     assert pooled_quality(m, 0, 0).psnr == pytest.approx(41, abs=0.3)
     wanted = 0.8 * report["top_rung_bytes"] / m.frames / 1e3
-    code, report = run(first_frames, tmp_path, capsys, "--target-kb", f"{wanted}", "--measure-pictures", "4")
+    code, report = run(first_frames, out, capsys, f"--target-kb {wanted} --measure-pictures 4")
     assert code == 0 and report["top_rung_bytes"] / m.frames / 1e3 == pytest.approx(wanted, rel=0.03)
     assert report["calibration_cached"]
 
 
 def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_path, capsys):
-    code, _ = run(first_frames, tmp_path, capsys, "--target-de", "0.6", "--measure-pictures", "32")
+    code, _ = run(first_frames, tmp_path / "out", capsys, "--target-de 0.6 --measure-pictures 32")
     package, sequence = open_package(tmp_path / "out"), open_sequence(first_frames)
     m = package.manifest
     assert code == 0 and pooled_quality(m, 0, 0).delta_e == pytest.approx(0.6, rel=0.05)
@@ -90,7 +90,7 @@ def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_pat
     for number, camera in enumerate(faces.draw_views(m.region, 12, seed=9)):
         frames = (sequence.read(number % m.frames), faces.decode(package, number % m.frames))
         errors.append(faces.Picture.delta_e(*(faces.Picture.of(faces.CPU.render(g, camera).rgb) for g in frames)))
-    assert sum(errors) / len(errors) == pytest.approx(0.6, rel=0.1)
+    assert np.mean(errors) == pytest.approx(0.6, rel=0.1)
 
 
 @pytest.mark.parametrize(("options", "words"), [
@@ -102,7 +102,7 @@ def test_a_colour_target_holds_for_views_that_no_trial_saw(first_frames, tmp_pat
     ("--target-kb 0.001 --preset quick", "out of reach"),
 ])  # fmt: skip
 def test_a_target_that_cannot_be_is_one_line_and_leaves_nothing(scene, tmp_path, capsys, options, words):
-    code, error = run(scene[0].sequence.folder, tmp_path, capsys, *options.split())
+    code, error = run(scene[0].sequence.folder, tmp_path / "out", capsys, options)
     assert code == 2 and error.count("\n") == 1 and words in error
     assert list(tmp_path.iterdir()) == []
 
@@ -167,10 +167,7 @@ def test_what_costs_half_a_decibel_of_all_that_was_expected_is_taken_back(settin
     left = 0.5 if "pruned" in changes else 1.0
     assert repaired.levels == (replace(settings.levels[0], pruned=left * settings.levels[0].pruned), settings.levels[1])
     assert repaired.shares == tuple((factor, left * share) for factor, share in settings.shares)
-
-
-def test_few_updates_are_taken_back_altogether():
-    few = replace(HALF, levels=tuple(replace(level, pruned=0.1) for level in HALF.levels))
+    few = replace(HALF, levels=tuple(replace(level, pruned=0.1) for level in HALF.levels))  # these altogether
     assert repair.take_back(few, EXPECTED, 0.0, 1e-4)[0].levels[0].pruned == 0.0
 
 
@@ -205,7 +202,7 @@ def ladder(tmp_path_factory):
     package = open_package(folder / "clip.airgs")
     m, frames = package.manifest, range(len(sequence))
     names = [f"{m.qualities[level.quality].id}+{level.id}" for level in m.levels]
-    streams = {name: stream for name, stream in faces.rung_streams(package, frames).items() if name in names}
+    streams = {name: faces.rung_streams(package, frames)[name] for name in names}
     views = [(i // VIEWS, camera) for i, camera in enumerate(faces.draw_views(m.region, VIEWS * len(frames), SEED))]
     errors = faces.compare_streams(streams, sequence, views, faces.Picture.mse)
     rungs = {f"{rung.key}+{rung.state}": rung for rung in faces.summarise(m, package.manifest_bytes).rungs}
@@ -216,8 +213,7 @@ def test_a_target_is_reached_where_no_decision_looked_and_fewer_bytes_are_lower_
     _, claimed, found = ladder[0]
     assert claimed == pytest.approx(TARGET_DB, abs=MISSED_DB)
     assert TARGET_DB - MISSED_DB <= found <= TARGET_DB + 1.0  # no camera is given: the claim is of the harder half
-    assert len(ladder) > 1
-    assert (np.diff(ladder, axis=0) < 0).all(), ladder
+    assert len(ladder) > 1 and (np.diff(ladder, axis=0) < 0).all(), ladder
 
 
 def test_rows_that_frames_lack_cost_little_and_are_not_drawn(tmp_path):

@@ -105,10 +105,7 @@ def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were
     assert (bases[drawn] == 0).all()
     assert (shown[hidden] <= -(UNIT - LIMIT) * unit + 1e-9).all()  # whatever the video codec errs
     assert (np.abs(shown - alpha)[~drawn & ~hidden] <= 16 * unit + 1e-9).all()
-
-
-def test_samples_of_a_row_that_goes_and_comes_do_not_change():
-    alpha = np.array([[0.8, 0.0, 0.8, 0.0, 0.0, 0.8]]).T
+    alpha = np.array([[0.8, 0.0, 0.8, 0.0, 0.0, 0.8]]).T  # samples of a row that goes and comes do not change
     changes, bases = level.hide_undrawn(alpha - 0.5, np.array([0.5]), 0.01)
     assert np.ptp(changes) == 0 and bases[:, 0].tolist() == [0, 1, 0, 1, 1, 0]
 
@@ -130,32 +127,26 @@ def test_segments_of_even_motion_have_lines_whose_picture_stands_in_front_and_ot
     assert len(segment.frame_bytes) == SEGMENT and segment.frame_bytes[0] > len(found.samples[0]) // 2
 
 
-def test_segments_of_one_frame_have_files_and_no_line(package_of):
-    few = open_package(package_of("few"))
-    assert [segment.levels[0].line for segment in few.manifest.segments] == [None] * 19
-    sent = [s for s, segment in enumerate(few.manifest.segments) if segment.levels[0].file.bytes]
-    assert len(sent) > 2 and decode_slopes(few, sent[-1], 0) is None
-    assert all(found.error <= found.bound for found in measure_errors(few, PACKAGES["few"].scene()))
+def test_every_error_is_within_its_bound_and_segments_of_one_frame_have_files_and_no_line(package_of):
+    measured = {}
+    for name in ("lines", "few"):
+        package = open_package(package_of(name))
+        assert faces.validate(package.files.path) == []
+        measured[name] = list(measure_errors(package, PACKAGES[name].scene()))
+        assert all(m.error <= m.bound for m in measured[name]), [m for m in measured[name] if m.error > m.bound]
+    assert max(m.error / m.bound for m in measured["lines"] if "state" in m.where and m.bound) > 0.5
+    segments = package.manifest.segments
+    assert [segment.levels[0].line for segment in segments] == [None] * 19
+    sent = [s for s, segment in enumerate(segments) if segment.levels[0].file.bytes]
+    assert len(sent) > 2 and decode_slopes(package, sent[-1], 0) is None
 
 
-def test_every_error_is_within_its_bound_and_files_are_what_they_promise(lined, tmp_path):
-    frames = [frame for group in PACKAGES["lines"].groups() for frame in group]
-    scene = write_sequence(tmp_path / "scene", frames, fps=30, keyframes=[0, 16, 17, 25])
-    measured = list(measure_errors(lined, faces.open_sequence(scene)))
-    assert all(m.error <= m.bound for m in measured), [m for m in measured if m.error > m.bound]
-    assert max(m.error / m.bound for m in measured if "state" in m.where and m.bound) > 0.5
-    assert faces.airgs_manifest(["validate", str(lined.files.name), "--against", str(scene)]) == 0
-
-
-def test_frames_that_are_read_alone_are_those_of_a_whole_segment(lined):
+def test_frames_that_are_read_alone_are_those_of_a_whole_segment_and_slopes_are_what_rows_rise_by(lined):
     whole = [frame.gaussians for frame in decode_frames(lined, 0, 17)]
     for number in (0, 5, 7, 8, 12, 16):
         alone = decode(lined, number)
         for name in alone.__slots__:
             np.testing.assert_array_equal(getattr(alone, name), getattr(whole[number], name))
-
-
-def test_slopes_are_what_rows_rise_by_and_frames_hold_the_rest(lined):
     codes = np.stack([shown.codes() for shown in faces.decode_pictures(lined, 0, 0, range(SEGMENT))])
     slopes, gain = decode_slopes(lined, 0, 0), lined.manifest.state_gain
     assert np.ptp(slopes[:3], axis=1).max() > 20 * gain  # of means, some past 8 bits
@@ -185,9 +176,8 @@ def test_a_line_is_taken_where_it_saves_bytes_alone():
 
 def noise(reach, kind, count=6):
     """A GOP of `count` pictures whose samples differ from 128 by at most `reach`."""
-    rng = np.random.default_rng(reach)
-    shape = (count, 128, 128)
-    signed = {"ends": rng.choice([-1.0, 1.0], shape), "even": rng.uniform(-1, 1, shape)}[kind]
+    rng, shape = np.random.default_rng(reach), (count, 128, 128)
+    signed = rng.choice([-1.0, 1.0], shape) if kind == "ends" else rng.uniform(-1, 1, shape)
     return h264.ClosedGop(np.rint(128 + reach * signed).astype(np.uint8), 0, 1)
 
 

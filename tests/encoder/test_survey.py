@@ -42,21 +42,18 @@ def test_no_view_that_decides_measures(fox):
         assert np.array_equal(a.world_to_camera, b.world_to_camera)
 
 
-@pytest.mark.parametrize("frames", [1, 2, 5, 10, 23, 24, 240])
-def test_all_frames_of_a_group_decide_or_evenly_many_from_end_to_end(fox, frames):
-    _, plan = fox
-    pictures = plan.decide(frames)
-    numbers = {frame for frame, _ in pictures}
-    assert len(pictures) == plan.decided == len(places(view for _, view in pictures))
-    assert (len(numbers), min(numbers), max(numbers)) == (min(frames, plan.decided), 0, frames - 1)
-
-
-def test_leaving_out_is_checked_in_views_that_did_not_rank_of_which_small_ones_are_twice_as_many(fox):
-    ranking, checking = fox[1].decide(24), fox[1].check(24)
+def test_all_frames_of_a_group_decide_or_evenly_many_from_end_to_end_and_others_check(fox):
+    sequence, plan = fox
+    for frames in (1, 2, 5, 10, 23, 24, 240):
+        pictures = plan.decide(frames)
+        numbers = {frame for frame, _ in pictures}
+        assert len(pictures) == plan.decided == len(places(view for _, view in pictures))
+        assert (len(numbers), min(numbers), max(numbers)) == (min(frames, plan.decided), 0, frames - 1)
+    ranking, checking = plan.decide(24), plan.check(24)
     assert len(checking) == 16 and len({frame for frame, _ in checking}) == 16
     assert not places(view for _, view in ranking) & places(view for _, view in checking)
-    given = [replace(region(place(0.0)), width=width, height=300) for width in (300, 400)]
-    assert [ViewPlan.of(fox[0], 10, region=one).decided for one in given] == [20, 10]
+    given = [replace(region(place(0.0)), width=width, height=300) for width in (300, 400)]  # more of small pictures
+    assert [ViewPlan.of(sequence, 10, region=one).decided for one in given] == [20, 10]
 
 
 def test_all_frames_of_a_segment_are_measured_from_views_of_its_own(fox):
@@ -69,8 +66,7 @@ def test_all_frames_of_a_segment_are_measured_from_views_of_its_own(fox):
 
 def test_without_a_margin_the_held_out_cameras_measure(fox):
     sequence, _ = fox
-    plan = ViewPlan.of(sequence, 24, margin=0.0)
-    held_out = [c for c in sequence.cameras if c.held_out]
+    plan, held_out = ViewPlan.of(sequence, 24, margin=0.0), [c for c in sequence.cameras if c.held_out]
     assert [c.name for c in plan.measuring] == [c.name for c in held_out]
     assert not places(plan.deciding) & places(held_out)
     training = replace(sequence, cameras=[c for c in sequence.cameras if not c.held_out])
@@ -87,10 +83,12 @@ def test_a_region_that_is_given_is_taken_and_cameras_keep_their_own_up(fox):
     assert told.region == plan.region and plan.world is None
 
 
-def test_a_scene_without_cameras_is_not_trusted_and_its_up_is_guessed():
+def test_up_of_a_scene_without_cameras_is_guessed_and_a_world_that_no_reader_takes_is_refused():
     plan = ViewPlan.of(faces.GaussianSequence.from_arrays(moving_frames(60, 3)), 24)
     assert plan.region.source == "orbit" and not plan.trusted
     assert plan.world is None and plan.notes[1].startswith("up is guessed to be (")
+    with pytest.raises(faces.ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
+        EncodeSettings(world=faces.World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
 
 
 def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
@@ -101,11 +99,6 @@ def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
     assert plan.notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
     assert faces.up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in told.notes)
     assert all(at.up[2] <= 0 for at in told.region.places), "the views that were found are upright"
-
-
-def test_a_world_that_no_reader_takes_is_refused_before_the_work():
-    with pytest.raises(faces.ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
-        EncodeSettings(world=faces.World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
 
 
 def write_scene(folder, background=None):
@@ -121,9 +114,9 @@ def backgrounds(tmp_path_factory):
     root, found = tmp_path_factory.mktemp("backgrounds"), []
     settings = EncodeSettings(calibrate="none", measure_pictures=12, levels=TWO_LEVELS)
     for name, background in (("white", WHITE), ("plain", None)):
-        sequence = open_sequence(write_scene(root / name, background))
-        faces.encode(sequence, root / f"{name}.airgs", settings)
-        found.append((sequence, open_package(root / f"{name}.airgs")))
+        sequence, out = open_sequence(write_scene(root / name, background)), root / f"{name}.airgs"
+        faces.encode(sequence, out, settings)
+        found.append((sequence, open_package(out)))
     return found
 
 
@@ -154,11 +147,10 @@ def test_claimed_psnr_is_that_before_the_background(backgrounds):
         assert claim == pytest.approx(found[0], abs=0.006) and abs(claim - found[1]) > 0.05
 
 
-@pytest.mark.parametrize(
-    "background", [[1, 1], [1, 1, 2], "white", "111", [0, None, 0], [True, False, True], ["1", 0, 0], 1]
-)
+@pytest.mark.parametrize("background", [
+    [1, 1], [1, 1, 2], "white", "111", [0, None, 0], [True, False, True], ["1", 0, 0], 1,
+], ids=str)  # fmt: skip
 def test_what_is_no_background_is_refused_in_one_line(tmp_path, background):
-    scene = write_scene(tmp_path / "scene", background)
     with pytest.raises(faces.SceneError, match="expected a background of r, g, b from 0 to 1") as caught:
-        open_sequence(scene)
+        open_sequence(write_scene(tmp_path / "scene", background))
     assert "\n" not in str(caught.value)

@@ -111,9 +111,10 @@ class Elsewhere:
 def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_path, monkeypatch):
     still = random_gaussians(300)
     frames = apart([turned(still, 0.02 * t) for t in range(3)])
-    few, two = (GaussianSequence.from_arrays(frames[:count]) for count in (3, 2))
+    cameras = faces.orbit_views(frames[0], count=4, size=64)
+    few, two = (GaussianSequence.from_arrays(frames[:count], cameras=cameras) for count in (3, 2))
     monkeypatch.setattr(track, "CHUNK", 2)
-    quick = replace(track.track_settings(few), key_iterations=30, frame_iterations=20)
+    quick = replace(track.track_settings(few), first_iterations=40, key_iterations=30, frame_iterations=20)
     monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
     encode(few, tmp_path / "alone.airgs", SETTINGS)
     encode(few, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), Elsewhere()))
@@ -137,9 +138,6 @@ def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(cl
     for rows in (clean, [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(clean)]):
         settings, line = track.decide(GaussianSequence.from_arrays(rows), auto)
         assert not settings.track and "track" not in line
-
-
-def test_options_that_contradict_are_refused(given, tmp_path):
     with pytest.raises(faces.ConfigError, match=r"rows: expected auto with track, .* got keep"):
         replace(SETTINGS, rows="keep")
     assert faces.airgs_encode([str(given.folder), "--track", "--follow"]) == 2
@@ -147,16 +145,15 @@ def test_options_that_contradict_are_refused(given, tmp_path):
 
 
 def test_rows_go_where_the_frame_has_them_and_turn_with_their_neighbours_as_expected(clean):
+    def turned_alike(moved, there):
+        """Whether the median row is turned as that of another frame, to 0.01 radians, half of a turn."""
+        alike = np.abs(np.sum(moved.quaternions * there.quaternions, axis=1))
+        alike /= np.linalg.norm(moved.quaternions, axis=1) * np.linalg.norm(there.quaternions, axis=1)
+        return np.median(alike) > np.cos(0.005)
+
     moved = carry(clean[0], predicted(clean[2], np.random.default_rng(0)))
     there, here = (np.linalg.norm(g.means - clean[2].means, axis=1) for g in (moved, clean[0]))
     assert np.median(there) < 0.15 * np.median(here)
     assert turned_alike(moved, clean[2])
     moved = carry(clean[2], predicted(clean[3], np.random.default_rng(0)), clean[2].means - clean[1].means)
     assert turned_alike(moved, clean[3]) and not turned_alike(clean[2], clean[3])
-
-
-def turned_alike(moved, there):
-    """Whether the median row is turned as that of another frame, to 0.01 radians, half of a turn."""
-    alike = np.abs(np.sum(moved.quaternions * there.quaternions, axis=1))
-    alike /= np.linalg.norm(moved.quaternions, axis=1) * np.linalg.norm(there.quaternions, axis=1)
-    return np.median(alike) > np.cos(0.005)
