@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from airgs_codec.encoder import measure
-from airgs_codec.encoder.measure import strides_of, with_quality
 from tests.faces import Difference, EncodeSettings, GaussianSequence, ViewPlan, encode, open_package, orbit_views, psnr
 from tests.support.packages import TWO_LEVELS
 from tests.support.scenes import moving_frames
@@ -28,14 +27,14 @@ def test_every_rung_is_measured_once_with_fewer_pictures_than_the_top_one(packag
     """What is measured in few pictures is scaled by what the top rung shows in others."""
     opened, sequence = package
     m, views = opened.manifest, ViewPlan.of(sequence, 24)
-    assert strides_of(m) == {(0, 0): 1, (0, 1): 6, (1, 0): 6, (1, 1): 2}
+    assert measure.strides_of(m) == {(0, 0): 1, (0, 1): 6, (1, 0): 6, (1, 1): 2}
     pictures = measure.pictures_of(views, m, 0, COUNT)
     errors = measure.measure_group(opened, sequence, views.renderer, 0, pictures)
-    measured = with_quality(m, [errors], COUNT).manifest
+    measured = measure.with_quality(m, [errors], COUNT).manifest
     assert measured.views.measured == COUNT and len(errors) == len(m.segments) == 2
     for segment, of_segment in zip(measured.segments, errors, strict=True):
         top = np.array([one.mse for one in of_segment[0]])
-        for ((level, key), stride), found in zip(strides_of(m).items(), of_segment, strict=True):
+        for ((level, key), stride), found in zip(measure.strides_of(m).items(), of_segment, strict=True):
             own, table = np.array([one.mse for one in found]), segment.levels[level]
             assert len(own) == -(-COUNT // stride)
             scale = top.mean() / top[::stride].mean()
@@ -58,8 +57,8 @@ def test_a_claim_is_as_sure_as_its_pictures_agree(package):
 
     def uncertainty(*of_segments):
         """What `with_quality` says of squared errors of the top rung of two segments."""
-        errors = [[[Difference(value, 1.0, 0.0) for value in of]] * len(strides_of(m)) for of in of_segments]
-        return with_quality(m, [errors], len(of_segments[0])).uncertainty
+        errors = [[[Difference(value, 1.0, 0.0) for value in of]] * len(measure.strides_of(m)) for of in of_segments]
+        return measure.with_quality(m, [errors], len(of_segments[0])).uncertainty
 
     assert uncertainty([2.0, 2.0], [2.0, 2.0]) == uncertainty([0.0], [0.0]) == 0.0
     spread = 4 * 0.25**2 * 1.0 * 4 / 3  # four pictures, each for a quarter of the frames, 1 off their mean of 2
