@@ -54,7 +54,7 @@ from airgs_codec.package.layout import (
 )  # fmt: skip
 from airgs_codec.package.tables import (
     Atlas, FileEntry, Grid, Group, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
-    Sound, Spans, StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
+    Sound, StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd

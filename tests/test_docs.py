@@ -50,20 +50,17 @@ def test_pages_are_short():
     assert sum(words[page] for page in user) <= 9000 and sum(words.values()) <= 24_000
 
 
-@pytest.mark.parametrize(
-    ("code", "finding"),
-    [
-        ("airgs-encode scene/ --no-such-option", "expected an option that there is"),
-        ("airgs-play scene.airgs --seed 4 --policy", "expected a value"),
-        ("airgs-train views/ | airgs-encode model/ --no-such-option", "expected an option"),
-        ("python -m tools.no_such_tool --quick", "No module"),
-        ("python -m tools.check_docs --lots 3", "unrecognized arguments"),
-        ("tools/no_such_tool.py", "no such file"),
-        ("airgs_codec.coding.motion.no_such_name", "no such name"),
-        ("airgs.no_such_name", "no such name"),
-        ("--no-such-option 3", "no command"),
-    ],
-)
+@pytest.mark.parametrize(("code", "finding"), [
+    ("airgs-encode scene/ --no-such-option", "expected an option that there is"),
+    ("airgs-play scene.airgs --seed 4 --policy", "expected a value"),
+    ("airgs-train views/ | airgs-encode model/ --no-such-option", "expected an option"),
+    ("python -m tools.no_such_tool --quick", "No module"),
+    ("python -m tools.check_docs --lots 3", "unrecognized arguments"),
+    ("tools/no_such_tool.py", "no such file"),
+    ("airgs_codec.coding.motion.no_such_name", "no such name"),
+    ("airgs.no_such_name", "no such name"),
+    ("--no-such-option 3", "no command"),
+])  # fmt: skip
 def test_what_is_not_there_is_found(code, finding):
     assert any(finding in line for line in check_docs.inline_errors(code))
 
@@ -76,34 +73,28 @@ def test_links_lead_to_files_and_headings_and_a_required_argument_is_missed_in_a
         assert bool(check_docs.command_error(["airgs-decode", "scene.airgs"], whole)) == whole
 
 
-@pytest.mark.parametrize(
-    ("expected", "printed", "difference"),
-    [
-        ("a 44.5 dB\nb 3", "a 44.8 dB\nb 3", None),
-        ("a 44.5 dB\nb 3", "a 44.9 dB\nb 3", "a 44.5 dB"),
-        ("a 0.4", "a 0.5", None),
-        ("a 0.4", "a 0.6", "a 0.4"),
-        ("a 1\n…\nb 3", "a 1\nx\ny\nb 3\nz", None),
-        ("a 1\nb 3", "a 1\nx\nb 3", "b 3"),
-        ("b 1,000", "b 1,001", "b 1,000"),
-        ("b 3", "", "b 3"),
-    ],
-)
+@pytest.mark.parametrize(("expected", "printed", "difference"), [
+    ("a 44.5 dB\nb 3", "a 44.8 dB\nb 3", None),
+    ("a 44.5 dB\nb 3", "a 44.9 dB\nb 3", "a 44.5 dB"),
+    ("a 0.4", "a 0.5", None),
+    ("a 0.4", "a 0.6", "a 0.4"),
+    ("a 1\n…\nb 3", "a 1\nx\ny\nb 3\nz", None),
+    ("a 1\nb 3", "a 1\nx\nb 3", "b 3"),
+    ("b 1,000", "b 1,001", "b 1,000"),
+    ("b 3", "", "b 3"),
+])  # fmt: skip
 def test_pasted_output_is_compared_line_by_line(expected, printed, difference):
     assert check_docs.first_difference(expected, printed) == difference
 
 
-@pytest.mark.parametrize(
-    ("info", "code", "finding"),
-    [
-        ("sh", "python -m tools.check_docs tests/data/README.md", None),
-        ("sh", "airgs-manifest validate nothing.airgs", "SystemExit"),
-        ("python", "print('seen')", None),
-        ("python", "print('unseen')", "does not print 'seen'"),
-        ("python", "1 / 0", "ZeroDivisionError"),
-        ("sh not-run", "airgs-encode nothing/", None),
-    ],
-)
+@pytest.mark.parametrize(("info", "code", "finding"), [
+    ("sh", "python -m tools.check_docs tests/data/README.md", None),
+    ("sh", "airgs-manifest validate nothing.airgs", "SystemExit"),
+    ("python", "print('seen')", None),
+    ("python", "print('unseen')", "does not print 'seen'"),
+    ("python", "1 / 0", "ZeroDivisionError"),
+    ("sh not-run", "airgs-encode nothing/", None),
+])  # fmt: skip
 def test_what_fails_or_prints_something_else_is_found(info, code, finding, tmp_path):
     wrong = check_docs.Workshop(tmp_path).run_block(check_docs.Block(info, code, "seen\n" if info == "python" else ""))
     assert (wrong is None) if finding is None else finding in wrong

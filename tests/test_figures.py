@@ -61,20 +61,17 @@ NO_TRACES = (([], []), ([0, 1], [5]), ([[0]], [[5]]), ([1, 0], [5, 5]), ([0], [-
 BOTH = "expected an open sequence or package, or the path of one"
 
 
-@pytest.mark.parametrize(
-    ("call", "arguments", "settings", "line"),
-    [
-        *((airgs.Trace.from_arrays, arrays, {}, "arrays: ") for arrays in NO_TRACES),
-        (airgs.compare, (3, PACKAGE), {}, f"reference: {BOTH}, got int 3"),
-        (airgs.compare, (PACKAGE, PACKAGE), {"frames": range(0, 99)}, "frames: expected some of"),
-        (airgs.compare, (PACKAGE, PACKAGE), {"frames": 3}, "frames: expected a range, got int 3"),
-        (airgs.compare, (FOX, FOX), {"rung": "Q0+L0"}, "expected a package for the rung"),
-        (airgs.read, (FOX,), {}, "expected one frame, got"),
-        (airgs.read, (3,), {}, "path: expected a path or an address, got int 3"),
-        (airgs.write, (FOX, "x.ply"), {}, "gaussians: expected Gaussians or a mapping of their arrays, got"),
-        (airgs.write, (airgs.read(FOX / "000000.ply"), None), {}, "path: expected a path or an address, got None"),
-    ],
-)
+@pytest.mark.parametrize(("call", "arguments", "settings", "line"), [
+    *((airgs.Trace.from_arrays, arrays, {}, "arrays: ") for arrays in NO_TRACES),
+    (airgs.compare, (3, PACKAGE), {}, f"reference: {BOTH}, got int 3"),
+    (airgs.compare, (PACKAGE, PACKAGE), {"frames": range(0, 99)}, "frames: expected some of"),
+    (airgs.compare, (PACKAGE, PACKAGE), {"frames": 3}, "frames: expected a range, got int 3"),
+    (airgs.compare, (FOX, FOX), {"rung": "Q0+L0"}, "expected a package for the rung"),
+    (airgs.read, (FOX,), {}, "expected one frame, got"),
+    (airgs.read, (3,), {}, "path: expected a path or an address, got int 3"),
+    (airgs.write, (FOX, "x.ply"), {}, "gaussians: expected Gaussians or a mapping of their arrays, got"),
+    (airgs.write, (airgs.read(FOX / "000000.ply"), None), {}, "path: expected a path or an address, got None"),
+])  # fmt: skip
 def test_what_is_no_trace_no_frame_or_cannot_be_compared_is_refused(call, arguments, settings, line):
     with pytest.raises(airgs.AirgsError, match=line):
         call(*arguments, **settings)

@@ -19,16 +19,13 @@ def test_no_folder_has_grown_and_entries_are_only_lowered():
     assert lowered({"a": SMALL, "b": LARGE}, {"a": LARGE, "b": SMALL}) == {"a": SMALL, "b": SMALL}
 
 
-@pytest.mark.parametrize(
-    ("entries", "found", "wanted"),
-    [
-        ({"a": SMALL}, {"a": SMALL}, []),
-        ({"a": SMALL}, {"a": LARGE}, ["a: 104 lines, at most 100; take something away"]),
-        ({"a": LARGE}, {"a": SMALL}, ["a: 100 lines, so lower its entry of 104"]),
-        ({}, {"a": SMALL}, [f"a: {what}, at most 0; take something away" for what in ("1 files", "100 lines")]),
-        ({"a": SMALL}, {}, ["a: it is gone, so take its entry out"]),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("entries", "found", "wanted"), [
+    ({"a": SMALL}, {"a": SMALL}, []),
+    ({"a": SMALL}, {"a": LARGE}, ["a: 104 lines, at most 100; take something away"]),
+    ({"a": LARGE}, {"a": SMALL}, ["a: 100 lines, so lower its entry of 104"]),
+    ({}, {"a": SMALL}, [f"a: {what}, at most 0; take something away" for what in ("1 files", "100 lines")]),
+    ({"a": SMALL}, {}, ["a: it is gone, so take its entry out"]),
+])  # fmt: skip
 def test_what_is_said_of_a_folder(entries, found, wanted):
     assert list(complaints(entries, found)) == wanted
 

@@ -44,16 +44,12 @@ MOVING, LATTICE = moving_frames(300, 6), lattice()
 TURNED = [*MOVING[:3], *(g.take(np.random.default_rng(0).permutation(300)) for g in MOVING[3:])]
 
 
-@pytest.mark.parametrize(
-    ("frames", "given", "mode", "matched", "orders"),
-    [
-        (MOVING[:5], shuffled(MOVING[:5], {1, 2, 4}), "auto", (1, 2, 3, 4), [1, 2, 4]),
-        (MOVING, TURNED, "auto", (3,), [3, 4, 5]),  # an order that stays is matched once
-        (MOVING[:4], shuffled(MOVING[:4], {2}), "match", (2, 3), [2]),  # nothing was put into another order than it had
-        (LATTICE, shuffled(LATTICE, {2, 5, 6}), "match", (2, 3, 5, 6), [2, 5, 6]),  # they are where they would go on to
-    ],
-    ids=["shuffled", "turned", "match", "lattice"],
-)
+@pytest.mark.parametrize(("frames", "given", "mode", "matched", "orders"), [
+    (MOVING[:5], shuffled(MOVING[:5], {1, 2, 4}), "auto", (1, 2, 3, 4), [1, 2, 4]),
+    (MOVING, TURNED, "auto", (3,), [3, 4, 5]),  # an order that stays is matched once
+    (MOVING[:4], shuffled(MOVING[:4], {2}), "match", (2, 3), [2]),  # nothing was put into another order than it had
+    (LATTICE, shuffled(LATTICE, {2, 5, 6}), "match", (2, 3, 5, 6), [2, 5, 6]),  # they are where they would go on to
+], ids=["shuffled", "turned", "match", "lattice"])  # fmt: skip
 def test_rows_come_back_in_the_order_of_the_first_frame_and_it_is_said_how_surely(frames, given, mode, matched, orders):
     restored = restore_rows(in_memory(given), mode)
     sequence = restored.sequence
@@ -155,18 +151,15 @@ def test_a_row_that_was_away_is_not_expected_to_go_on():
     assert found.orders[4][-2:].tolist() == [61, 60]
 
 
-@pytest.mark.parametrize(
-    ("frames", "words", "shared"),
-    [
-        (MOVING[:4], "", True),
-        (shuffled(MOVING[:4], {1}), "rows: out of order", True),
-        (thinned(MOVING[:4], 0.03)[0], "rows: out of order", True),
-        (thinned(MOVING[:4], 0.3)[0], LACKS, False),
-        ([predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])], LACKS, False),
-        ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
-        ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
-    ],
-)
+@pytest.mark.parametrize(("frames", "words", "shared"), [
+    (MOVING[:4], "", True),
+    (shuffled(MOVING[:4], {1}), "rows: out of order", True),
+    (thinned(MOVING[:4], 0.03)[0], "rows: out of order", True),
+    (thinned(MOVING[:4], 0.3)[0], LACKS, False),
+    ([predicted(g, np.random.default_rng(t)) for t, g in enumerate(MOVING[:4])], LACKS, False),
+    ([random_gaussians(300, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
+    ([random_gaussians(300 + i, seed=i) for i in range(4)], "rows: the first 3 frames do not share them", False),
+])  # fmt: skip
 def test_the_first_frames_tell_what_rows_will_cost(frames, words, shared):
     found = faces.outlook(in_memory(frames))
     assert found.words.startswith(words) and (bool(found.words), found.shared) == (bool(words), shared)
@@ -176,31 +169,25 @@ NINE = moving_frames(9, 33)
 GROWN = in_memory(NINE[:8] + moving_frames(12, 2))
 
 
-@pytest.mark.parametrize(
-    ("sequence", "most", "spans", "note"),
-    [
-        (in_memory(NINE + moving_frames(12, 4)), (), [(0, 16), (16, 33), (33, 37)], ""),  # cut evenly
-        (in_memory(NINE[:2] + moving_frames(12, 2), keyframes=(0,)), (), [(0, 2), (2, 4)], "frame 2"),  # in a group
-        (in_memory(NINE[:7], breaks=(2,)), (3,), [(0, 2), (2, 4), (4, 7)], ""),  # rows are those of other things
-        (in_memory(NINE[:7], breaks=(2,), keyframes=(0, 4)), (), [(0, 2), (2, 4), (4, 7)], ""),
-        (GROWN, (3,), [(0, 2), (2, 5), (5, 8), (8, 10)], ""),
-        (open_sequence(FOX), (), [(0, 5), (5, 10)], ""),  # its keyframes
-    ],
-)
+@pytest.mark.parametrize(("sequence", "most", "spans", "note"), [
+    (in_memory(NINE + moving_frames(12, 4)), (), [(0, 16), (16, 33), (33, 37)], ""),  # cut evenly
+    (in_memory(NINE[:2] + moving_frames(12, 2), keyframes=(0,)), (), [(0, 2), (2, 4)], "frame 2"),  # in a group
+    (in_memory(NINE[:7], breaks=(2,)), (3,), [(0, 2), (2, 4), (4, 7)], ""),  # rows are those of other things
+    (in_memory(NINE[:7], breaks=(2,), keyframes=(0, 4)), (), [(0, 2), (2, 4), (4, 7)], ""),
+    (GROWN, (3,), [(0, 2), (2, 5), (5, 8), (8, 10)], ""),
+    (open_sequence(FOX), (), [(0, 5), (5, 10)], ""),  # its keyframes
+])  # fmt: skip
 def test_groups_start_at_keyframes_and_where_rows_change_and_long_runs_are_cut(sequence, most, spans, note):
     grouping = plan_groups(sequence, *most)
     assert grouping.spans == spans and [note in line for line in grouping.notes] == [True] * bool(note)
 
 
-@pytest.mark.parametrize(
-    ("sequence", "start", "done", "spans"),
-    [
-        (GROWN, 0, False, [(0, 3), (3, 6), (6, 9)]),  # whether rows match is seen later
-        (GROWN, 6, True, [(6, 9), (9, 10)]),
-        (in_memory(NINE[:8], keyframes=(0, 5)), 0, False, [(0, 5)]),
-        (in_memory(NINE[:8], keyframes=(0, 5)), 5, True, [(5, 8)]),
-    ],
-)
+@pytest.mark.parametrize(("sequence", "start", "done", "spans"), [
+    (GROWN, 0, False, [(0, 3), (3, 6), (6, 9)]),  # whether rows match is seen later
+    (GROWN, 6, True, [(6, 9), (9, 10)]),
+    (in_memory(NINE[:8], keyframes=(0, 5)), 0, False, [(0, 5)]),
+    (in_memory(NINE[:8], keyframes=(0, 5)), 5, True, [(5, 8)]),
+])  # fmt: skip
 def test_groups_of_a_growing_sequence_close_when_no_frame_can_join_them(sequence, start, done, spans):
     assert closed_groups(sequence, start, 3, done=done) == spans
 
@@ -254,18 +241,14 @@ G, ALIKE = random_gaussians(400), alike(random_gaussians(400))
 ELSEWHERE = (G.means + np.random.default_rng(0).normal(size=(400, 3))).astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    ("a", "b", "state"),
-    [
-        (G, replace(G, means=ELSEWHERE), matching.IN_ORDER),  # they swap places: their looks tell them apart
-        (G, replace(G, opacity_logits=-G.opacity_logits), matching.IN_ORDER),
-        (ALIKE, replace(ALIKE, means=ALIKE.means + np.float32(3)), matching.IN_ORDER),
-        (G, replace(G, means=np.zeros_like(G.means)), matching.IN_ORDER),
-        (G.take(slice(0, 7)), in_disorder(G.take(slice(0, 7)))[0], matching.IN_ORDER),  # too few to tell
-        (random_gaussians(500, seed=1), random_gaussians(500, seed=2), matching.UNRELATED),
-    ],
-    ids=["fast", "blinking", "alike", "at one place", "few", "unrelated"],
-)
+@pytest.mark.parametrize(("a", "b", "state"), [
+    (G, replace(G, means=ELSEWHERE), matching.IN_ORDER),  # they swap places: their looks tell them apart
+    (G, replace(G, opacity_logits=-G.opacity_logits), matching.IN_ORDER),
+    (ALIKE, replace(ALIKE, means=ALIKE.means + np.float32(3)), matching.IN_ORDER),
+    (G, replace(G, means=np.zeros_like(G.means)), matching.IN_ORDER),
+    (G.take(slice(0, 7)), in_disorder(G.take(slice(0, 7)))[0], matching.IN_ORDER),  # too few to tell
+    (random_gaussians(500, seed=1), random_gaussians(500, seed=2), matching.UNRELATED),
+], ids=["fast", "blinking", "alike", "at one place", "few", "unrelated"])  # fmt: skip
 def test_fast_blinking_and_equal_rows_are_not_taken_for_lost_nor_other_scenes(a, b, state):
     found, sure = compare_order(a, b)
     assert found == state and (state == matching.IN_ORDER or sure < 0.2)

@@ -41,17 +41,14 @@ def test_some_frames_of_a_segment_are_those_of_the_whole(package, level, places)
     assert len(some) == len(places) and all(same(whole[i], g) for i, g in zip(places, some, strict=True))
 
 
-@pytest.mark.parametrize(
-    ("read", "choice", "message"),
-    [
-        *((decode, {"level": n}, f"level: expected one of L0, L1, got {n!r}") for n in ("L9", -1, "Q0")),
-        (decode, {"key_quality": 2}, "key_quality: expected one of Q0, Q1, got 2"),
-        *((decode, {"frame": n}, f"frame: expected 0..3, got {n}") for n in (4, -1)),
-        *((decode_frames, {"start": a, "stop": b}, f"frames: expected a range inside 0:4, got {a}:{b}")
-          for a, b in ((0, 5), (-1, 2), (3, 2))),
-        *((decode_frames, {"start": 0, "stop": 1, "tiers": n}, f"tiers: expected 1..2, got {n}") for n in (-1, 0, 3)),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("read", "choice", "message"), [
+    *((decode, {"level": n}, f"level: expected one of L0, L1, got {n!r}") for n in ("L9", -1, "Q0")),
+    (decode, {"key_quality": 2}, "key_quality: expected one of Q0, Q1, got 2"),
+    *((decode, {"frame": n}, f"frame: expected 0..3, got {n}") for n in (4, -1)),
+    *((decode_frames, {"start": a, "stop": b}, f"frames: expected a range inside 0:4, got {a}:{b}")
+      for a, b in ((0, 5), (-1, 2), (3, 2))),
+    *((decode_frames, {"start": 0, "stop": 1, "tiers": n}, f"tiers: expected 1..2, got {n}") for n in (-1, 0, 3)),
+])  # fmt: skip
 def test_what_the_package_does_not_have_is_refused_in_one_line(package, read, choice, message):
     with pytest.raises(ConfigError) as refused:
         decode(package, **({"frame": 0} | choice)) if read is decode else next(read(package, **choice))
@@ -127,14 +124,11 @@ def test_the_goldens_decode_to_the_recorded_codes_with_few_modules_and_no_librar
     assert any(base is not None and base.any() for base in shown.luma[1])
 
 
-@pytest.mark.parametrize(
-    ("case", "asked", "segments"),
-    [
-        ("fox", [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (-1, 0, 1), (0, 0, 1), (0, 0, 0)], None),
-        # A segment has two frames: its escapes are read whenever the segment or the level changes.
-        ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
-    ],
-)
+@pytest.mark.parametrize(("case", "asked", "segments"), [
+    ("fox", [(0, 0, 0), (0, 0, 0), (-1, 0, 0), (-1, 0, 1), (0, 0, 1), (0, 0, 0)], None),
+    # A segment has two frames: its escapes are read whenever the segment or the level changes.
+    ("room", [(0, 0, 0), (1, 0, 0), (0, 1, 0), (2, 0, 0), (3, 0, 0), (1, 0, 0)], [(0, 0), (0, 1), (1, 0), (0, 0)]),
+])  # fmt: skip
 def test_a_frame_is_that_of_a_fresh_package_whatever_was_decoded_before(monkeypatch, case, asked, segments):
     """`asked`: frame, level and key quality. Frames may be written to, and escapes are read as seldom as can be."""
 

@@ -9,7 +9,7 @@ from airgs_codec.encoder.pipeline import DIFFERENCE, KEY, STEPS
 from tests import faces
 from tests.faces import MEASURING, GroupSpan, decode, decode_canonical, mse, open_package, psnr, render, validate
 from tests.support.packages import GROUP, KEPT_KEYS, PACKAGES
-from tests.support.rooms import MOVER, room_behind_a_door
+from tests.support.scenes import MOVER, room_behind_a_door
 
 CELLS = 256  # samples of a macroblock
 

@@ -8,25 +8,7 @@ import numpy as np
 import pytest
 
 from tests import faces
-from tests.faces import (
-    LABEL,
-    PSNR_CAP,
-    ConfigError,
-    airgs_manifest,
-    comparable,
-    compare_two,
-    compared_views,
-    comparison_json,
-    decode_frames,
-    difference_gain,
-    format_two,
-    left_out,
-    open_package,
-    open_side,
-    region_views,
-    shared_views,
-    side_by_side,
-)
+from tests.faces import LABEL, PSNR_CAP, ConfigError, airgs_manifest, comparable, compare_two, left_out, open_side
 from tests.support.multiview_files import write_cameras
 from tests.support.paths import FOX, VALID
 from tests.support.regions import arc
@@ -39,7 +21,7 @@ PACKAGE = VALID / "moving"
 @pytest.fixture(scope="module")
 def top(tmp_path_factory):
     """What the top rung of the package decodes to, as the original."""
-    frames = [frame.gaussians for frame in decode_frames(open_package(PACKAGE), 0, 4)]
+    frames = [frame.gaussians for frame in faces.decode_frames(faces.open_package(PACKAGE), 0, 4)]
     return write_sequence(tmp_path_factory.mktemp("compare") / "top", frames, cameras=False)
 
 
@@ -192,13 +174,13 @@ def test_other_degrees_and_lengths_are_compared_and_what_one_side_lacks_is_said(
     lacking = [f"frames 4 to 5 of {long.name}, which {original.name} does not have"]
     assert left_out(original, long) == left_out(long, original) == lacking
     assert left_out(original, one_more)[0].startswith("frame 4 of") and left_out(original, original) == []
-    words = format_two(original, long, compare_two(original, long, range(4), ring(1)), "1 view", lacking)
+    words = faces.format_two(original, long, compare_two(original, long, range(4), ring(1)), "1 view", lacking)
     assert "A, the reference: " in words and "SH degree 2" in words and "left out: frames 4 to 5" in words
 
 
 def test_pictures_show_both_and_their_difference(original, broken):
     seen = compare_two(original, broken, range(4), ring(2, size=400)).worst
-    picture = side_by_side(original, broken, seen)
+    picture = faces.side_by_side(original, broken, seen)
     assert picture.shape == (LABEL + 400, 3 * 400, 3)
     first, second, difference = (picture[LABEL:, 400 * i : 400 * (i + 1)] for i in range(3))
     shown = [faces.to_bytes(faces.render(next(s.read(range(2, 3))), seen.camera).rgb) for s in (original, broken)]
@@ -211,28 +193,28 @@ def test_pictures_show_both_and_their_difference(original, broken):
 
 def test_small_pictures_have_room_for_labels_and_differences_are_amplified_until_they_are_seen(original):
     seen = compare_two(original, original, range(1), ring(1, size=48)).worst
-    picture = side_by_side(replace(original, name="x" * 300), original, seen)
+    picture = faces.side_by_side(replace(original, name="x" * 300), original, seen)
     assert picture.shape == (LABEL + 7 * 48, 3 * 7 * 48, 3)
     assert not picture[LABEL:, 2 * 7 * 48 :].any(), "equal pictures have no difference"
     for largest, gain in ((1.0, 1), (0.5, 2), (0.3, 2), (0.1, 8), (1e-5, 64), (0.0, 64)):
-        assert difference_gain(np.full((20, 20, 3), largest, np.float32)) == gain
+        assert faces.difference_gain(np.full((20, 20, 3), largest, np.float32)) == gain
 
 
 def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
     other = scene(tmp_path / "nan", [moved(random_gaussians(40), slice(3, 4), (np.nan, np.nan, np.nan))])
     result = compare_two(original, other, range(1), ring(1))
     assert result.gaussians[1] == (40, 40) and np.isfinite(result.quality.psnr)
-    assert comparison_json(original, other, result)["compared"]["gaussians"] == [40, 40]
+    assert faces.comparison_json(original, other, result)["compared"]["gaussians"] == [40, 40]
 
 
 def test_a_rung_has_its_bytes_its_claim_and_its_gaussians_and_a_scene_the_bytes_of_its_files(original, tmp_path):
-    package = open_package(PACKAGE)
+    package = faces.open_package(PACKAGE)
     rungs = {f"{r.key}+{r.state}": r for r in faces.summarise(package.manifest, package.manifest_bytes).rungs}
     for name in ("Q0+L0", "Q1+L1"):
         side = open_side(str(PACKAGE), name)
         assert (side.rung, side.bytes_per_frame) == (name, rungs[name].bytes_per_frame)
         assert side.claimed.psnr == rungs[name].psnr
-        decoded = decode_frames(package, 2, 3, key_quality=name[:2], level=name[3:])
+        decoded = faces.decode_frames(package, 2, 3, key_quality=name[:2], level=name[3:])
         assert np.array_equal(next(side.read(range(2, 3))).means, next(decoded).gaussians.means, equal_nan=True)
     assert open_side(str(PACKAGE)).rung == "Q0+L0" and open_side(str(PACKAGE)).label == "moving Q0+L0"
     for rung in ("Q9+L0", "Q0+L9", "Q0", "L0", "+"):
@@ -255,23 +237,23 @@ def test_rates_that_are_stated_must_agree(tmp_path):
 
 def test_views_are_those_of_the_scenes_or_of_the_region_or_an_orbit(original, tmp_path):
     package = open_side(str(PACKAGE))
-    words, views = shared_views(original, package)
+    words, views = faces.shared_views(original, package)
     assert f"8 views drawn from the viewing region of {PACKAGE}, seed 2" == words
     drawn = faces.draw_views(package.region, 8, 2)
     assert all(np.array_equal(a.world_to_camera, b.world_to_camera) for a, b in zip(views, drawn, strict=True))
-    words, views = shared_views(original, original)
+    words, views = faces.shared_views(original, original)
     assert "orbit around frame 0" in words and len(views) == 8
     write_cameras(tmp_path / "original" / "transforms.json", ring(4, held_out=1))
-    words, views = shared_views(package, open_side(original.name))
+    words, views = faces.shared_views(package, open_side(original.name))
     assert words == f"1 held-out camera of {original.name}" and [v.split for v in views] == ["test"]
 
 
 def test_held_out_cameras_are_taken_where_there_are_any():
-    held, others, drawn = ring(4, held_out=1), ring(4), region_views(arc(90, 3, 1.0), 5, 2)
+    held, others, drawn = ring(4, held_out=1), ring(4), faces.region_views(arc(90, 3, 1.0), 5, 2)
     for cameras, split, taken in (
         (held, None, ["test"]), (others, None, ["train"] * 4), (held, "train", ["train"] * 3),
         ([*held, *drawn], None, ["test"] + ["region"] * 5), ([*others, *drawn], None, ["train"] * 4 + ["region"] * 5),
     ):  # fmt: skip
-        assert [camera.split for camera in compared_views(cameras, split)] == taken
+        assert [camera.split for camera in faces.compared_views(cameras, split)] == taken
     with pytest.raises(ConfigError, match="split: expected one of train"):
-        compared_views(others, "test")
+        faces.compared_views(others, "test")

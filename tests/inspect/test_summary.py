@@ -5,19 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from tests.faces import (
-    LeftOut,
-    bytes_by_kind,
-    describe_left_out,
-    format_ladder,
-    format_summary,
-    open_package,
-    plot_ladder,
-    pooled_quality,
-    read_picture,
-    segment_rates,
-    summarise,
-)
+from tests import faces
+from tests.faces import LeftOut, describe_left_out, format_ladder, format_summary, pooled_quality, summarise
 from tests.support.manifests import in_groups, tiny_manifest, with_segments
 from tests.support.paths import VALID
 from tests.support.regions import arc
@@ -56,7 +45,7 @@ def test_what_is_not_measured_is_none_and_absurd_claims_are_still_numbers(claim)
 
 def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fetches():
     m = tiny_manifest(groups=(10, 5))  # 1 s and 0.5 s; L0: 2000 B of media and 100 B of sidecar each
-    assert segment_rates(m, 0).tolist() == [16800, 33600]
+    assert faces.segment_rates(m, 0).tolist() == [16800, 33600]
     level = summarise(m, MANIFESTS).levels[0]
     assert level.mean_bps == pytest.approx(2 * 16800 / 1.5)
     assert level.peak_bps == 33600
@@ -69,14 +58,14 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
     assert rungs["Q1", "L2"].psnr == pytest.approx(32) and rungs["Q1", "L2"].worst == 30
     assert len(rungs) == 6
     m = tiny_manifest(groups=(3, 3))  # 2000 B of media hold 3 * 666 B of pictures
-    kinds = bytes_by_kind(m, 0, 0, MANIFESTS)
+    kinds = faces.bytes_by_kind(m, 0, 0, MANIFESTS)
     expected = {"key pictures": 8000, "key sidecars": 400, "state pictures": 3996, "escapes and boxes": 204}
     assert kinds == expected | {"manifests": MANIFESTS}
     assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
 
 
 def test_rows_that_a_group_keeps_are_counted():
-    m = open_package(VALID / "kept").manifest
+    m = faces.open_package(VALID / "kept").manifest
     assert [group.keeps for group in summarise(m, MANIFESTS).groups] == [None, 1, 1]
 
 
@@ -100,8 +89,8 @@ def test_the_viewing_region_is_told_in_figures_and_words():
     tiny_manifest(groups=(1,), state_bytes=(0,), psnr=[[100.0, 100.0]]),
 ], ids=["measured", "not measured", "absurd", "one still frame"])  # fmt: skip
 def test_the_picture_is_drawn(m, tmp_path):
-    plot_ladder(m, MANIFESTS, tmp_path / "ladder.png")
-    picture = read_picture(tmp_path / "ladder.png")
+    faces.plot_ladder(m, MANIFESTS, tmp_path / "ladder.png")
+    picture = faces.read_picture(tmp_path / "ladder.png")
     assert picture.shape[0] > 300 and picture.shape[1] > 1000
     assert picture.std() > 0.02  # not blank
 

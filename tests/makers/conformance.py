@@ -22,7 +22,7 @@ from tests.faces import KEPT, Folder, Gaussians, Manifest, Package, Place, open_
 from tests.makers.golden import COARSE, WHOLE, encode_bare
 from tests.support.chirps import write_wav
 from tests.support.paths import VALID
-from tests.support.rooms import room_frames
+from tests.support.scenes import room_frames
 
 
 def frames(count: int, degree: int, length: int) -> list[Gaussians]:

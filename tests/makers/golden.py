@@ -20,8 +20,7 @@ from tests import faces
 from tests.faces import APART, KEPT, EncodeSettings, Folder, LevelSettings, StepSettings, open_package, open_sequence
 from tests.support.digests import digests
 from tests.support.paths import FOX, GOLDEN
-from tests.support.rooms import room_frames
-from tests.support.scenes import write_sequence
+from tests.support.scenes import room_frames, write_sequence
 
 ROWS = 700  # Gaussians kept of the embedded scene
 WHOLE = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), keys=APART)

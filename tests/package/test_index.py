@@ -10,18 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tests import faces
-from tests.faces import (
-    FormatError,
-    GroupIndex,
-    Groups,
-    build_index,
-    count_groups,
-    decode,
-    digest,
-    open_package,
-    pack_json,
-    root_of,
-)
+from tests.faces import FormatError, GroupIndex, Groups, build_index, decode, digest, pack_json, root_of
 from tests.makers.vectors.packages import pages_to
 from tests.support.manifests import no_page, tiny_manifest
 from tests.support.mutations import read_files, write_files
@@ -71,7 +60,7 @@ def test_every_group_frame_and_segment_is_found_with_a_page_for_each_level(count
     index, pages = index_of(count)
     digits = [count // PAGE**level % PAGE for level in range(9) if count >= PAGE**level]
     assert [len(spans) for spans in index] == digits and sum(len(pack_json(s)) for s in index) < MOST_ROOT_BYTES
-    assert count_groups(index) == count and sorted(pages) == sorted(GroupIndex(index, no_page).pages())
+    assert faces.count_groups(index) == count and sorted(pages) == sorted(GroupIndex(index, no_page).pages())
     assert len(pages) == sum(count // PAGE**level for level in range(1, 9))
     chosen = range(count) if seed is None else sorted({0, count - 1, *seed.choices(range(count), k=300)})
     places, _, read = places_of(count)
@@ -197,7 +186,7 @@ def test_a_frame_is_decoded_from_its_own_tables(tmp_path):
     kept = {"airgs.json", "manifest.mpd", "index/1/1.json", "group/7.json.gz"}
     files = read_files(VALID / "paged").items()
     own = {name: data for name, data in files if name in kept or name.endswith(("/7.bin", "/7.m4s"))}
-    whole, part = open_package(VALID / "paged"), open_package(write_files(tmp_path, own))
+    whole, part = faces.open_package(VALID / "paged"), faces.open_package(write_files(tmp_path, own))
     assert (decode(part, 6).means == decode(whole, 6).means).all()
     with pytest.raises(FormatError) as caught:
         decode(part, 7)

@@ -197,14 +197,11 @@ def test_a_doctype_cannot_hide_in_another_encoding(encoding):
     assert reason_of(text.replace("utf-8", encoding).encode(encoding)) in ("bad_mpd", "doctype")
 
 
-@pytest.mark.parametrize(
-    ("what", "to", "stays", "reason"),
-    [
-        ("SegmentTemplate", "a level", True, "bad_mpd"),
-        ("SegmentTemplate", "nowhere", False, "bad_mpd"),
-        ("Representation", "keys", False, "mpd_mismatch"),
-    ],
-)
+@pytest.mark.parametrize(("what", "to", "stays", "reason"), [
+    ("SegmentTemplate", "a level", True, "bad_mpd"),
+    ("SegmentTemplate", "nowhere", False, "bad_mpd"),
+    ("Representation", "keys", False, "mpd_mismatch"),
+])  # fmt: skip
 def test_what_stands_in_another_element_is_refused(what, to, stays, reason):
     root = ET.fromstring(write_mpd(TINY))
     state, keys, *_ = root.findall(STATE_SET)

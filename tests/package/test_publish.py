@@ -213,16 +213,13 @@ def test_a_named_view_is_found_by_its_name_and_the_first_place_stays(placed, cap
     assert "named views: from above" in capsys.readouterr().out and faces.validate(placed) == []
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "words"),
-    [
-        ({}, ConfigError, "nothing to change"),
-        ({"up": (0, 0, 0)}, ConfigError, "up: expected a direction"),
-        ({"view": ((1, 1, 1), (1, 1, 1))}, FormatError, "focus: expected other than"),
-        ({"view": ((1, 1, float("nan")), (1, 1, 1))}, ConfigError, "view: expected finite numbers"),
-        ({"view": ((1, 1, 1), (0, 0, 0)), "name": 65 * "a"}, FormatError, "name: expected 1 to 64 characters"),
-    ],
-)
+@pytest.mark.parametrize(("change", "error", "words"), [
+    ({}, ConfigError, "nothing to change"),
+    ({"up": (0, 0, 0)}, ConfigError, "up: expected a direction"),
+    ({"view": ((1, 1, 1), (1, 1, 1))}, FormatError, "focus: expected other than"),
+    ({"view": ((1, 1, float("nan")), (1, 1, 1))}, ConfigError, "view: expected finite numbers"),
+    ({"view": ((1, 1, 1), (0, 0, 0)), "name": 65 * "a"}, FormatError, "name: expected 1 to 64 characters"),
+])  # fmt: skip
 def test_a_view_that_no_reader_takes_changes_nothing(placed, change, error, words):
     before = read_files(placed)
     with pytest.raises(error, match=words):
@@ -237,14 +234,11 @@ def test_places_run_out(placed):
         faces.set_view(placed, view=((1, 1, 1), (0, 0, 0)))
 
 
-@pytest.mark.parametrize(
-    ("words", "named"),
-    [
-        *((words, "--look-at") for words in ("--position 1,2,3", "--up y --name x")),
-        ("--position 1,2", "position"),
-        *((f"--up={text}", "up") for text in ("up", "1,2", "0,0,0", "nan,0,1", "1,inf,0", "")),
-    ],
-)
+@pytest.mark.parametrize(("words", "named"), [
+    *((words, "--look-at") for words in ("--position 1,2,3", "--up y --name x")),
+    ("--position 1,2", "position"),
+    *((f"--up={text}", "up") for text in ("up", "1,2", "0,0,0", "nan,0,1", "1,inf,0", "")),
+])  # fmt: skip
 def test_options_that_say_half_or_no_direction_are_refused(placed, words, named, capsys):
     before = read_files(placed)
     assert faces.airgs_manifest(["set-view", str(placed), *words.split()]) == 2

@@ -73,22 +73,19 @@ def changed(**values):
     return json.dumps(data | {"places": [first, middle | at, last]} | values)
 
 
-@pytest.mark.parametrize(
-    ("text", "reason", "detail"),
-    [
-        ("{", "not_json", "expected JSON"),
-        ("[]", "wrong_type", "expected dict"),
-        ("{}", "missing_field", "missing fields"),
-        (changed(places=[]), "bad_value", "region.json.places: expected 1 to 64 values, got 0"),
-        (changed(near=0), "bad_value", "region.json.near"),
-        (changed(turn=181), "bad_value", "region.json.turn"),
-        (changed(fov_y=float("nan")), "not_json", "NaN"),
-        (changed(reach=-1), "bad_value", "places[1].reach"),
-        (changed(position=[0, 0]), "bad_value", "places[1].position"),
-        (changed(focus=[0, 0, -4]), "bad_value", "places[1].focus: expected other than [0.0, 0.0, -4.0]"),
-        (changed(up=[0, 0, 0]), "bad_value", "places[1].up"),
-    ],
-)
+@pytest.mark.parametrize(("text", "reason", "detail"), [
+    ("{", "not_json", "expected JSON"),
+    ("[]", "wrong_type", "expected dict"),
+    ("{}", "missing_field", "missing fields"),
+    (changed(places=[]), "bad_value", "region.json.places: expected 1 to 64 values, got 0"),
+    (changed(near=0), "bad_value", "region.json.near"),
+    (changed(turn=181), "bad_value", "region.json.turn"),
+    (changed(fov_y=float("nan")), "not_json", "NaN"),
+    (changed(reach=-1), "bad_value", "places[1].reach"),
+    (changed(position=[0, 0]), "bad_value", "places[1].position"),
+    (changed(focus=[0, 0, -4]), "bad_value", "places[1].focus: expected other than [0.0, 0.0, -4.0]"),
+    (changed(up=[0, 0, 0]), "bad_value", "places[1].up"),
+])  # fmt: skip
 def test_a_region_comes_back_from_a_file_as_given_and_what_is_none_is_refused_in_a_line(tmp_path, text, reason, detail):
     file = tmp_path / "region.json"
     for path in (file, tmp_path):
@@ -169,25 +166,22 @@ def test_a_transform_is_read_from_text_and_json_of_three_or_four_rows(tmp_path):
         assert faces.read_world(file) == World(values, metric=True)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("1 2 3", "got 3 numbers"),
-        ("1 0 0 0  0 1 0 0  0 0 1 x", "12 or 16 numbers"),
-        ("[[1, 0], [0]]", "12 or 16 numbers"),
-        ('{"transform": 1}', "12 or 16 numbers"),
-        ("1 0 0 0  0 1 0 0  0 0 1 nan", "finite numbers of at most 1e.30, got nan"),
-        ("1 0 0 1e35  0 1 0 0  0 0 1 0", "finite numbers of at most 1e.30, got 1e.35"),
-        ("1e200 0 0 0  0 1e200 0 0  0 0 1e200 0", "at most 1e.30, got 1e.200"),
-        (f"[1{'0' * 400}, 0, 0, 0]", "12 or 16 numbers, row by row: int too large"),
-        ("1 0 0 0  0 1 0 0  0 0 1 0  0 0 1 1", "last row"),
-        ("1 0 0 0  0 2 0 0  0 0 1 0", "one scale"),
-        ("1 0 0 0  0 -1 0 0  0 0 1 0", "mirrors"),
-        ("1 0.01 0 0  0 1 0 0  0 0 1 0", "rotation"),
-        ("0 0 0 0  0 0 0 0  0 0 0 0", "scale of"),
-        ("8e6 -6e6 0 0  6e6 8e6 0 0  0 0 1e7 0", "scale of 1e-06"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    ("1 2 3", "got 3 numbers"),
+    ("1 0 0 0  0 1 0 0  0 0 1 x", "12 or 16 numbers"),
+    ("[[1, 0], [0]]", "12 or 16 numbers"),
+    ('{"transform": 1}', "12 or 16 numbers"),
+    ("1 0 0 0  0 1 0 0  0 0 1 nan", "finite numbers of at most 1e.30, got nan"),
+    ("1 0 0 1e35  0 1 0 0  0 0 1 0", "finite numbers of at most 1e.30, got 1e.35"),
+    ("1e200 0 0 0  0 1e200 0 0  0 0 1e200 0", "at most 1e.30, got 1e.200"),
+    (f"[1{'0' * 400}, 0, 0, 0]", "12 or 16 numbers, row by row: int too large"),
+    ("1 0 0 0  0 1 0 0  0 0 1 0  0 0 1 1", "last row"),
+    ("1 0 0 0  0 2 0 0  0 0 1 0", "one scale"),
+    ("1 0 0 0  0 -1 0 0  0 0 1 0", "mirrors"),
+    ("1 0.01 0 0  0 1 0 0  0 0 1 0", "rotation"),
+    ("0 0 0 0  0 0 0 0  0 0 0 0", "scale of"),
+    ("8e6 -6e6 0 0  6e6 8e6 0 0  0 0 1e7 0", "scale of 1e-06"),
+])  # fmt: skip
 def test_other_files_are_refused_in_a_line(tmp_path, text, words):
     file = tmp_path / "world.txt"
     with pytest.raises(ConfigError, match="cannot read"):
@@ -206,15 +200,12 @@ def test_what_is_told_is_up_at_every_place_and_what_is_not_has_no_field():
     assert upright(told).tolist() == [0, 0, 1]
 
 
-@pytest.mark.parametrize(
-    ("up", "name", "line"),
-    [
-        ((0, 1, 0), "a.spz", None),
-        ((0, -1, 0), "a.ply", None),
-        ((0, -1, 0), "a.glb", "glTF take up: (0, 1, 0); units: one is 1 m; here it is up: (0, -1, 0); units: not told"),
-        (None, "a.spz", ".spz take up: (0, 1, 0); units: not told; here it is up: not told, players take that"),
-    ],
-)
+@pytest.mark.parametrize(("up", "name", "line"), [
+    ((0, 1, 0), "a.spz", None),
+    ((0, -1, 0), "a.ply", None),
+    ((0, -1, 0), "a.glb", "glTF take up: (0, 1, 0); units: one is 1 m; here it is up: (0, -1, 0); units: not told"),
+    (None, "a.spz", ".spz take up: (0, 1, 0); units: not told; here it is up: not told, players take that"),
+])  # fmt: skip
 def test_a_format_that_means_another_up_is_named(package, tmp_path, capsys, up, name, line):
     if up:
         faces.set_view(package, up=up)

@@ -52,19 +52,16 @@ def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
         layout.slice("colours")
 
 
-@pytest.mark.parametrize(
-    ("path", "written", "kind", "place"),
-    [
-        (JSON_NAME, "airgs.json", FileKind.MANIFESTS, ("", ())),
-        (faces.MPD_NAME, "manifest.mpd", FileKind.MANIFESTS, ("", ())),
-        (faces.group_path(7200), "group/7200.json.gz", FileKind.MANIFESTS, ("group", (7200,))),
-        (faces.page_path(2, 1), "index/2/1.json", FileKind.MANIFESTS, ("page", (2, 1))),
-        (faces.INIT_NAME, "init.mp4", FileKind.INIT, ("", ())),
-        (faces.key_media_path(1, 12, 3), "key/T1/Q12/3.m4s", FileKind.KEY, ("key", (1, 12, 3))),
-        (faces.state_media_path(2, 3), "state/L2/3.m4s", FileKind.STATE, ("state", (2, 3))),
-        (faces.key_sidecar_path(0, 30), "key/T0/30.bin", FileKind.SIDECARS, ("sidecar", (0, 30))),
-    ],
-)
+@pytest.mark.parametrize(("path", "written", "kind", "place"), [
+    (JSON_NAME, "airgs.json", FileKind.MANIFESTS, ("", ())),
+    (faces.MPD_NAME, "manifest.mpd", FileKind.MANIFESTS, ("", ())),
+    (faces.group_path(7200), "group/7200.json.gz", FileKind.MANIFESTS, ("group", (7200,))),
+    (faces.page_path(2, 1), "index/2/1.json", FileKind.MANIFESTS, ("page", (2, 1))),
+    (faces.INIT_NAME, "init.mp4", FileKind.INIT, ("", ())),
+    (faces.key_media_path(1, 12, 3), "key/T1/Q12/3.m4s", FileKind.KEY, ("key", (1, 12, 3))),
+    (faces.state_media_path(2, 3), "state/L2/3.m4s", FileKind.STATE, ("state", (2, 3))),
+    (faces.key_sidecar_path(0, 30), "key/T0/30.bin", FileKind.SIDECARS, ("sidecar", (0, 30))),
+])  # fmt: skip
 def test_what_a_file_carries_follows_from_its_path(path, written, kind, place):
     assert (path, faces.file_kind(path), faces.locate(path)) == (written, kind, place)
 
@@ -155,64 +152,58 @@ PAGEFUL = {"frames": [1] * 64, "segments": [1] * 64, "bytes": [9] * 64, "sha256"
 HIGH = [{"frames": [5], "segments": [2], "bytes": [9], "sha256": "A" * 32}] * 6
 
 
-@pytest.mark.parametrize(
-    ("name", "values", "words"),
-    [
-        *((TABLE, {f"{LEVEL}.psnr": [db, 40.0]}, "psnr") for db in (1e300, -1e300)),
-        (TABLE, {f"{LEVEL}.worst": [30.0]}, "worst"),
-        *((TABLE, {f"{LEVEL}.ssim": ssim}, "ssim") for ssim in ([], [0.9, 7.0])),
-        *((TABLE, {f"{LEVEL}.delta_e": e}, "delta_e") for e in ([], [0.5], [-0.1, 0.1], [0.5, 1e300])),
-        (TABLE, {f"{LEVEL}.file.sha256": ""}, "file"),
-        (TABLE, {f"{LEVEL}.file": {"bytes": 0, "sha256": "A" * 32}}, ""),
-        (TABLE, {f"{LEVEL}.file": {"bytes": 0, "sha256": "A" * 32}, f"{LEVEL}.frame_bytes": []},
-         "expected both a length and a digest or neither, got 0 and 'AAA"),
-        (TABLE, {f"{LEVEL}.frame_bytes": [-1]}, "frame_bytes"),
-        (TABLE, {"keeps": 1}, "centres"),  # its pictures are no differences
-        (TABLE, {"segments.0.stop": 0}, "segments[0]: expected a start at 0, got [0, 0)"),
-        (TABLE, {"segments": []}, ""),
-        (TABLE, {"stop": 4}, ""),
-        (TABLE, {"levels.0.width": 8}, "width"),
-        *((TABLE, {"levels.0.height": height}, "height") for height in (0, 72)),
-        (TABLE, {"levels.0.plane_width": 4096}, "width"),
-        (TABLE, {"levels.0.centres.0": 2**31}, "centres"),
-        (TABLE, {"tiers.0.qualities.0.width": 4096 + 16}, "width"),
-        (TABLE, {"tiers.0.pictures": []}, "pictures"),
-        (TABLE, {"tiers.0.qualities.0.planes": []}, "planes"),
-        (TABLE, {"tiers.0.qualities.0.centres.0": 2**31 - 1}, "centres"),
-        (JSON_NAME, {"levels.0.quality": 2}, "quality"),  # there are Q0 and Q1
-        (JSON_NAME, {"region.places.0.up": [0, 0.0, -0.0]}, "up"),
-        (JSON_NAME, {"qualities.0.coarser": 1}, "coarser"),
-        (JSON_NAME, {"qualities.1.coarser": 22}, "coarser"),
-        (JSON_NAME, {"timescale": 30_001}, "timescale"),  # at 30 frames a second
-        *((JSON_NAME, {"tiers": tiers}, "tiers") for tiers in (0, 1)),
-        (JSON_NAME, {"init.sha256": ""}, "init"),
-        (JSON_NAME, {"index": []}, "index"),
-        (JSON_NAME, {"index.0.frames": [5]}, "index[0]"),
-        (JSON_NAME, {"index.0.frames.0": 0}, "index[0]"),
-        (JSON_NAME, {"index.0.sha256": "A" * 33}, "index[0]"),
-        (JSON_NAME, {"index": HIGH}, "index"),
-        (JSON_NAME, {"frames": 64, "index": [PAGEFUL]}, "expected at most 63 entries, got 64"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "values", "words"), [
+    *((TABLE, {f"{LEVEL}.psnr": [db, 40.0]}, "psnr") for db in (1e300, -1e300)),
+    (TABLE, {f"{LEVEL}.worst": [30.0]}, "worst"),
+    *((TABLE, {f"{LEVEL}.ssim": ssim}, "ssim") for ssim in ([], [0.9, 7.0])),
+    *((TABLE, {f"{LEVEL}.delta_e": e}, "delta_e") for e in ([], [0.5], [-0.1, 0.1], [0.5, 1e300])),
+    (TABLE, {f"{LEVEL}.file.sha256": ""}, "file"),
+    (TABLE, {f"{LEVEL}.file": {"bytes": 0, "sha256": "A" * 32}}, ""),
+    (TABLE, {f"{LEVEL}.file": {"bytes": 0, "sha256": "A" * 32}, f"{LEVEL}.frame_bytes": []},
+     "expected both a length and a digest or neither, got 0 and 'AAA"),
+    (TABLE, {f"{LEVEL}.frame_bytes": [-1]}, "frame_bytes"),
+    (TABLE, {"keeps": 1}, "centres"),  # its pictures are no differences
+    (TABLE, {"segments.0.stop": 0}, "segments[0]: expected a start at 0, got [0, 0)"),
+    (TABLE, {"segments": []}, ""),
+    (TABLE, {"stop": 4}, ""),
+    (TABLE, {"levels.0.width": 8}, "width"),
+    *((TABLE, {"levels.0.height": height}, "height") for height in (0, 72)),
+    (TABLE, {"levels.0.plane_width": 4096}, "width"),
+    (TABLE, {"levels.0.centres.0": 2**31}, "centres"),
+    (TABLE, {"tiers.0.qualities.0.width": 4096 + 16}, "width"),
+    (TABLE, {"tiers.0.pictures": []}, "pictures"),
+    (TABLE, {"tiers.0.qualities.0.planes": []}, "planes"),
+    (TABLE, {"tiers.0.qualities.0.centres.0": 2**31 - 1}, "centres"),
+    (JSON_NAME, {"levels.0.quality": 2}, "quality"),  # there are Q0 and Q1
+    (JSON_NAME, {"region.places.0.up": [0, 0.0, -0.0]}, "up"),
+    (JSON_NAME, {"qualities.0.coarser": 1}, "coarser"),
+    (JSON_NAME, {"qualities.1.coarser": 22}, "coarser"),
+    (JSON_NAME, {"timescale": 30_001}, "timescale"),  # at 30 frames a second
+    *((JSON_NAME, {"tiers": tiers}, "tiers") for tiers in (0, 1)),
+    (JSON_NAME, {"init.sha256": ""}, "init"),
+    (JSON_NAME, {"index": []}, "index"),
+    (JSON_NAME, {"index.0.frames": [5]}, "index[0]"),
+    (JSON_NAME, {"index.0.frames.0": 0}, "index[0]"),
+    (JSON_NAME, {"index.0.sha256": "A" * 33}, "index[0]"),
+    (JSON_NAME, {"index": HIGH}, "index"),
+    (JSON_NAME, {"frames": 64, "index": [PAGEFUL]}, "expected at most 63 entries, got 64"),
+])  # fmt: skip
 def test_claims_that_cannot_be_true_are_refused(name, values, words):
     with pytest.raises(FormatError) as caught:
         read(name, changed(name, values))
     assert caught.value.reason == "bad_value" and words in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "place", "value", "detail"),
-    [
-        (JSON_NAME, "sh_degree", 4, ".sh_degree: expected 0 to 3, got 4"),
-        (JSON_NAME, "qualities.1.factor", 0, ".qualities[1].factor: expected 1e-06 to 1000000.0, got 0.0"),
-        (JSON_NAME, "frame_rate", [30], ".frame_rate: expected 2 to 2 values, got 1"),
-        (JSON_NAME, "region.turn", 181, ".region.turn: expected 0 to 180, got 181.0"),
-        (JSON_NAME, "views.reference", "film", ".views.reference: expected one of original, none, got 'film'"),
-        (TABLE, f"{LEVEL}.ssim.1", 1.5, ".segments[0].levels[0].ssim[1]: expected -1 to 1, got 1.5"),
-        (TABLE, "tiers.0.sidecar.sha256", "12",
-         ".tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, got '12'"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "place", "value", "detail"), [
+    (JSON_NAME, "sh_degree", 4, ".sh_degree: expected 0 to 3, got 4"),
+    (JSON_NAME, "qualities.1.factor", 0, ".qualities[1].factor: expected 1e-06 to 1000000.0, got 0.0"),
+    (JSON_NAME, "frame_rate", [30], ".frame_rate: expected 2 to 2 values, got 1"),
+    (JSON_NAME, "region.turn", 181, ".region.turn: expected 0 to 180, got 181.0"),
+    (JSON_NAME, "views.reference", "film", ".views.reference: expected one of original, none, got 'film'"),
+    (TABLE, f"{LEVEL}.ssim.1", 1.5, ".segments[0].levels[0].ssim[1]: expected -1 to 1, got 1.5"),
+    (TABLE, "tiers.0.sidecar.sha256", "12",
+     ".tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, got '12'"),
+])  # fmt: skip
 def test_a_value_out_of_its_range_is_refused_by_reader_and_schema_alike(name, place, value, detail):
     data = changed(name, {place: value})
     with pytest.raises(FormatError) as caught:
@@ -232,18 +223,15 @@ def test_a_table_that_would_cost_far_more_than_its_file_is_refused_before_it_is_
     assert caught.value.reason == "too_large"
 
 
-@pytest.mark.parametrize(
-    ("text", "reason", "where"),
-    [
-        *((text, "not_json", "") for text in (b"", b"{", b'{"version": NaN}', b"nul", b"[" * 100_000)),
-        # JSON is UTF-8 without a mark, as in browsers: Python alone would read the others.
-        *((TEXT.decode().encode(encoding), "not_json", "") for encoding in ("utf-8-sig", "utf-16", "utf-32")),
-        (b"[]", "wrong_type", ""),
-        (changed(JSON_NAME, {"timescale": 30000.5}), "wrong_type", ".timescale"),
-        *((changed(JSON_NAME, {"key_gain": 10**n}), "bad_value", ".key_gain") for n in (309, 400, 4000)),
-        (changed(JSON_NAME, {"attribution": "\ud800"}), "bad_value", ".attribution"),  # half of a surrogate pair
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("text", "reason", "where"), [
+    *((text, "not_json", "") for text in (b"", b"{", b'{"version": NaN}', b"nul", b"[" * 100_000)),
+    # JSON is UTF-8 without a mark, as in browsers: Python alone would read the others.
+    *((TEXT.decode().encode(encoding), "not_json", "") for encoding in ("utf-8-sig", "utf-16", "utf-32")),
+    (b"[]", "wrong_type", ""),
+    (changed(JSON_NAME, {"timescale": 30000.5}), "wrong_type", ".timescale"),
+    *((changed(JSON_NAME, {"key_gain": 10**n}), "bad_value", ".key_gain") for n in (309, 400, 4000)),
+    (changed(JSON_NAME, {"attribution": "\ud800"}), "bad_value", ".attribution"),  # half of a surrogate pair
+])  # fmt: skip
 def test_what_is_not_a_table_is_refused(text, reason, where):
     with pytest.raises(FormatError) as caught:
         parse_root(text)

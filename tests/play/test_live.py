@@ -22,11 +22,11 @@ from tests import faces
 from tests.faces import JSON_NAME, FormatError, HttpSettings, RemoteTables, SessionSettings, group_path, open_package
 from tests.support.faulty import Weather, faultily_serving
 from tests.support.growing import Growing
-from tests.support.long_index import long_index
 from tests.support.paths import VALID
 from tests.support.refusals import cases
 from tests.support.regions import region
 from tests.support.servers import serving
+from tests.support.session_packages import long_index
 
 RULES = SessionSettings(startup_s=0.0, resume_s=0.0, decode_frame_s=0.0)
 FAST = HttpSettings(as_fast=True, backoff_s=0.001)

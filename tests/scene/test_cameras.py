@@ -265,15 +265,12 @@ def test_what_the_tests_write_is_what_colmap_reads(tmp_path, form, points):
         np.testing.assert_allclose(image.cam_from_world().matrix(), posed.camera.world_to_camera[:3], atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("frames", "cameras"),
-    [
-        ("scene", "scene"),
-        ("model/point_cloud/iteration_30000", "model"),  # as INRIA's code leaves its models
-        ("model/gaussian_pertimestamp", "model"),  # as 4DGaussians adds frames to one
-        ("many/scene", None),  # of another scene
-    ],
-)
+@pytest.mark.parametrize(("frames", "cameras"), [
+    ("scene", "scene"),
+    ("model/point_cloud/iteration_30000", "model"),  # as INRIA's code leaves its models
+    ("model/gaussian_pertimestamp", "model"),  # as 4DGaussians adds frames to one
+    ("many/scene", None),  # of another scene
+])  # fmt: skip
 def test_cameras_beside_a_scene_are_found(tmp_path, frames, cameras):
     scene = write_sequence(tmp_path / frames, moving_frames(4, 1), cameras=False)
     (tmp_path / "model" / "point_cloud").mkdir(parents=True, exist_ok=True)

@@ -16,8 +16,14 @@ from tests.faces import EncodeSettings, Gaussians, GaussianSequence, LevelSettin
 from tests.support.chirps import SOUNDING, write_chirping
 from tests.support.paths import FOX
 from tests.support.regions import QUICK, place, region
-from tests.support.rooms import room_behind_a_door, room_frames
-from tests.support.scenes import frozen, moving_frames, random_gaussians, write_sequence
+from tests.support.scenes import (
+    frozen,
+    moving_frames,
+    random_gaussians,
+    room_behind_a_door,
+    room_frames,
+    write_sequence,
+)
 
 TWO_LEVELS = (LevelSettings(0.0), LevelSettings(0.5, 2.0, quality=1))
 LINED_LEVELS = (LevelSettings(0.0), LevelSettings(0.3, 2.0))

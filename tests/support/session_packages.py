@@ -5,11 +5,13 @@ T key tiers, Q key qualities, L levels.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import accumulate, pairwise
+from types import SimpleNamespace
 from typing import Any
 
 from airgs_codec.package import tables as mf
-from tests.faces import Groups, Manifest, Offers, page_path
+from tests.faces import Groups, Manifest, Offers, build_index, page_path
 from tests.support.manifests import HASH, tiny_manifest
 
 Numbers = Mapping[str, Any]
@@ -93,3 +95,10 @@ def growing_offers(numbers: Numbers, steps: Sequence[int]) -> tuple[Offers, Iter
             yield manifest_of(numbers, count, live=number < len(steps)), numbers["root_bytes"] + count
 
     return offers, later()
+
+
+@cache
+def long_index(count: int) -> tuple[list[mf.Spans], dict[str, mf.Spans]]:
+    """The index of so many groups of a frame and a segment each, and its pages by their paths."""
+    group: Any = SimpleNamespace(start=0, stop=1, segments=[None])
+    return build_index([group] * count, [b"table %d" % number for number in range(count)])

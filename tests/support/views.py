@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from airgs_codec.analysis.sensitivity import measure_views
-from airgs_codec.trainer.fit.parameters import Parameters
-from tests.faces import Camera, Gaussians, Target, Usage, View, from_gaussians, join_rows, look_at, render
+from tests.faces import Camera, Gaussians, Parameters, Target, Usage, View, from_gaussians, join_rows, look_at, render
 from tests.support.scenes import random_gaussians
 
 BALL = np.array([0.9, 0.9, 0.0])  # where something appears

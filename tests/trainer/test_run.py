@@ -15,16 +15,7 @@ import airgs_codec as airgs
 from airgs_codec.trainer.frames import is_known
 from airgs_codec.trainer.report import frames_to_show, training_answer
 from tests import faces
-from tests.faces import (
-    ConfigError,
-    FrameRecord,
-    Record,
-    SceneError,
-    TrainSettings,
-    open_scene,
-    settings_from_table,
-    train,
-)
+from tests.faces import ConfigError, FrameRecord, Record, SceneError, TrainSettings, open_scene, train
 from tests.support.training import APPEARS, SETTINGS, files
 from tests.support.views import coloured_cloud, measure_usage, ring
 
@@ -229,7 +220,7 @@ def test_settings_that_cannot_work_are_refused(wrong):
 @pytest.mark.parametrize("name", ["default", "paper"])
 def test_settings_come_back_from_their_table(name):
     settings = faces.preset(name, TrainSettings(seed=3, max_size=64))
-    assert settings_from_table(json.loads(json.dumps(settings.table()).replace("Infinity", "null"))) == settings
+    assert faces.settings_from_table(json.loads(json.dumps(settings.table()).replace("Infinity", "null"))) == settings
 
 
 def test_a_first_frame_sees_every_view_often():

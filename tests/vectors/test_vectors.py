@@ -13,8 +13,8 @@ from airgs_codec.render.reference import sh_colours
 from tests import faces
 from tests.faces import KEY, STATE, FormatError, Grid, from_codes, unpack_matrix
 from tests.makers.vectors.__main__ import make
-from tests.support.long_index import long_index
 from tests.support.paths import REPOSITORY, VECTORS
+from tests.support.session_packages import long_index
 from tests.support.vectors import cases, data, numbers
 
 MOST_BYTES = 600_000

@@ -19,8 +19,7 @@ from tests.support.page import PICTURED, do_tasks, open_pictured
 from tests.support.paths import VALID
 from tests.support.refusals import cases as cases_of_refusals
 from tests.support.regions import QUICK
-from tests.support.rooms import room_frames
-from tests.support.scenes import moving_frames
+from tests.support.scenes import moving_frames, room_frames
 
 FOX = open_pictured("golden/fox")
 

@@ -13,8 +13,7 @@ from tests.support.packages import TWO_LEVELS, Encoded
 from tests.support.page import look
 from tests.support.paths import GOLDEN, VALID
 from tests.support.regions import QUICK
-from tests.support.rooms import room_frames
-from tests.support.scenes import frozen, random_gaussians
+from tests.support.scenes import frozen, random_gaussians, room_frames
 
 LEAST_DB = {"rgba16f": 55.0, "rgb10_a2": 50.0}  # PSNR of pictures of 8 bits
 SIZE = 96  # pixels either side

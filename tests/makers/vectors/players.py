@@ -14,22 +14,7 @@ import numpy as np
 
 from airgs_codec.play.policies.mpc import discounted_throughput
 from tests import faces
-from tests.faces import (
-    NONE,
-    Arrived,
-    Coming,
-    Cut,
-    Event,
-    FormatError,
-    GiveUp,
-    Link,
-    Lost,
-    Offers,
-    PlayerState,
-    Replaced,
-    SimulatedDownloader,
-    estimate_throughput,
-)
+from tests.faces import NONE, Arrived, Coming, Cut, Event, FormatError, GiveUp, PlayerState, SimulatedDownloader
 from tests.support.manifests import keys
 from tests.support.paths import GOLDEN
 from tests.support.session_packages import Numbers, growing_offers, offers_of
@@ -47,14 +32,14 @@ def policies() -> Table:
 def _answers(state: PlayerState) -> dict[str, Any]:
     """Policy -> its rung, whether that fits, and its wire bytes; and what two of them think of the link."""
     made = {name: policy.choose(state) for name, policy in faces.ADAPTIVE.items()}
-    estimates = {"throughput": estimate_throughput, "discounted": discounted_throughput}
+    estimates = {"throughput": faces.estimate_throughput, "discounted": discounted_throughput}
     return {
         "estimates": {name: plain(estimate(state.history)) for name, estimate in estimates.items()},
         "choices": {name: [d.index, d.fits, d.size_bytes] for name, d in made.items()},
     }
 
 
-def player_state(offers: Offers, state: Case) -> PlayerState:
+def player_state(offers: faces.Offers, state: Case) -> PlayerState:
     positions = range(state["position"], state["end"])
     loop, segment = offers.place(state["position"])
     offer = offers.offer(segment)
@@ -104,7 +89,7 @@ def events(play: Case, numbers: Numbers, trace: Case) -> list[list[Any]]:
     if play["growth"]:
         offers, steps = growing_offers(numbers, play["growth"])
     starts, rates = (np.array(trace[name], float) for name in ("starts_s", "rates_bps"))
-    link = Link(faces.Trace(trace["name"], starts, rates, trace["duration_s"]), play["rtt_s"])
+    link = faces.Link(faces.Trace(trace["name"], starts, rates, trace["duration_s"]), play["rtt_s"])
     below = SimulatedDownloader(link, offers, faults, play["pipelines"])
     downloader = GrowingDownloader(below, steps) if play["growth"] else below
     policy, settings = faces.make_policy(play["policy"], offers), faces.SessionSettings(**play["settings"])
@@ -118,9 +103,9 @@ def row(event: Event) -> list[Any]:
             times = plain([r.sent_s, a.first_byte_s, a.at_s])
             files = [int(a.abandoned), len(a.whole), len(a.refused)]
             return [r.kind.value, r.position, r.rung, a.bytes, *times, *files]
-        case Replaced():
+        case faces.Replaced():
             return ["replaced", event.position, event.before, event.after]
-        case Lost():
+        case faces.Lost():
             return ["lost", event.position, plain(event.at_s)]
         case Cut():
             return ["cut", plain(event.at_s)]

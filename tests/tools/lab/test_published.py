@@ -56,18 +56,15 @@ def test_every_measurement_has_its_place_in_a_document_and_every_entry_is_made_b
     assert all(one["seconds"] > 0 and one["date"] and one["machine"] and one["commit"] for one in entries.values())
 
 
-@pytest.mark.parametrize(
-    ("text", "missing"),
-    [
-        ("13.8 kB, 13.84, 26 %, 25.7 %, 1,236 and 2e-4 in 81 s of 9 tries, `--levels 7`", []),
-        ("13.9 kB, 14 kB, 25 %", ["13.9", "25"]),
-        ("1,237 in 1.5 s with 7 levels", ["1,237"]),
-        ("SH 1, H.264, V³, [x](a-99.png), `--quality 99`, KhronosGroup/glTF#2573, Python 3.11", []),
-        ("```sh\nairgs-encode --levels 99\n```\n<!-- 99 -->\n320 by 240", ["320", "240"]),
-        ("| a | 13.84 | 0.0002 | 99.5 |", ["99.5"]),
-        ("-0.0 dB off by 0.21 ‰", ["0.21"]),
-    ],
-)
+@pytest.mark.parametrize(("text", "missing"), [
+    ("13.8 kB, 13.84, 26 %, 25.7 %, 1,236 and 2e-4 in 81 s of 9 tries, `--levels 7`", []),
+    ("13.9 kB, 14 kB, 25 %", ["13.9", "25"]),
+    ("1,237 in 1.5 s with 7 levels", ["1,237"]),
+    ("SH 1, H.264, V³, [x](a-99.png), `--quality 99`, KhronosGroup/glTF#2573, Python 3.11", []),
+    ("```sh\nairgs-encode --levels 99\n```\n<!-- 99 -->\n320 by 240", ["320", "240"]),
+    ("| a | 13.84 | 0.0002 | 99.5 |", ["99.5"]),
+    ("-0.0 dB off by 0.21 ‰", ["0.21"]),
+])  # fmt: skip
 def test_a_number_without_a_source_is_found(text, missing):
     assert published.unsourced(text, {"one": ENTRY}) == missing
 
@@ -136,18 +133,15 @@ HALF = curve((5, 38), (7, 41), (10, 44), (14, 47), (20, 50))
 ABOVE = curve((10, 60), (20, 62), (30, 64), (40, 66))
 
 
-@pytest.mark.parametrize(
-    ("points", "against", "span", "rate"),
-    [
-        (WIDE, WIDE, (), 0.0),
-        (HALF, WIDE, (), -0.5),
-        (WIDE, HALF, (41, 46), 1.0),
-        (WIDE, [*WIDE, *curve((30, 40))], (), 0.0),  # what is beaten at fewer bytes does not count
-        (WIDE, ABOVE, (), None),  # it never extrapolates
-        (WIDE, WIDE, (60, 70), None),
-        (WIDE, WIDE[:3], (), None),  # four points are needed
-    ],
-)
+@pytest.mark.parametrize(("points", "against", "span", "rate"), [
+    (WIDE, WIDE, (), 0.0),
+    (HALF, WIDE, (), -0.5),
+    (WIDE, HALF, (41, 46), 1.0),
+    (WIDE, [*WIDE, *curve((30, 40))], (), 0.0),  # what is beaten at fewer bytes does not count
+    (WIDE, ABOVE, (), None),  # it never extrapolates
+    (WIDE, WIDE, (60, 70), None),
+    (WIDE, WIDE[:3], (), None),  # four points are needed
+])  # fmt: skip
 def test_rates_and_bytes_of_known_curves_lie_between_their_points(points, against, span, rate):
     assert bd_rate(points, against, *span) == (rate if rate is None else pytest.approx(rate))
     assert [kb_at(WIDE, 44), kb_at(WIDE, 42.5)] == pytest.approx([20, (14 * 20) ** 0.5])

@@ -13,20 +13,7 @@ import pytest
 from airgs_codec.trainer.data.plates import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
 from tests import faces
-from tests.faces import (
-    PICTURE_BYTES,
-    TARGET_BYTES,
-    Capture,
-    Pictures,
-    SceneError,
-    Target,
-    TrainSettings,
-    View,
-    box_mean,
-    open_scene,
-    resize,
-    rested,
-)
+from tests.faces import PICTURE_BYTES, TARGET_BYTES, Capture, Pictures, Target, TrainSettings, open_scene, rested
 from tests.support.multiview_files import write_panoptic, write_views
 from tests.support.paths import FOX_VIEWS
 from tests.support.views import coloured_cloud, ring
@@ -38,7 +25,7 @@ def test_smaller_pictures_keep_their_rays_and_are_within_half_a_level(moving):
     assert (small.width, small.height) == (24, 24)
     assert (small.cx / small.fx, small.width / small.fx) == pytest.approx((full.cx / full.fx, full.width / full.fx))
     shown, whole = (Pictures(scene, max_size=size).train(0)[0].target.rgb for size in (24, None))
-    assert shown.shape == (24, 24, 3) and 0 < np.abs(shown - resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
+    assert shown.shape == (24, 24, 3) and 0 < np.abs(shown - faces.resize(whole, 24, 24)).max() <= 0.5 / 255 + 1e-6
 
 
 def noise(cameras, width, height):
@@ -105,7 +92,7 @@ def test_masks_leave_the_background_and_opaque_pictures_have_no_random_one(tmp_p
     cut = Pictures(scene, foreground=True, background="white").train(0)[0].target.rgb
     assert cut[:, :24].min() == 1 and 0.7 < cut[:, 24:].min() < 0.9
     Pictures(scene, foreground=True, background="random").train(0)[0].before((0, 1, 0))
-    with pytest.raises(SceneError, match="expected alpha for random backgrounds, got an opaque picture"):
+    with pytest.raises(faces.SceneError, match="expected alpha for random backgrounds, got an opaque picture"):
         Pictures(scene, background="random").check()
 
 
@@ -128,7 +115,7 @@ def filmed(frames, add):
 
 def settled_one(picture, plate, exposure=None):
     """A picture (H, W, 3) as it is fitted, and where it moves (H, W)."""
-    view = View(ring(1, SIZE)[0], Target(picture.astype(np.float32) / 255))
+    view = faces.View(ring(1, SIZE)[0], Target(picture.astype(np.float32) / 255))
     [settled], [moving] = settle([view], {"cam00": plate}, exposure or {})
     return settled.target.rgb, moving
 
@@ -192,7 +179,7 @@ def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance_and_kept_w
     wanted = [view.target.rgb for view in settled]
     for view, shown, moving in zip(views, wanted, where, strict=True):
         tolerance = capture.plates[view.camera.name].tolerance
-        assert np.abs(box_mean(shown - view.target.rgb, 5)).max() <= tolerance + 1e-6
+        assert np.abs(faces.box_mean(shown - view.target.rgb, 5)).max() <= tolerance + 1e-6
         assert np.abs(shown - view.target.rgb).max() < 40 / 255 and 0.02 < moving.mean() < 0.7
     monkeypatch.setattr("airgs_codec.trainer.data.plates.TARGET_BYTES", 3 * 128 * 128 * 36)
     for view, rgb in zip(settle(views, capture.plates, {})[0], wanted, strict=True):
