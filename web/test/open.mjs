@@ -18,7 +18,7 @@ import { setTimeout } from "node:timers/promises";
 import { chromium } from "playwright-core";
 
 const TIMEOUT_MS = 180_000;
-const AT_ONCE = 4; // pages
+const AT_ONCE = 2; // pages
 /** Of a request that the page itself ended: what a seek or another level made needless. */
 const GIVEN_UP = "net::ERR_ABORTED";
 const FLAGS = [

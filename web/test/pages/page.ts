@@ -16,9 +16,9 @@ const PHONE = { width: 390, height: 844 };
 
 const wait = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
 const frame = () => new Promise((resolve) => requestAnimationFrame(resolve));
-const node = () => document.querySelector("airgs-player") as AirgsPlayer;
+const node = () => document.querySelector("airgs-player") as AirgsPlayer; // null at first
 const player = () => node().player as unknown as Player;
-const find = (selector: string) => node().shadowRoot?.querySelector<HTMLElement>(selector) ?? null;
+const find = (selector: string) => node()?.shadowRoot?.querySelector<HTMLElement>(selector) ?? null;
 
 /** Resolves when a condition holds. Throws after a while. */
 async function until(what: string, condition: () => boolean, seconds = 30): Promise<void> {
