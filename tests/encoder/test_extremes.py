@@ -13,7 +13,7 @@ from tools.lab.numerics.extremes import LINES, page, row
 from tools.lab.numerics.sequences import CASES, PLAIN, Outcome, measure_case
 from tools.lab.published import read_figures
 
-LONG = "1000 frames"  # of which here are as many as a byte does not count
+LONG = "1000 frames"  # of which 260 are coded here: more than a byte counts
 SEEN = {"region": region(), "decide_pictures": 2}
 QUICK = replace(PLAIN, levels=PLAIN.levels[::3], keys=faces.APART, **SEEN)
 ONE_RUNG = {"levels": PLAIN.levels[:1], "key_factors": (1.0,)}
