@@ -65,7 +65,7 @@ web-check: web/node_modules/installed
 	else echo "types and lint of web/ are not checked: npm is not there"; fi
 
 pytest: .venv/installed
-	$(BIN)/pytest --numprocesses 3 --dist loadfile -rs
+	$(BIN)/pytest --numprocesses 4 --dist loadfile -rs
 
 # What takes long: mutated files, killed encodes and trainings, full disks, a farm that fails, browsers that play on and
 # on. Hours in all.

@@ -3,6 +3,8 @@
 import fcntl
 import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -11,6 +13,8 @@ import hypothesis
 import pytest
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numba: the processes of pytest-xdist take all cores
 
 from tests.support.mutations import read_files
 from tests.support.packages import PACKAGES
@@ -58,6 +62,13 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
         return folder
 
     return get
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled(made_once):
+    """Kernels are loaded by every process: what one compiles itself may differ in the last bits, and says so."""
+    compile_all = [sys.executable, "-m", "airgs_codec.cli.kernels"]
+    made_once("kernels", lambda folder: folder.mkdir() or subprocess.run(compile_all, check=True))
 
 
 def read_only(made_once, ending, makers):

@@ -56,7 +56,7 @@ def _plot_bytes(axes: Any, m: Manifest) -> None:
     axes.set(xlabel="frame (dotted: a new group)", ylabel="kB", title="Bytes over time: state pictures and keys")
     axes.set_ylim(0, 1.3 * axes.get_ylim()[1])  # room for the legend
     axes.locator_params(axis="x", integer=True)
-    axes.legend(fontsize=8, ncols=2)
+    axes.legend(loc="upper center", fontsize=8, ncols=2)
     axes.set_axisbelow(True)
     axes.grid(alpha=0.3)
 

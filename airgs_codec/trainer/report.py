@@ -166,7 +166,7 @@ def _psnr(record: Record, axis: Any) -> None:
         drawn = [r.rejected_psnr for r in rejected]
         axis.plot([r.frame for r in rejected], drawn, "x", color=RED, label="fit not taken")
     _over_frames(record, axis, "PSNR, dB")
-    axis.legend(fontsize=8, frameon=False)
+    axis.legend(loc="lower center", bbox_to_anchor=(0.5, 1), ncols=3, fontsize=8, frameon=False)
 
 
 def _seconds(record: Record, axis: Any) -> None:

@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from tests.faces import JSON_NAME, FormatError, HttpDownloader, HttpSettings, Se
 from tests.support.browser import Answer, serve
 from tests.support.faulty import FAULTS, Weather, faultily_serving
 from tests.support.paths import GOLDEN, VALID
-from tests.support.servers import plainly_serving, serving
+from tests.support.servers import answering, plainly_serving, serving
 from tools.lab.bench.link import compare
 from tools.lab.relay import shaped
 
@@ -127,11 +127,8 @@ def test_an_answer_that_trickles_is_broken_off_and_one_that_is_slow_is_not(part)
 
     def read(step):
         members = {"log_message": lambda *_: None, "do_GET": lambda handler: answer(handler, step)}
-        with ThreadingHTTPServer(("127.0.0.1", 0), type("Handler", (BaseHTTPRequestHandler,), members)) as server:
-            server.daemon_threads = True
-            threading.Thread(target=server.serve_forever, args=(0.01,), daemon=True).start()
-            opened(local(server.server_address[1]), timeout_s=1.0, attempts=1)
-            server.shutdown()
+        with answering(type("Handler", (BaseHTTPRequestHandler,), members)) as port:
+            opened(local(port), timeout_s=1.0, attempts=1)
 
     with pytest.raises(faces.AirgsError, match="the server is silent: fewer than 1024 bytes in 1 s"):
         read(1)

@@ -8,10 +8,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler
 from pathlib import Path
 
 from tests.faces import REPR_DIGEST, repr_digest
+from tests.support.servers import answering
 
 FAULTS = ("drop", "truncation", "stall", "wrong bytes", "wrong length", "status", "garbage", "wrong file")
 ROOT = "airgs.json"
@@ -101,24 +102,11 @@ def _altered(fault: str, data: bytes, at: int, path: Path) -> bytes:
     return data
 
 
-class _Server(ThreadingHTTPServer):
-    daemon_threads = True
-    request_queue_size = 64
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Clients that go are no news."""
-
-
 @contextmanager
 def faultily_serving(folder: Path, weather: Weather, port: int = 0) -> Iterator[int]:
     ended = threading.Event()
-    server = _Server(("127.0.0.1", port), partial(_Handler, folder, weather, ended))
-    thread = threading.Thread(target=server.serve_forever, args=(0.01,))
-    thread.start()
-    try:
-        yield server.server_address[1]
-    finally:
-        ended.set()
-        server.shutdown()
-        server.server_close()
-        thread.join()
+    with answering(partial(_Handler, folder, weather, ended), port) as port:
+        try:
+            yield port
+        finally:
+            ended.set()

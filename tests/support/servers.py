@@ -4,10 +4,10 @@ import asyncio
 import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 from http.client import HTTPConnection, HTTPMessage
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.request import Request, urlopen
 
@@ -40,17 +40,18 @@ def serving(
         thread.join()
 
 
-class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, *args: object) -> None:
-        pass
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    request_queue_size = 64
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Clients that go are no news."""
 
 
 @contextmanager
-def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> Iterator[int]:
-    """Python's own server; of HTTP/1.0, it ends the connection after every file."""
-    handler = type("Handler", (_Quiet,), {"protocol_version": protocol})
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(handler, directory=folder))
-    server.daemon_threads = True
+def answering(handler: Callable[..., BaseHTTPRequestHandler], port: int = 0) -> Iterator[int]:
+    """Python's own server, whose requests `handler` answers; gives its port."""
+    server = _Server(("127.0.0.1", port), handler)
     thread = threading.Thread(target=server.serve_forever, args=(0.01,))
     thread.start()
     try:
@@ -59,6 +60,17 @@ def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> Iterator[int]:
         server.shutdown()
         server.server_close()
         thread.join()
+
+
+class _Quiet(SimpleHTTPRequestHandler):
+    def log_message(self, *args: object) -> None:
+        pass
+
+
+def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> AbstractContextManager[int]:
+    """A server of a folder; of HTTP/1.0, it ends the connection after every file."""
+    handler = type("Handler", (_Quiet,), {"protocol_version": protocol})
+    return answering(partial(handler, directory=folder))
 
 
 def ask(

@@ -3,8 +3,6 @@
 import itertools
 import json
 import shutil
-import subprocess
-import sys
 from contextlib import closing
 from dataclasses import replace
 
@@ -22,11 +20,7 @@ SPANS = ["frames 0-2", "frames 3-4"]
 
 @pytest.fixture(scope="module", autouse=True)
 def small():
-    """Threads would wait for each other longer than they work on pictures of this size.
-
-    Other processes have compiled the kernels: what one compiles may differ in the last bits from what it loads.
-    """
-    subprocess.run([sys.executable, "-m", "airgs_codec.cli.kernels"], check=True)
+    """Threads would wait for each other longer than they work on pictures of this size."""
     with faces.one_thread():
         yield
 

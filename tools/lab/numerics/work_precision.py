@@ -241,7 +241,7 @@ def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
         axis.set_xlabel(question.time)
         axis.grid(alpha=0.25)
         if len({row.curve for row in some}) > 1:
-            axis.legend(fontsize=8)
+            axis.legend(loc="upper right", fontsize=8)
 
 
 def draw_curves(axis: Axes, question: Question, rows: list[Row]) -> None:

@@ -164,4 +164,4 @@ def draw(points: Sequence[RdPoint], title: str, figure: Figure) -> None:
     sizes = [p.kb_per_frame for p in points]
     axis.set_xlim(0.85 * min(sizes), 1.15 * max(sizes))
     plain_log_ticks(axis.xaxis, most=8)
-    axis.legend()
+    axis.legend(loc="lower right")
