@@ -7,6 +7,9 @@ HEAD := manifests/showcase/head.airgs
 
 VIEWS := tests/data/fox_views
 
+# Else each of a hundred processes of a test run compiles what it imports.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo demo-train demo-study test lint web-check pytest soak mutants gpu page clean
 
 # torch is pinned here, in one place; where pip would take its CUDA build, name a CPU index in PIP_EXTRA_INDEX_URL.

@@ -67,8 +67,8 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
 @pytest.fixture(scope="session", autouse=True)
 def compiled(made_once):
     """Kernels are loaded by every process: what one compiles itself may differ in the last bits, and says so."""
-    compile_all = [sys.executable, "-m", "airgs_codec.cli.kernels"]
-    made_once("kernels", lambda folder: folder.mkdir() or subprocess.run(compile_all, check=True))
+    command = [sys.executable, "-m", "airgs_codec.cli.kernels"]
+    made_once("kernels", lambda folder: subprocess.run(command, check=True) and folder.mkdir())
 
 
 def read_only(made_once, ending, makers):

@@ -11,6 +11,7 @@ from airgs_codec.places import place as module
 from tests import faces
 from tests.faces import ConfigError, Folder, FormatError, SceneError, open_package, open_sequence, place_at
 from tests.support.clip_files import random_rows, splatv_bytes
+from tests.support.jobs import read_packed
 from tests.support.paths import FOX, VALID
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.servers import plainly_serving, put_folder
@@ -137,12 +138,6 @@ def test_errors_name_the_object_in_one_line_and_names_stay_inside_of_the_folder(
     monkeypatch.setattr(module.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(1, 1, 0))
     expect(ConfigError, f"expected 0.00 GB of room for {address}, got 0.00 GB")
     assert module._as_files({"a/../../x.ply": 1, "a": 0, "a/1.ply": 5, "b.ply": 2}) == {"a/1.ply": 5, "b.ply": 2}
-
-
-def read_packed(packed):
-    """In another process: the positions of the last frame, the name of its file, and which copy it is from."""
-    sequence = pickle.loads(packed)
-    return sequence.read(len(sequence) - 1).means, sequence.name_of(sequence.paths[-1]), id(sequence.copied)
 
 
 @pytest.mark.parametrize("there", [True, False])

@@ -23,7 +23,7 @@ from tests.support.paths import REPOSITORY
 
 WEB = REPOSITORY / "web"
 CHROMIUMS = ("chromium", "chromium-browser", "google-chrome")
-CHROMIUM = next(filter(None, map(shutil.which, CHROMIUMS)), None)
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium-headless-shell", *CHROMIUMS))), None)  # without windows first
 LEAST_NODE = 20
 OWN = "GPU stall due to ReadPixels"  # Chromium says so of every WebGL canvas where no GPU puts pages together
 TYPES = {".mjs": "text/javascript", ".mpd": "application/dash+xml", ".m4s": "video/iso.segment", ".mp4": "video/mp4"}

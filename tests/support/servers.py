@@ -62,14 +62,10 @@ def answering(handler: Callable[..., BaseHTTPRequestHandler], port: int = 0) -> 
         thread.join()
 
 
-class _Quiet(SimpleHTTPRequestHandler):
-    def log_message(self, *args: object) -> None:
-        pass
-
-
 def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> AbstractContextManager[int]:
     """A server of a folder; of HTTP/1.0, it ends the connection after every file."""
-    handler = type("Handler", (_Quiet,), {"protocol_version": protocol})
+    members = {"protocol_version": protocol, "log_message": lambda *_: None}
+    handler = type("Handler", (SimpleHTTPRequestHandler,), members)
     return answering(partial(handler, directory=folder))
 
 

@@ -26,6 +26,7 @@ const isShown = () => !!button()?.checkVisibility();
 let session: XRSession | null = null;
 /** By scene: that of the next group is sorted as well. */
 const sorts = new Map<string, number>();
+let sorting = false; // now
 let draws = 0; // into the canvas
 
 /** Counts what is drawn and sorted, knows the session, and grinds the lenses. */
@@ -43,7 +44,11 @@ function watch(): void {
   const { postMessage } = Worker.prototype;
   Worker.prototype.postMessage = function (...values: unknown[]) {
     const { view, key = "" } = values[0] as { view?: unknown; key?: string };
-    if (view) sorts.set(key, 1 + (sorts.get(key) ?? 0));
+    if (view) {
+      sorts.set(key, 1 + (sorts.get(key) ?? 0));
+      sorting = true;
+      this.addEventListener("message", () => (sorting = false), { once: true });
+    }
     Reflect.apply(postMessage, this, values);
   };
   const usual = Object.getOwnPropertyDescriptor(XRView.prototype, "projectionMatrix")?.get as () => Float32Array;
@@ -86,7 +91,7 @@ async function pixels(): Promise<Uint8Array> {
 /** Both eyes beside each other, when they do not change any more: the order in depth comes later than the view. */
 async function eyes(): Promise<string> {
   for (let before = await pixels(); ; ) {
-    for (let frame = 0; frame < FRAMES; frame++) await pixels();
+    for (let frame = 0; frame < FRAMES || sorting; frame++) await pixels();
     const now = await pixels();
     if (now.every((value, i) => value === before[i])) {
       return btoa(Array.from(now, (byte) => String.fromCharCode(byte)).join(""));
