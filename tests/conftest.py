@@ -34,8 +34,13 @@ def pytest_terminal_summary(terminalreporter):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory):
-    """Calibrations of tests stay out of the user's cache."""
+def own_cache(tmp_path_factory, made_once):
+    """Calibrations of tests stay out of the user's cache, and kernels are compiled by another process.
+
+    One that compiles them itself says so, and its results may differ in the last bits.
+    """
+    command = [sys.executable, "-m", "airgs_codec.cli.kernels"]
+    made_once("kernels", lambda folder: subprocess.run(command, check=True) and folder.mkdir())
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield
@@ -62,13 +67,6 @@ def made_once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Pat
         return folder
 
     return get
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled(made_once):
-    """Kernels are loaded by every process: what one compiles itself may differ in the last bits, and says so."""
-    command = [sys.executable, "-m", "airgs_codec.cli.kernels"]
-    made_once("kernels", lambda folder: subprocess.run(command, check=True) and folder.mkdir())
 
 
 def read_only(made_once, ending, makers):

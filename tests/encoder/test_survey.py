@@ -83,12 +83,16 @@ def test_a_region_that_is_given_is_taken_and_cameras_keep_their_own_up(fox):
     assert told.region == plan.region and plan.world is None
 
 
-def test_up_of_a_scene_without_cameras_is_guessed_and_a_world_that_no_reader_takes_is_refused():
+def test_up_is_guessed_without_cameras_and_a_world_is_of_the_coordinates_in_files_and_mirrors_nothing():
     plan = ViewPlan.of(faces.GaussianSequence.from_arrays(moving_frames(60, 3)), 24)
     assert plan.region.source == "orbit" and not plan.trusted
     assert plan.world is None and plan.notes[1].startswith("up is guessed to be (")
     with pytest.raises(faces.ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
         EncodeSettings(world=faces.World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
+    turned = np.array([[2, 0, 0, 1], [0, 0, 2, 1], [0, -2, 0, 1.0]])
+    there = faces.GaussianSequence.from_arrays(moving_frames(60, 1)).at_origin((8, 4, 2))
+    told = faces.plan_views(there, EncodeSettings(world=faces.World(turned.ravel().tolist(), metric=True))).world
+    np.testing.assert_allclose(np.reshape(told.transform, (3, 4)) @ [1, 2, 3, 1], turned @ [9, 6, 5, 1])
 
 
 def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
