@@ -35,10 +35,7 @@ def pytest_terminal_summary(terminalreporter):
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory, made_once):
-    """Calibrations of tests stay out of the user's cache, and kernels are compiled by another process.
-
-    One that compiles them itself says so, and its results may differ in the last bits.
-    """
+    """Calibrations go into no cache of the user; kernels that a process compiles itself may differ in the last bits."""
     command = [sys.executable, "-m", "airgs_codec.cli.kernels"]
     made_once("kernels", lambda folder: subprocess.run(command, check=True) and folder.mkdir())
     with pytest.MonkeyPatch.context() as patch:
