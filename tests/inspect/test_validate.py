@@ -285,3 +285,5 @@ def test_promises_are_in_the_units_of_what_is_compared(demo_package):
     bound = group.levels[0].max_error[0] / group.state_steps.means
     np.testing.assert_allclose(promised[moving, 0], bound * ratio[moving], rtol=1e-6)
     assert moving.any() and len(np.unique(ratio[moving])) > 1
+    near, far = (errors._features([base.to_gaussians()], group, scale)[:, :3] for scale in (1.0, 0.5))
+    assert (far == 2 * near).all() and near.any()
