@@ -7,7 +7,7 @@ HEAD := manifests/showcase/head.airgs
 
 VIEWS := tests/data/fox_views
 
-# Else each of a hundred processes of a test run compiles what it imports.
+# Else every process of a test run compiles what it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo demo-train demo-study test lint web-check pytest soak mutants gpu page clean

@@ -14,14 +14,15 @@ import pytest
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # before numba: threads that wait must not take a core
 if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numba: the processes of pytest-xdist take all cores
+    os.environ.setdefault(
+        "OMP_NUM_THREADS", "1"
+    )  # before numpy and numba: the processes of pytest-xdist take all cores
 
 from tests.support.mutations import read_files
 from tests.support.packages import PACKAGES
 from tests.support.training import MODELS, write_blobs
 
-# A first example may have to compile a kernel: how long one takes says nothing.
-hypothesis.settings.register_profile("airgs", deadline=None)
+hypothesis.settings.register_profile("airgs", deadline=None)  # how long an example takes says nothing
 hypothesis.settings.load_profile("airgs")
 
 
@@ -35,9 +36,13 @@ def pytest_terminal_summary(terminalreporter):
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory, made_once):
-    """Calibrations go into no cache of the user; kernels that a process compiles itself may differ in the last bits."""
-    command = [sys.executable, "-m", "airgs_codec.cli.kernels"]
-    made_once("kernels", lambda folder: subprocess.run(command, check=True) and folder.mkdir())
+    """Calibrations stay out of the user's cache; kernels that a process compiles itself may differ in the last bits."""
+
+    def compile_all(folder):
+        subprocess.run([sys.executable, "-m", "airgs_codec.cli.kernels"], check=True)
+        folder.mkdir()
+
+    made_once("kernels", compile_all)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         yield

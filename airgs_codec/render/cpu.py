@@ -198,7 +198,7 @@ def activate(g: Gaussians) -> RasterInputs[Floats]:
         scales = np.exp(g.log_scales)
     sh = np.concatenate([g.sh_dc[:, None], g.sh_rest], axis=1)
     columns = (g.means, g.quaternions, scales, g.opacities(), sh)
-    return RasterInputs(*(np.require(c, np.float32, ["C", "W"]) for c in columns))  # read-only: other kernels
+    return RasterInputs(*(np.require(c, np.float32, ["C", "W"]) for c in columns))  # W: else numba compiles again
 
 
 def render(gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:

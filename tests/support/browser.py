@@ -14,12 +14,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from http.server import SimpleHTTPRequestHandler
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
 from tests.support.paths import REPOSITORY
+from tests.support.servers import answering
 
 WEB = REPOSITORY / "web"
 CHROMIUMS = ("chromium", "chromium-browser", "google-chrome")
@@ -61,10 +62,6 @@ class Answer:
 
 
 Made = bytes | Answer | Callable[[], bytes | Answer | None]  # made anew for each request; None: the file as it is
-
-
-class _Server(ThreadingHTTPServer):
-    request_queue_size = 128  # of the usual 5, a browser on a busy machine loses some for a minute
 
 
 @contextmanager
@@ -124,15 +121,11 @@ def serve(
         def log_message(self, format: str, *args: object) -> None:
             """Nothing is printed."""
 
-    with _Server(("127.0.0.1", 0), Handler) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.02,))
-        thread.start()
+    with answering(Handler) as port:
         try:
-            yield Site(f"http://127.0.0.1:{server.server_port}", answers)
+            yield Site(f"http://127.0.0.1:{port}", answers)
         finally:
             ended.set()
-            server.shutdown()
-            thread.join()
 
 
 @cache

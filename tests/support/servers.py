@@ -2,6 +2,7 @@
 
 import asyncio
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -9,6 +10,7 @@ from functools import partial
 from http.client import HTTPConnection, HTTPMessage
 from http.server import BaseHTTPRequestHandler, SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 from urllib.request import Request, urlopen
 
 from starlette.types import ASGIApp
@@ -42,10 +44,11 @@ def serving(
 
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
-    request_queue_size = 64
+    request_queue_size = 128  # of the usual 5, a browser on a busy machine loses some for a minute
 
-    def handle_error(self, request: object, client_address: object) -> None:
-        """Clients that go are no news."""
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        if not isinstance(sys.exception(), OSError):  # clients that go are no news
+            super().handle_error(request, client_address)
 
 
 @contextmanager
@@ -65,8 +68,7 @@ def answering(handler: Callable[..., BaseHTTPRequestHandler], port: int = 0) -> 
 def plainly_serving(folder: Path, protocol: str = "HTTP/1.1") -> AbstractContextManager[int]:
     """A server of a folder; of HTTP/1.0, it ends the connection after every file."""
     members = {"protocol_version": protocol, "log_message": lambda *_: None}
-    handler = type("Handler", (SimpleHTTPRequestHandler,), members)
-    return answering(partial(handler, directory=folder))
+    return answering(partial(type("Handler", (SimpleHTTPRequestHandler,), members), directory=folder))
 
 
 def ask(

@@ -26,7 +26,7 @@ const isShown = () => !!button()?.checkVisibility();
 let session: XRSession | null = null;
 /** By scene: that of the next group is sorted as well. */
 const sorts = new Map<string, number>();
-let sorting = false; // now
+let sorting = false; // an order in depth was asked for and has not come
 let draws = 0; // into the canvas
 
 /** Counts what is drawn and sorted, knows the session, and grinds the lenses. */
