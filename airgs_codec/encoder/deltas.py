@@ -1,13 +1,15 @@
-"""The states of a group in a level -> samples, escapes, and lines in time where they save bytes.
+"""All frames of a group -> the deltas of every pruning level: which Gaussians it carries, its samples and escapes.
 
-T frames of the group, S segments, n rows of the level, P planes, C colour channels. A line is what each row
-rises by in a segment, coded as a picture in front of its frames, which code what the line as decoded leaves: errors do
-not add up.
+Differences to the canonical space are coded as pictures. A line is what each Gaussian changes by, evenly, in a segment:
+coded as a picture of slopes in front of the frames, which code what the line as decoded leaves, so that errors do not
+add up. T frames, S segments and N Gaussians of a group, n of a level, P planes, C colour channels. Neither the
+differences of all frames nor the samples of all levels may fit into memory: both wait in a scratch folder.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import functools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO
@@ -17,21 +19,133 @@ from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas
-from airgs_codec.coding.channels import LEAST_DRAWN, hold_undrawn
+from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, hold_undrawn, state_channels
 from airgs_codec.coding.escapes import Escapes
 from airgs_codec.coding.quantize import to_codes
-from airgs_codec.encoder.omit import StateValues
-from airgs_codec.encoder.representation import AtlasPictures, Clock, ErrorModel, encode_checked
-from airgs_codec.encoder.sample import block_rows, fit_slopes, worth_line
-from airgs_codec.media.h264 import STATE_QP, ClosedGop, CodecSettings, CodedGop, qp_step
+from airgs_codec.encoder.layout import GroupLayout, assign_depths, rank_updates
+from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
+from airgs_codec.encoder.plan import Plan
+from airgs_codec.encoder.sample import LEAST_LINED, fit_slopes
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.streams import (
+    EMPTY,
+    AtlasPictures,
+    Clock,
+    ErrorModel,
+    Representation,
+    encode_checked,
+    encode_parallel,
+)
+from airgs_codec.media.h264 import STATE_QP, ClosedGop, CodecSettings, CodedGop, qp_step, state_codec
 from airgs_codec.package.layout import STATE
-from airgs_codec.package.tables import Atlas
+from airgs_codec.package.tables import STATIC, Atlas, LeftOut
+from airgs_codec.scene.gaussians import Gaussians
 
 OPACITY = STATE.slice("opacity").start
 LEAST_HIDDEN = 16  # codes of alpha, above which the two escapes of a row that goes and comes are cheaper than samples
-TRIED = 300  # blocks of rows that tell whether a line is worth its bytes, in all frames of a segment together
-FEWEST_TRIED = 8  # in a frame
 ROUNDINGS = 3  # sizes of slopes that `ErrorModel` counts besides: they are rounded to float32 twice, and make residuals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodedDeltas:
+    depths: NDArray[np.uint8]  # (N,) deepest pruning level that carries a Gaussian; STATIC: none
+    levels: tuple[CodedLevel, ...]
+    left_out: tuple[LeftOut, ...]
+    notes: tuple[str, ...] = ()  # what was changed so that codes hold it
+
+
+def code_deltas(
+    layout: GroupLayout,
+    bases: Sequence[Canonical],
+    frames: Sequence[Gaussians],
+    plan: Plan,
+    clock: Clock,
+    scratch: Path,
+) -> CodedDeltas:
+    """Quantise the deltas of a group for every pruning level; `frames` are all of the group, with all input rows.
+
+    Those of a level are differences to the one of `bases`, the canonical space as decoded in each key quality, that
+    the level corrects. A segment is fetched if anything in it differs from the original canonical frame by more than
+    half a step. Samples go to files in `scratch`.
+    """
+    file, settings = scratch / "values", plan.settings
+    values = StateValues.write(file, frames, layout.rows, bases[0], layout.state_steps)
+    score, moving, largest = rank_deltas(layout, values, bases[0], settings)
+    tiers = [settings.tiers_of(level) for level in settings.levels]
+    depths = assign_depths(score, moving, [level.pruned for level in settings.levels], layout.tiers, tiers)
+    static = note_static(layout, values, depths)
+    omitted, no_planes = StateOmissions.of(layout, bases[0], values, depths).planes(settings.scaled_price)
+    levels, quality, codec = [], 0, state_codec(settings.preset)
+    written = np.arange(len(layout.rows))
+    for number, level in enumerate(settings.levels):
+        rows = np.flatnonzero((depths != STATIC) & (depths >= number))
+        if level.quality != quality:  # no later level carries Gaussians that this one does not
+            quality, written = level.quality, rows
+            base = bases[quality].part(written)
+            values = StateValues.write(file, frames, layout.rows[written], base, layout.state_steps)
+        coder = LevelCoder(
+            values,
+            np.searchsorted(written, rows),
+            bases[quality].opacity[rows].astype(np.float64),
+            STATE.steps(layout.state_steps, layout.colours) * level.factor,
+            [
+                part if (changes > level.factor / 2).any() else None
+                for part, changes in zip(layout.local_segments, largest[:, rows], strict=True)
+            ],
+            plan.lined,
+            scratch / f"level {number}",
+            clock,
+            codec,
+        )
+        levels.append(coder.code(omitted))
+    away = int((largest.max(axis=0) >= 0.999 * FURTHEST).sum())
+    span = f"frames {layout.span[0]}-{layout.span[1] - 1}"
+    notes = (f"{span}: {away} Gaussians go further than codes reach, and are coded nearer and as much smaller",)
+    return CodedDeltas(depths, tuple(levels), tuple(n for n in (static, no_planes) if n), notes * bool(away))
+
+
+def rank_deltas(
+    layout: GroupLayout, values: StateValues, base: Canonical, settings: EncodeSettings
+) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.float64]]:
+    """Rank the updates of a group by what they are worth; `values` are differences to the decoded space `base`.
+
+    Returns (N,) scores, (N,) whether a Gaussian ever changes by half a step, and (S, N) its largest change of any
+    channel from the original canonical frame, in steps.
+    """
+    steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
+    score, moving = np.empty(values.rows), np.empty(values.rows, bool)
+    largest = np.empty((len(layout.segments), values.rows))
+    for rows in values.chunks():
+        key = state_channels([layout.key.take(rows)], base.part(rows), layout.state_steps)[0]
+        changes = (values.part(rows) - key) / steps
+        score[rows], moving[rows] = rank_updates(layout, rows, changes, settings.update_rank)
+        largest[:, rows] = [np.abs(changes[segment]).max(axis=(0, 1)) for segment in layout.local_segments]
+    return score, moving, largest
+
+
+def encode_deltas(
+    layout: GroupLayout, deltas: CodedDeltas, clock: Clock, settings: EncodeSettings
+) -> list[Representation]:
+    """Encode the pictures of every pruning level, a closed GOP for each segment that is fetched."""
+    codec = state_codec(settings.preset)
+
+    def encode(level: CodedLevel) -> Representation:
+        if level.samples is None:
+            return EMPTY
+        size = AtlasPictures.of(level.samples, level.atlas).size
+        return encode_checked(_level_gops(layout, level, level.samples, clock.frame_ticks), size, clock, codec)
+
+    return encode_parallel([functools.partial(encode, level) for level in deltas.levels], settings.threads)
+
+
+def _level_gops(layout: GroupLayout, level: CodedLevel, samples: StoredSamples, ticks: int) -> Iterator[ClosedGop]:
+    """The segments of a level that are fetched; `samples` of all frames of the group, `ticks` a frame."""
+    for part, (start, _), escaped, line in zip(
+        layout.local_segments, layout.segments, level.escapes, level.lines, strict=True
+    ):
+        if escaped is not None:
+            shown = AtlasPictures.of(samples.part(part), level.atlas)
+            yield ClosedGop(shown, start * ticks, ticks, line)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +158,8 @@ class StoredSamples:
     total: int  # T
     frames: range  # of these
 
-    def part(self, start: int, stop: int) -> StoredSamples:
-        return replace(self, frames=self.frames[start:stop])
+    def part(self, frames: slice) -> StoredSamples:
+        return replace(self, frames=self.frames[frames])
 
     def __iter__(self) -> Iterator[NDArray[np.uint8]]:
         """(P, n) of one frame after the other."""
@@ -100,8 +214,8 @@ class LevelCoder:
     rows: NDArray[np.intp]  # (n,) among those of the values
     alpha: NDArray[np.float64]  # (n,) canonical, as decoded
     steps: NDArray[np.float64]  # (10 + C,)
-    weigh: Callable[[NDArray[np.intp]], NDArray[np.float64]]  # (10 + C, m) of squared errors in steps, of m of the n
     fetched: Sequence[slice | None]  # frames of each segment; None: nothing is to be fetched
+    lined: bool  # segments have lines
     file: Path  # for samples
     clock: Clock
     codec: CodecSettings
@@ -174,23 +288,16 @@ class LevelCoder:
         )
 
     def _lines(self, atlas: Atlas) -> Lines:
-        """The lines of segments that save bytes by them."""
+        """The lines of segments of at least LEAST_LINED frames, where the plan has lines."""
         shape = len(atlas.planes), len(self.rows)
-        codes = {place: np.empty(shape, np.int32) for place, worth in enumerate(self._worth(atlas)) if worth}
-        for plane, channel in enumerate(atlas.planes if codes else []):
+        lined = [part if self.lined and part and part.stop - part.start >= LEAST_LINED else None for part in self.fetched]
+        codes = [part and np.empty(shape, np.int32) for part in lined]
+        for plane, channel in enumerate(atlas.planes if any(lined) else []):
             values = self._channel(channel)[0]
-            for place, found in codes.items():
-                found[plane] = self._codes(fit_slopes(values[self.fetched[place]])[None], channel)[0, 0]
-        lines = {place: CodedLine.of(found, atlas, self.clock, self.codec) for place, found in codes.items()}
-        return [lines.get(place) for place in range(len(self.fetched))]
-
-    def _worth(self, atlas: Atlas) -> list[bool]:
-        """Whether each segment takes fewer bytes with a line, by trials of some blocks of rows."""
-        longest = max(part.stop - part.start for part in self.fetched if part)
-        some = block_rows(len(self.rows), max(FEWEST_TRIED, TRIED // longest))
-        values = np.stack([self._channel(channel)[0][:, some] for channel in atlas.planes], axis=1)
-        steps, weights = self.steps[atlas.planes], self.weigh(some)[atlas.planes]
-        return [part is not None and worth_line(values[part], steps, weights, self.codec) for part in self.fetched]
+            for part, found in zip(lined, codes, strict=True):
+                if part is not None and found is not None:
+                    found[plane] = self._codes(fit_slopes(values[part])[None], channel)[0, 0]
+        return [None if found is None else CodedLine.of(found, atlas, self.clock, self.codec) for found in codes]
 
     def _write_again(self, atlas: Atlas, lines: Lines, error: ErrorModel) -> tuple[list[list[Escapes]], ErrorModel]:
         """Write the samples of what lines leave; gives the jumps as `_write` does, and bounds that know the lines."""

@@ -9,13 +9,10 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import WrittenRows
-from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, read_codes
 from airgs_codec.coding.channels import (
@@ -27,13 +24,13 @@ from airgs_codec.coding.channels import (
     state_channels,
 )
 from airgs_codec.coding.grid import coarse_codes
-from airgs_codec.coding.motion import classify_motion
 from airgs_codec.coding.quantize import from_codes, to_codes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar, read_detail
+from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.omit import KeyOmissions
-from airgs_codec.encoder.plan import GroupLayout, RowUsage, prune_rows, split_segments
-from airgs_codec.encoder.representation import (
+from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.streams import (
     EMPTY,
     AtlasPictures,
     Clock,
@@ -42,70 +39,12 @@ from airgs_codec.encoder.representation import (
     encode_checked,
     encode_parallel,
 )
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import Survey
 from airgs_codec.media.h264 import KEY_QP, ClosedGop, key_codec, qp_step
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import STATIC, Atlas, LeftOut
-from airgs_codec.scene.frames import Repaired
-from airgs_codec.scene.gaussians import Gaussians, mean_frame
+from airgs_codec.package.tables import Atlas, LeftOut
 
 PROMISED = 0.5 + 0.5 / qp_step(KEY_QP)  # steps that a key channel errs by: half a code, and half a step of the codec
-COARSER = 1.5  # times as coarse for a group as for its base may the motion classes of that be
 SLIGHT = 0.25  # steps by which a value may change and still be that of the base
-
-
-def lay_out_again(
-    loaded: Repaired,
-    survey: Survey,
-    written: WrittenRows,
-    base: GroupLayout,
-    settings: EncodeSettings,
-    fps: Fraction,
-) -> GroupLayout | None:
-    """Lay out a group by the rows of an earlier one; None where pictures need others of those that are `written`, or
-    need them finer: what nobody saw there has large motion units.
-
-    Its key is then what differs from that of the other, so that the rest is as it is there.
-    """
-    rows, frames = base.rows, loaded.frames
-    count = len(frames[0])
-    if int(rows.max()) >= count:
-        return None
-    if not np.isin(written.rows, rows).all():
-        if settings.keep_all or not survey.trusted:
-            return None
-        allowed = settings.steps.rows * settings.quality
-        written = prune_rows(frames, survey).with_details(WrittenRows(np.sort(rows), 0.0), allowed)
-        if len(written.rows) > len(rows) or written.error > allowed**2:
-            return None
-    key, sensitivity = mean_frame(frames).take(rows), survey.sensitivity.take(rows)
-    here, there = (
-        _coarseness(base.classes, *of, survey.scale) for of in ((sensitivity, key), (base.sensitivity, base.key))
-    )
-    if here > COARSER * there:
-        return None
-    return replace(
-        base,
-        span=survey.span,
-        pictures=survey.checks,
-        segments=split_segments(survey.span, settings.segment_s, fps),
-        count=count,
-        notes=tuple(loaded.notes),
-        removal_error=written.error,
-        key=key,
-        usage=RowUsage(survey.score(settings.usage)[rows], survey.usage.measure("hits")[rows]),
-        sensitivity=sensitivity,
-        keeps=base.span.index + 1,
-        before=base.key,
-    )
-
-
-def _coarseness(classes: NDArray[np.int16], sensitivity: Sensitivity, key: Gaussians, scale: float) -> float:
-    """The squared error of pictures by means of these motion classes over that by those that views ask for."""
-    asked = classify_motion(sensitivity.means, key, scale)
-    errors = [float(sensitivity.means @ np.exp2(2.0 * some)) for some in (classes, asked)]
-    return errors[0] / errors[1] if errors[1] else 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,18 +81,13 @@ def code_keys(layout: GroupLayout, settings: EncodeSettings, base: Sequence[Cano
             space, steps = base[quality].part(rows), layout.difference_steps
             changes, before = (state_channels([g.take(rows)], space, steps) for g in (layout.key, layout.before))
             return _code_difference(changes, changes - before, layout.tier_steps(tier, STATE) * factor)
-        sidecar = layout.sidecar(rows, _static(layout))
+        sidecar = layout.sidecar(rows)
         detail = detail_columns(sidecar, layout.grid, coarser[quality], coarser[-1])
         return _code_tier(values[None, :, rows], layout.tier_steps(tier) * factor, omitted, detail)
 
     qualities = range(len(settings.key_factors))
     coded = tuple(tuple(code(tier, quality) for quality in qualities) for tier in range(len(layout.factors)))
     return CodedKeys(coded, coarser, tuple(note for note in (omissions.gaussians(), planes) if note))
-
-
-def _static(layout: GroupLayout) -> NDArray[np.uint8]:
-    """(N,) depths before there are states."""
-    return np.full(len(layout.codes), STATIC, np.uint8)
 
 
 def _code_tier(
@@ -209,7 +143,7 @@ def encode_keys(
         if not part.atlas.rows:
             return EMPTY
         pictures = AtlasPictures.of(part.samples[None], part.atlas)
-        gop = ClosedGop(pictures, layout.span.start * ticks, layout.span.frames * ticks)
+        gop = ClosedGop(pictures, layout.span[0] * ticks, layout.frames * ticks)
         return encode_checked([gop], pictures.size, clock, codec)
 
     tasks = [functools.partial(encode, part) for tier in keys.tiers for part in tier]
@@ -223,14 +157,14 @@ def key_bytes(layout: GroupLayout, keys: CodedKeys, pictures: Sequence[Sequence[
     for tier, of_tier in enumerate(pictures):
         rows = layout.tier_rows(tier)
         if rows.stop > rows.start:
-            total += len(pack_key_sidecar(key_sidecar(layout, tier, _static(layout)), layout.grid, keys.coarser[-1]))
+            total += len(pack_key_sidecar(key_sidecar(layout, tier), layout.grid, keys.coarser[-1]))
         total += sum(len(gop.fragment) for part in of_tier for gop in part.gops)
         total += sum(len(coded.detail) for coded in keys.tiers[tier])
     return total
 
 
-def key_sidecar(layout: GroupLayout, tier: int, depths: NDArray[np.uint8]) -> KeySidecar:
-    """Make the sidecar of a tier; `depths` (N,) are those of all rows."""
+def key_sidecar(layout: GroupLayout, tier: int, depths: NDArray[np.uint8] | None = None) -> KeySidecar:
+    """Make the sidecar of a tier; `depths` (N,) are those of all Gaussians, where they are known."""
     sidecar = layout.sidecar(layout.tier_rows(tier), depths)
     return sidecar if layout.keeps is None else replace(sidecar, codes=sidecar.codes[:0])
 
@@ -252,9 +186,9 @@ def decode_keys(
         gops, coded, rows = of_quality[quality].gops, keys.tiers[tier][quality], layout.tier_rows(tier)
         if not gops:
             if base is not None:
-                parts.append(replace(base.part(rows), depths=_static(layout)[rows]))
+                parts.append(replace(base.part(rows), depths=layout.sidecar(rows).depths))
             continue
-        where = f"key tier {tier} of frames {layout.span.start}-{layout.span.stop - 1}"
+        where = f"key tier {tier} of frames {layout.span[0]}-{layout.span[1] - 1}"
         picture = next(iter(gops[0].pictures(where)))
         reader = ColumnReader(coded.detail or None, where)
         coarser = keys.coarser[-1 if base else quality]
@@ -273,6 +207,6 @@ def decode_keys(
 
 def _read_positions(reader: ColumnReader, layout: GroupLayout, tier: int, coarser: int, coarsest: int) -> KeySidecar:
     """The rows of a tier as a key quality has them, every one static, from the bytes that are sent."""
-    shared = layout.sidecar(layout.tier_rows(tier), _static(layout))
+    shared = layout.sidecar(layout.tier_rows(tier))
     codes = coarse_codes(shared.codes, shared.cells, layout.grid, coarsest)
     return read_detail(reader, replace(shared, codes=codes), layout.grid, coarser, coarsest)

@@ -1,0 +1,153 @@
+"""Encodes one group: a function from its frames, the plan and the group before to files, and the group for the next.
+
+An encode is a fold of `encode_group` over the groups of a sequence, wherever its frames come from.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from airgs_codec.analysis.importance import WrittenRows
+from airgs_codec.coding.channels import Canonical
+from airgs_codec.coding.quantize import UncodableError
+from airgs_codec.encoder.deltas import code_deltas, encode_deltas
+from airgs_codec.encoder.keyframes import CodedKeys, code_keys, decode_keys, encode_keys, key_bytes
+from airgs_codec.encoder.layout import GroupLayout, error_with, lay_out, lay_out_again
+from airgs_codec.encoder.plan import Plan
+from airgs_codec.encoder.streams import Clock, Representation
+from airgs_codec.encoder.survey import Frames, Survey
+from airgs_codec.encoder.tables import CodedGroup, finish_group
+from airgs_codec.errors import SceneError
+from airgs_codec.package.tables import Group
+from airgs_codec.places.whole import naming
+from airgs_codec.render.backend import open_renderer
+from airgs_codec.scene.frames import Repaired, turn_least
+
+WORTH = 0.25  # share of a keyframe's bytes that coding its difference must save
+MORE = 0.25  # share of its Gaussians that a keyframe may have besides those that its own pictures need
+UNBOUNDED = ("means", "log_scales", "sh_dc", "sh_rest")  # attributes whose numbers may be of any size
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CodedKeyframe:
+    """A group whose keyframe is coded: everything that its deltas need."""
+
+    layout: GroupLayout
+    keys: CodedKeys
+    pictures: Sequence[Sequence[Representation]]  # key tier x key quality
+    decoded: Sequence[Canonical]  # for each key quality
+    bytes: int  # of all its key pictures and sidecars
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Base:
+    """The last group whose keyframe is coded by itself, against which later ones may be coded."""
+
+    coded: CodedKeyframe
+    survey: Survey
+    written: WrittenRows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GroupFiles:
+    """A group as it goes into a package."""
+
+    table: Group  # without measured quality
+    files: Mapping[str, bytes]  # by path
+
+
+def encode_run(
+    run: Iterable[Frames], plan: Plan, surveys: Mapping[int, Survey] | None = None
+) -> Iterator[GroupFiles]:
+    """Fold `encode_group` over groups, the first of which begins by itself."""
+    base = None
+    for frames in run:
+        files, base = encode_group(frames, plan, base, (surveys or {}).get(frames.number))
+        yield files
+
+
+def encode_group(
+    frames: Frames, plan: Plan, base: Base | None = None, survey: Survey | None = None
+) -> tuple[GroupFiles, Base]:
+    """Encode a group and give its files, and the group against which the keyframe of the next one may be coded.
+
+    `base`: what the group before gave. `survey`: what `Survey.of` says of the frames, where that is known already.
+
+    Raises SceneError for a group that cannot be coded, CodecError when the video encoder fails.
+    """
+    loaded = turn_least(frames.sequence.load(range(frames.start, frames.stop)))
+    with naming_farthest(frames):
+        coded, base = _code_keyframe(frames, loaded, plan, None if frames.begins else base, survey)
+    layout, clock = coded.layout, Clock.of(frames.sequence.fps)
+    with tempfile.TemporaryDirectory(prefix="airgs-") as scratch, naming(Path(scratch)):
+        with naming_farthest(frames):
+            deltas = code_deltas(layout, coded.decoded, loaded.frames, plan, clock, Path(scratch))
+        pictures = encode_deltas(layout, deltas, clock, plan.settings)
+        group = CodedGroup(layout, coded.keys, deltas, coded.pictures, pictures, frames.first_segment)
+        return GroupFiles(*finish_group(group)), base
+
+
+def _code_keyframe(
+    frames: Frames, loaded: Repaired, plan: Plan, base: Base | None, survey: Survey | None
+) -> tuple[CodedKeyframe, Base]:
+    """Code a keyframe by its difference to the base, or by itself where there is none or it saves too little."""
+    settings, views = plan.settings, plan.views
+    allowed, written = settings.row_error if views.trusted else None, None
+    if base is not None:
+        known, error = base.coded.layout, base.written.error
+        if frames.stop > base.survey.until:  # the base was chosen without these frames
+            survey = survey or Survey.of(frames, views, open_renderer(settings.device))
+            written = survey.needed(allowed)
+            error = error_with(known, loaded, survey, written, views, settings)
+        if error is not None:
+            layout = lay_out_again(loaded, frames, known, survey or base.survey, error, views, settings)
+            coded = _coded(layout, plan, frames, base.coded.decoded)
+            share = 1.0 if written is None else len(written.rows) / len(known.rows)
+            if coded.bytes <= (1 - WORTH) * share * base.coded.bytes:
+                return coded, base
+    survey = survey or Survey.of(frames, views, open_renderer(settings.device))
+    written = written or survey.needed(allowed)
+    if base is not None:  # what earlier groups needed, later ones may need
+        rows = np.union1d(written.rows, base.coded.layout.rows)
+        if len(rows) <= (1 + MORE) * len(written.rows):
+            survey, written = survey.joined(base.survey), replace(written, rows=rows)
+    layout = lay_out(loaded, frames, survey, written, views, settings)
+    coded = _coded(layout, plan, frames, ())
+    return coded, Base(coded, survey, written)
+
+
+def _coded(layout: GroupLayout, plan: Plan, frames: Frames, base: Sequence[Canonical]) -> CodedKeyframe:
+    """Code a keyframe, by its difference to the canonical spaces `base`, of each key quality, where there are some."""
+    settings = plan.settings
+    keys = code_keys(layout, settings, base)
+    pictures = encode_keys(layout, keys, Clock.of(frames.sequence.fps), settings)
+    spaces: Sequence[Canonical | None] = base or [None] * len(settings.key_factors)
+    decoded = [decode_keys(layout, keys, pictures, settings, q, space) for q, space in enumerate(spaces)]
+    return CodedKeyframe(layout, keys, pictures, decoded, key_bytes(layout, keys, pictures))
+
+
+@contextmanager
+def naming_farthest(frames: Frames) -> Iterator[None]:
+    """Name the most extreme number of a group where the block finds a value in it that no code holds."""
+    try:
+        yield
+    except UncodableError as error:
+        numbers = [_farthest(frames, number, name) for number in range(frames.start, frames.stop) for name in UNBOUNDED]
+        away, where = max(numbers)
+        raise SceneError(f"{where} is {away:g} from the others: {error}") from error
+
+
+def _farthest(frames: Frames, number: int, attribute: str) -> tuple[float, str]:
+    """How far the number of an attribute that is farthest from the others is from them, and where it stands."""
+    sequence = frames.sequence
+    rows = getattr(replace(sequence, orders={}).read(number), attribute).astype(np.float64)
+    rows = np.where(np.isfinite(rows), rows, 0).reshape(len(rows), -1)
+    away = np.abs(rows - np.median(rows, axis=0)).max(axis=1, initial=0)
+    row = int(away.argmax())
+    return float(away[row]), f"frame {number} ({sequence.paths[number].name}): {attribute} of row {row}"
