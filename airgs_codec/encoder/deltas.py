@@ -290,7 +290,9 @@ class LevelCoder:
     def _lines(self, atlas: Atlas) -> Lines:
         """The lines of segments of at least LEAST_LINED frames, where the plan has lines."""
         shape = len(atlas.planes), len(self.rows)
-        lined = [part if self.lined and part and part.stop - part.start >= LEAST_LINED else None for part in self.fetched]
+        lined = [
+            part if self.lined and part and part.stop - part.start >= LEAST_LINED else None for part in self.fetched
+        ]
         codes = [part and np.empty(shape, np.int32) for part in lined]
         for plane, channel in enumerate(atlas.planes if any(lined) else []):
             values = self._channel(channel)[0]

@@ -62,10 +62,13 @@ class GroupFiles:
     files: Mapping[str, bytes]  # by path
 
 
-def encode_run(
-    run: Iterable[Frames], plan: Plan, surveys: Mapping[int, Survey] | None = None
-) -> Iterator[GroupFiles]:
-    """Fold `encode_group` over groups, the first of which begins by itself."""
+def encode_run(run: Sequence[Frames], plan: Plan) -> list[GroupFiles]:
+    """Encode the groups of a run."""
+    return list(fold(run, plan))
+
+
+def fold(run: Iterable[Frames], plan: Plan, surveys: Mapping[int, Survey] | None = None) -> Iterator[GroupFiles]:
+    """Fold `encode_group` over groups, the first of which begins a run; `surveys` of some are known by their number."""
     base = None
     for frames in run:
         files, base = encode_group(frames, plan, base, (surveys or {}).get(frames.number))

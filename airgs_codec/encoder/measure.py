@@ -1,162 +1,202 @@
-"""Rendered quality of every rung of a finished package, measured once against the original frames.
+"""The quality of every rung of a finished package, measured once against the original frames.
 
-A rung is (level, key quality). S segments.
+A rung is a pruning level with a key quality. Pictures are of frames evenly spread over the package, each from a view of
+its own. The top rung is measured in as many as bound the standard error of its PSNR, others in as many of these as
+bound that of their ratio to it (a ratio estimator; Cochran, Sampling Techniques, 1977, chapter 6): a view that is hard
+for one rung is hard for all.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
-from airgs_codec.coding.channels import Canonical
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
-from airgs_codec.encoder.survey import Pictures, ViewPlan
-from airgs_codec.media.metrics import Difference, pool, psnr, squared_error
+from airgs_codec.encoder.views import Views
+from airgs_codec.media.metrics import Difference, Picture, psnr
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import GUESSED
-from airgs_codec.package.tables import Group, Segment
+from airgs_codec.package.tables import RungQuality, Segment
 from airgs_codec.render.backend import Renderer
-from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, in_order
+from airgs_codec.render.compare import View, compare, draw_frames, in_order
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-LOWER = 2  # one picture in so many measures the rungs below the top one
-OFF_LADDER = 6  # one in so many measures a level in a key quality that is not its own
+FIRST = 16  # pictures of every rung, which tell how many more it needs
+ERROR_DB = 0.15  # standard error of a PSNR that is aimed at
+LOW = 0.05  # the quantile of pictures that a table gives beside the mean
 
-Rung = tuple[int, int]
-RungErrors = list[list[list[Difference]]]  # of each segment of a group, of each rung in the order of `strides_of`
+Rung = tuple[int, int]  # pruning level, key quality
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    manifest: Manifest
-    uncertainty: float  # relative standard error of the mean squared error of the top rung; infinite: of one picture
+class Seen:
+    """What pictures of some segments have shown."""
+
+    segments: list[int]  # of each picture, from 0
+    differences: dict[Rung, list[Difference]]  # of the first pictures; the top rung, in all of them, stands first
 
 
-def pictures_a_segment(pictures: int, segments: int) -> int:
-    """How many pictures each segment needs, so that all of them have `pictures` together."""
-    return -(-pictures // segments)
+def measure(
+    package: Package, sequence: GaussianSequence, views: Views, renderer: Renderer, most: int, segments: range
+) -> Seen:
+    """Measure the rungs of some segments in up to `most` pictures, against the original frames after repairs."""
+    m, cameras = package.manifest, views.measuring(sequence)
+    rungs = sorted(itertools.product(range(len(m.levels)), range(len(m.qualities))))
+    start, stop = m.segments[segments[0]].start, m.segments[segments[-1]].stop
+    bits = (most - 1).bit_length()  # places whose bits are reversed are spread over the frames, however few of them
+    places = sorted(range(most), key=lambda place: f"{place:0{bits}b}"[::-1])
+    frames = [start + int((place + 0.5) * (stop - start) / most) for place in places]
+    pictures = [(frame, cameras[(segments[0] * most + i) % len(cameras)]) for i, frame in enumerate(frames)]
+    top, first = rungs[0], min(most, FIRST)
+    known = {rung: range(first) for rung in rungs}
+    found = _look(package, sequence, renderer, pictures, known, Difference.of)
+    for rung in rungs:
+        spread = _standard_error(found[rung], () if rung == top else found[top])
+        own = rung[1] == m.levels[rung[0]].quality  # others are what viewers have while they change
+        needed = math.ceil(first * (spread / (10 ** (ERROR_DB / 10) - 1)) ** 2)
+        known[rung] = range(first, max(first, min(most if own else first, needed)))
+    known[top] = range(first, max(some.stop for some in known.values()))
+    for rung, others in _look(package, sequence, renderer, pictures, known, _error_of).items():
+        found[rung] += others
+    return Seen([m.segment_at(frame) for frame, _ in pictures[: len(found[top])]], found)
 
 
-def strides_of(m: Manifest) -> dict[Rung, int]:
-    """One picture in so many measures a rung, the top one first."""
-    top = (0, m.levels[0].quality)
-    rungs = itertools.product(range(len(m.levels)), range(len(m.qualities)))
-    others = {(j, q): LOWER if q == m.levels[j].quality else OFF_LADDER for j, q in rungs if (j, q) != top}
-    return {top: 1} | others
+def _error_of(reference: Picture, shown: Picture) -> Difference:
+    """Compare by the squared error alone, which takes a third of the time of all figures."""
+    error = reference.mse(shown)
+    return Difference(error, None, None, error == 0 and bool((reference.rgb == shown.rgb[0, 0]).all()))
 
 
-def pictures_of(views: ViewPlan, m: Manifest, group: int, count: int) -> list[Pictures]:
-    """Draws `count` pictures of each segment of a group: frames of it, each from a view of its own."""
-    segments = zip(m.segments_of(group), m.groups[group].segments, strict=True)
-    return [views.measure(number, segment.start, segment.stop, count) for number, segment in segments]
+def _standard_error(differences: Sequence[Difference], top: Sequence[Difference] = ()) -> float:
+    """The relative standard error of a mean squared error; with `top`, of its ratio to that of the top rung."""
+    errors, others = (np.array([one.mse for one in some]) for some in (differences, top))
+    if len(errors) < 2 or not errors.any():
+        return 0.0
+    away = errors - errors.mean() * (others / others.mean() if others.any() else 1.0)
+    return float(np.sqrt(np.square(away).sum() / (len(errors) - 1) / len(errors)) / errors.mean())
 
 
-def measure_group(
-    package: Package, sequence: GaussianSequence, renderer: Renderer, group: int, pictures: Sequence[Pictures]
-) -> RungErrors:
-    """Errors of every rung in pictures of each segment of a group, against the original frames after repairs."""
-    m, found = package.manifest, []
-    strides = strides_of(m)
-    bases = {quality: decode_canonical(package, group, quality) for quality in {q for _, q in strides}}
-    for index, of_segment in zip(m.segments_of(group), pictures, strict=True):
-        originals = draw_once(_originals(sequence, of_segment, renderer))
-        errors = []
-        for (level, quality), stride in strides.items():
-            looked_at = of_segment[::stride]
-            shown = _shown(package, (index, level), bases[quality], looked_at, renderer)
-            errors.append(list(compare(originals, shown, looked_at, Difference.of)))
-        found.append(errors)
-    return found
+def _look(
+    package: Package,
+    sequence: GaussianSequence,
+    renderer: Renderer,
+    pictures: Sequence[View],
+    wanted: dict[Rung, range],
+    compared: Callable[[Picture, Picture], Difference],
+) -> dict[Rung, list[Difference]]:
+    """Measure each rung in the `wanted` ones of the pictures; each original is drawn once."""
+    order = sorted({i for some in wanted.values() for i in some}, key=lambda i: pictures[i][0])
+    if not order:
+        return {rung: [] for rung in wanted}
+    asked = [(i, rung) for i in order for rung, some in wanted.items() if i in some]
+    numbers = sorted({pictures[i][0] for i in order})
+    draw = draw_frames(in_order(numbers, _originals(package.manifest, sequence, numbers)), renderer)
+    originals = lru_cache(maxsize=1)(lambda i: draw(*pictures[i]))
+    shown = {
+        rung: draw_frames(in_order(_unique(of_rung), _decoded(package, rung, _unique(of_rung))), renderer)
+        for rung, some in wanted.items()
+        if (of_rung := [pictures[i][0] for i in order if i in some])
+    }
+    results = compare(
+        lambda number, _: originals(asked[number][0]),
+        lambda number, _: shown[asked[number][1]](*pictures[asked[number][0]]),
+        [(number, pictures[i][1]) for number, (i, _) in enumerate(asked)],
+        compared,
+    )
+    found: dict[tuple[int, Rung], Difference] = dict(zip(asked, results, strict=True))
+    return {rung: [found[i, rung] for i in some] for rung, some in wanted.items()}
 
 
-def with_errors(m: Manifest, group: int, errors: RungErrors) -> Group:
-    """The table of a group with PSNR, worst picture, SSIM and CIEDE2000 of every segment, level and key quality.
+def _originals(m: Manifest, sequence: GaussianSequence, numbers: Sequence[int]) -> Iterator[Gaussians]:
+    """Frames by their ascending numbers after repairs, which those of a group share."""
+    for _, some in itertools.groupby(numbers, key=lambda number: m.group_of(m.segment_at(number))):
+        yield from sequence.load(some).frames
 
-    PSNR is of the mean squared error over pictures, SSIM and CIEDE2000 are means. Squared errors of a rung that fewer
-    pictures measure are scaled by what the error of the top rung in all pictures is to its error in these (a ratio
-    estimator; Cochran, Sampling Techniques, 1977, chapter 6), since a view that is hard for one rung is hard for all.
-    Where views were guessed, the harder half of them alone tells the PSNR: those from where the scene was filmed may
-    be among the harder ones.
+
+def _unique(numbers: Sequence[int]) -> list[int]:
+    return sorted(set(numbers))
+
+
+def _decoded(package: Package, rung: Rung, numbers: Sequence[int]) -> Iterator[Gaussians]:
+    """Frames of a rung by their ascending numbers, decoded when they are asked for."""
+    m, (level, quality) = package.manifest, rung
+    for index, some in itertools.groupby(numbers, key=m.segment_at):
+        base = decode_canonical(package, m.group_of(index), quality, m.levels[level].tiers)
+        start = m.segments[index].start
+        yield from decode_segment(package, index, base, level, [number - start for number in some])
+
+
+def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Manifest:
+    """Give a package the quality that pictures of its segments have shown; of its groups only the `newest`, or all.
+
+    Pictures that show nothing tell nothing. Where views were guessed, the harder half of the pictures alone tells the
+    PSNR: those from where the scene was filmed may be among the harder ones. A segment differs from the whole as its
+    top rung does in its own pictures; one without pictures does not differ.
     """
-    segments = zip(m.groups[group].segments, errors, strict=True)
-    return replace(m.groups[group], segments=[_segment_with(m, segment, of) for segment, of in segments])
-
-
-def _segment_with(m: Manifest, segment: Segment, errors: Sequence[Sequence[Difference]]) -> Segment:
-    strides = strides_of(m)
-    shows = np.array([not difference.blank for difference in errors[0]])
-    shows |= not shows.any()
-    top = np.array([difference.mse for difference in errors[0]])[shows]
-    guessed = m.region.source in GUESSED and top.any()
-    harder = np.sort(top)[len(top) // 2 :].mean() / top.mean() if guessed else 1.0
-    found = {}
-    for (rung, stride), differences in zip(strides.items(), errors, strict=True):
-        in_these = np.mean([one.mse for one in errors[0][::stride] if not one.blank] or [0.0])
-        scale = top.mean() / in_these if in_these else 1.0
-        found[rung] = pool([replace(one, mse=scale * one.mse) for one in differences])
-    levels = []
-    for j, level in enumerate(segment.levels):
-        row = [found[j, q] for q in range(len(m.qualities))]
-        levels.append(
-            replace(
-                level,
-                psnr=[round(psnr(harder * squared_error(quality.psnr)), 2) for quality in row],
-                worst=[round(quality.worst, 1) for quality in row],
-                ssim=[round(quality.ssim, 4) for quality in row],
-                delta_e=[round(quality.delta_e, 2) for quality in row],
-            )
+    top = next(iter(seen[0].differences))
+    places = [place for some in seen for place in some.segments]
+    whole = [one for some in seen for one in some.differences[top]]
+    clear = [one for one in whole if not one.blank] or whole
+    errors = np.sort([one.mse for one in clear])
+    guessed = m.region.source in GUESSED and errors.any()
+    harder = errors[len(errors) // 2 :].mean() / errors.mean() if guessed else 1.0
+    rungs, ratios = {}, {}
+    for rung in seen[0].differences:
+        pairs = [pair for some in seen for pair in zip(some.differences[rung], some.differences[top], strict=False)]
+        own, others = zip(*([pair for pair in pairs if not pair[0].blank] or pairs), strict=True)
+        mse, colour = (_share(_mean(own, name), _mean(others, name)) for name in ("mse", "delta_e"))
+        error = math.hypot(_standard_error(clear), _standard_error(own, others) if rung != top else 0.0)
+        ratios[rung] = mse, colour
+        rungs[rung] = RungQuality(
+            psnr=round(psnr(harder * mse * (errors.mean() or 1.0)), 2),
+            error=round(10 * math.log10(1 + error), 3),
+            low=round(float(np.quantile([psnr(one.mse) for one in own], LOW)), 1),
+            ssim=round(_mean(own, "ssim"), 4),
+            delta_e=round(colour * (_mean(clear, "delta_e") or 1.0), 2),
+            pictures=len(own),
         )
+    measured = [[rungs[j, q] for j in range(len(m.levels))] for q in range(len(m.qualities))]
+    tables, numbers = [], range(len(m.groups) - 1 if newest else 0, len(m.groups))
+    for number in numbers:
+        segments = []
+        for index, segment in zip(m.segments_of(number), m.groups[number].segments, strict=True):
+            own = [one for one, place in zip(whole, places, strict=True) if place == index and not one.blank] or clear
+            own = own if any(one.delta_e is not None for one in own) else [*own, clear[0]]
+            segments.append(_measured_segment(segment, m, own, harder, ratios))
+        tables.append(replace(m.groups[number], segments=segments))
+    views = replace(m.views, measured=max(quality.pictures for quality in rungs.values()))
+    if newest:
+        m.groups.keep(numbers[0], tables[0])
+    return replace(m, groups=m.groups if newest else Groups.of(tables), rungs=measured, views=views)
+
+
+def _measured_segment(
+    segment: Segment, m: Manifest, own: Sequence[Difference], harder: float, ratios: dict[Rung, tuple[float, float]]
+) -> Segment:
+    """A segment with the quality that its `own` pictures of the top rung say; `ratios` of other rungs' errors to it."""
+    mse, colour, levels = harder * _mean(own, "mse"), _mean(own, "delta_e"), []
+    for j, level in enumerate(segment.levels):
+        of_rungs = [ratios[j, q] for q in range(len(m.qualities))]
+        found = (
+            [round(psnr(mse * share), 2) for share, _ in of_rungs],
+            [round(colour * share, 2) for _, share in of_rungs],
+        )
+        levels.append(replace(level, psnr=found[0], delta_e=found[1]))
     return replace(segment, levels=levels)
 
 
-def with_quality(m: Manifest, errors: Sequence[RungErrors], count: int) -> Measured:
-    """A package with the quality that `count` pictures of each segment of all its groups have shown."""
-    groups = Groups.of([with_errors(m, group, of) for group, of in enumerate(errors)])
-    measured = replace(m, groups=groups, views=replace(m.views, measured=count))
-    return Measured(measured, _uncertainty(m, [of_segment[0] for of_group in errors for of_segment in of_group]))
+def _mean(differences: Sequence[Difference], name: str) -> float:
+    """The mean of a figure over the pictures for which it is known, of which there is one."""
+    return float(np.mean([getattr(one, name) for one in differences if getattr(one, name) is not None]))
 
 
-def _uncertainty(m: Manifest, errors: Sequence[Sequence[Difference]]) -> float:
-    """Relative standard error of the mean squared error, of some pictures of each segment, over all frames.
-
-    Pictures count by the frames that they stand for (Cochran, Sampling Techniques, 1977, section 2.11).
-    """
-    squared = np.array([one.mse for of in errors for one in of])
-    frames = [segment.stop - segment.start for segment in m.segments]
-    shares = np.array([count / len(of) for count, of in zip(frames, errors, strict=True) for _ in of]) / sum(frames)
-    mean, pictures = float(shares @ squared), len(squared)
-    if pictures < 2:
-        return math.inf
-    spread = float(shares**2 @ (squared - mean) ** 2) * pictures / (pictures - 1)
-    return spread**0.5 / mean if mean else 0.0
-
-
-def uncertainty_db(uncertainty: float) -> float:
-    """Two relative standard errors of a mean squared error, in dB of PSNR."""
-    return 10 * math.log10(1 + 2 * uncertainty)
-
-
-def _originals(sequence: GaussianSequence, pictures: Pictures, renderer: Renderer) -> Source:
-    """Draws the original in some pictures, whose frames are repaired together."""
-    numbers = sorted({number for number, _ in pictures})
-    frames = sequence.load(numbers).frames
-    return draw_frames(lambda number: frames[numbers.index(number)], renderer)
-
-
-def _shown(package: Package, of: tuple[int, int], base: Canonical, pictures: Pictures, renderer: Renderer) -> Source:
-    """Draws a level of a segment, `of`, over the canonical space of all key tiers in a key quality, in some pictures.
-
-    They are asked for in their order, by ascending frames.
-    """
-    m, (index, level) = package.manifest, of
-    segment = m.segments[index]
-    tiers = m.groups[m.group_of(index)].tiers[: m.levels[level].tiers]
-    numbers = sorted({number for number, _ in pictures})
-    fewer = base.first(sum(tier.count for tier in tiers))
-    frames = decode_segment(package, index, fewer, level, [number - segment.start for number in numbers])
-    return draw_frames(in_order(numbers, frames), renderer)
+def _share(part: float, whole: float) -> float:
+    """The ratio of two means; where there is no error that another could be a share of, the other itself."""
+    return part / whole if whole else part

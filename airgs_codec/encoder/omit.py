@@ -17,15 +17,14 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, pooled_within, select_omissions
 from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
-from airgs_codec.encoder.plan import GroupLayout
+from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.survey import Survey
+from airgs_codec.encoder.survey import Frames, Survey
 from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.package.layout import STATE
+from airgs_codec.package.layout import KEY, STATE
 from airgs_codec.package.tables import STATIC, LeftOut, StateSteps
 from airgs_codec.render.compare import Source, compare, draw_frames, draw_once, draw_still
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
-from airgs_codec.scene.sequence import GaussianSequence
 
 _BYTES = np.dtype(np.float64).itemsize
 
@@ -116,28 +115,29 @@ def note_omission(what: str, count: int, error: float, size: float) -> LeftOut |
     return LeftOut(what, count, float(f"{error:.3g}"), float(f"{size:.3g}")) if count else None
 
 
-def omit_bands(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> tuple[int, str | None]:
-    """Number of SH bands past DC that pictures of the canonical frame of a group need, and a line on the others.
+def omit_bands(frames: Frames, survey: Survey, settings: EncodeSettings) -> tuple[int, str]:
+    """Choose how many SH bands past DC pictures of a group need; also gives a sentence on the others, if there are any.
 
     The highest band goes as long as its bytes, coded once in the group, are worth less than the error of rendering
     without it.
     """
+    sequence, count = frames.sequence, frames.stop - frames.start
     step, price = settings.steps.key.sh_rest * settings.quality, settings.scaled_price
     if not sequence.sh_degree or price == 0:
-        return sequence.sh_degree, None
-    g = sequence.load([survey.span.middle]).frames[0]
+        return sequence.sh_degree, ""
+    g = sequence.load([frames.start + count // 2]).frames[0]
     whole = draw_once(draw_still(g, survey.renderer))
     bands, cost, size = g.sh_degree, 0.0, 0.0
     while bands:
         fewer = draw_still(g.with_degree(bands - 1), survey.renderer)
-        band = _band_bytes(g, bands, step) / survey.span.frames
-        error = pooled_error(list(compare(whole, fewer, survey.checks, Picture.mse)))
+        band = _band_bytes(g, bands, step) / count
+        error = pooled_error(list(compare(whole, fewer, survey.checks.pictures, Picture.mse)))
         if error > price / 2 * (size + band):
             break
         bands, cost, size = bands - 1, error, size + band
     missing = g.sh_degree - bands
     alone = f"{psnr(cost):.1f} dB by itself" if cost else "no error"
-    return bands, f"{missing} SH bands left out: {alone}, {size / 1e3:.2f} kB/frame saved" if missing else None
+    return bands, f"{missing} SH bands left out: {alone}, {size / 1e3:.2f} kB/frame saved" if missing else ""
 
 
 def _band_bytes(g: Gaussians, band: int, step: float) -> float:
@@ -161,10 +161,11 @@ class KeyOmissions:
     @staticmethod
     def of(layout: GroupLayout, values: NDArray[np.float64]) -> KeyOmissions:
         centres = np.median(values, axis=1)
-        apart = (values - centres[:, None]) / layout.row_steps()
-        weights = layout.key_weights() * np.array(layout.factors)[layout.tiers] ** 2
+        factors = np.array(layout.factors)[layout.tiers]
+        apart = (values - centres[:, None]) / np.outer(KEY.steps(layout.key_steps, layout.colours), factors)
+        weights = layout.key_weights() * factors**2
         sizes, guesses = estimate_cost(apart[None], np.zeros(len(centres)), weights)
-        return KeyOmissions(layout, values, centres, sizes / layout.span.frames, guesses)
+        return KeyOmissions(layout, values, centres, sizes / layout.frames, guesses)
 
     def gaussians(self) -> LeftOut | None:
         """Note the Gaussians that are not written, with the bytes of as many of the written ones, keys alone."""

@@ -1,102 +1,73 @@
-"""From a sequence to a published package: look, survey, calibrate, encode, measure, write the manifests last."""
+"""From a sequence to a published package: decide, fold over groups, measure what came out, write the tables last."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Executor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from airgs_codec._arguments import argument, brief, path_argument
 from airgs_codec.analysis.rows import Restored
 from airgs_codec.decoder.decode import decode
-from airgs_codec.encoder.batch import Encoded, EncodeProgress, calibrate_sequence, measure_encoded
-from airgs_codec.encoder.measure import Measured, uncertainty_db
-from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
-from airgs_codec.encoder.repair import encode_repaired
-from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
+from airgs_codec.encoder.decide import Surveys, choose
+from airgs_codec.encoder.group import GroupFiles, encode_run, fold
+from airgs_codec.encoder.measure import measure, with_quality
+from airgs_codec.encoder.order import hold_frames, order_rows
+from airgs_codec.encoder.plan import Choice, Plan
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
-from airgs_codec.encoder.tables import add_sound
-from airgs_codec.encoder.track import tracked
-from airgs_codec.errors import FormatError, SceneError
-from airgs_codec.jobs.job import Record
-from airgs_codec.jobs.work import Work, temporary_work
+from airgs_codec.encoder.survey import Frames
+from airgs_codec.encoder.tables import add_sound, build_manifest
+from airgs_codec.encoder.target import Goal
+from airgs_codec.errors import ConfigError, FormatError, SceneError
+from airgs_codec.jobs.work import Work
+from airgs_codec.media.h264 import library_versions
+from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
 from airgs_codec.package.dash_check import check_shared
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import LiveClock
-from airgs_codec.package.package import find_faults, open_files, write_file
+from airgs_codec.package.package import Package, find_faults, open_files, write_file
 from airgs_codec.package.publish import staged_package, write_tables
+from airgs_codec.package.region import first_views
+from airgs_codec.package.tables import MAX_POSTER_BYTES, MAX_POSTER_SIDE, Group
 from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.progress import Progress, Stopwatch, silent, told
+from airgs_codec.render import Camera
+from airgs_codec.render.backend import Renderer, open_renderer
+from airgs_codec.scene.camera import with_pixels
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 ENDING = ".airgs"  # of the names of packages, which may have none
-NO_FILES: Mapping[str, bytes] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class Stage:
-    """A part of the work of an encode."""
-
-    name: str
-    seconds: float
-    bought: str  # what came of it, for people
+VERSION = 1  # of what `encode_run` gives for the same frames and plan: stored results of others are made again
+POSTER_QUALITIES = (90, 80, 70, 60, 50, 40, 30)  # of JPEG; a worse picture is made smaller instead
 
 
 @dataclass(frozen=True, slots=True)
 class EncodeReport:
-    """A package that was encoded, and how many seconds each part of the work took."""
+    """A package that was encoded, how, and how many seconds each part of the work took."""
 
     manifest: Manifest
     manifest_bytes: int  # all tables and manifest.mpd together
+    plan: Plan
     rows: Restored  # which frames were put into order
-    rows_s: float
-    survey_s: float  # views and lengths of groups
-    calibrate_s: float
-    search_s: float  # for a goal
     encode_s: float
     measure_s: float
-    cached: bool  # the calibration was found before
-    records: Sequence[Record] = ()  # of the jobs
-    saved: float = 0.0  # bytes a frame, as in `Calibration`
-    goal: Goal | None = None
-    trials: Sequence[tuple[float, float]] = ()  # of the search: quality factors, and what they came to
-    repairs: Sequence[str] = ()  # why it was encoded again, a line each
-    uncertainty: float = 0.0  # as in `Measured`
 
     __repr__ = brief
 
-    def stages(self) -> list[Stage]:
-        """The parts of the work in their order, and what came of each."""
-        m, longest = self.manifest, max(group.stop - group.start for group in self.manifest.groups)
-        top = m.bytes_of(m.rung_files(0, 0)) / m.frames
-        steps, trials, measured = "nothing", "no goal was given", "nothing"
-        if self.saved:
-            steps = f"steps that save about {100 * self.saved / (self.saved + top):.0f} % of the bytes at equal error"
-            steps += ", which an earlier run found" if self.cached else ""
-        if self.goal:
-            first, last = self.trials[0][1], self.trials[-1][1]
-            wanted = f"{self.goal.value:g} {self.goal.metric.name}"
-            trials = f"{len(self.trials)} trials for {wanted}, from {first:.4g} to {last:.4g}"
-        if m.measured:
-            measured = f"a claim {certainty_words(self.uncertainty)}, by pictures of each segment: {m.views.measured}"
-        return [
-            Stage("order of rows", self.rows_s, f"{len(self.rows.matched)} frames were put in order"),
-            Stage("views and lengths of groups", self.survey_s, f"{len(m.groups)} groups of up to {longest} frames"),
-            Stage("calibration", self.calibrate_s, steps),
-            Stage("search", self.search_s, trials),
-            Stage("encoding", self.encode_s, "; ".join(self.repairs) or "the package, at the first attempt"),
-            Stage("measuring", self.measure_s, measured),
-        ]
-
-
-def certainty_words(uncertainty: float) -> str:
-    """How far a claim may be off; a single picture does not tell."""
-    if math.isinf(uncertainty):
-        return "of a single picture, which does not tell how sure it is"
-    return f"good to {uncertainty_db(uncertainty):.1f} dB"
+    def stages(self) -> list[Choice]:
+        """List the parts of the work in their order: the choices of the plan, then what was done by it."""
+        m, measured = self.manifest, "nothing"
+        if m.rungs:
+            error = max(quality.error for of_quality in m.rungs for quality in of_quality)
+            measured = f"{m.views.measured} pictures; the standard error of no PSNR is above {error:.2f} dB"
+        own = sum(group.keeps is None for group in m.groups)
+        encoded = f"{len(m.groups)} groups, {own} of whose keyframes are coded by themselves"
+        done = [Choice("encoding", encoded, self.encode_s), Choice("measuring", measured, self.measure_s)]
+        return [*self.plan.choices, *done]
 
 
 def encode(
@@ -105,108 +76,124 @@ def encode(
     settings: EncodeSettings = DEFAULT_SETTINGS,
     *,
     goal: Goal | None = None,
-    work: Work | None = None,
+    plan: Plan | None = None,
+    executor: Executor | None = None,
+    work: str | Path | None = None,
     progress: Progress | type = silent,
 ) -> EncodeReport:
     """Encode a sequence, open or at a path, and publish it as the package at `path`, whole or not at all.
 
-    `path` is a folder or an address; a package that is there already is replaced. `goal`: a quality factor is searched
-    for that brings the top rung to this PSNR or size; `settings.quality` is where the search starts. `work`: who does
-    the jobs, and where their results stay, by default this process, which tells `progress`, and a folder that is
-    removed. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. The bytes are the same whoever does the
-    work.
+    `path` is a folder or an address; a package that is there already is replaced. `goal`: see `decide`. `plan`: what
+    `decide` gave, in place of settings and a goal. `executor`: runs of groups are encoded by it, by default by this
+    process. `work`: a folder or an address where finished runs are stored, so that an encode that is cut off can go on.
+    `progress`: a function, or a class of bars such as tqdm.auto.tqdm. The bytes are the same whoever does the work.
 
     Raises SceneError for a scene that cannot be coded, CodecError when the video encoder fails, and ConfigError for a
     margin below 0, a goal out of reach or a `path` with other files in it; then `path` is as it was. TransportError for
     an object store that does not answer, WorkError for workers that die.
     """
     sequence = argument("sequence", sequence, GaussianSequence, "an open sequence or the path of one", open_sequence)
-    settings = argument("settings", settings, EncodeSettings, "EncodeSettings")
+    settings = argument("settings", settings, EncodeSettings, "EncodeSettings") if plan is None else plan.settings
     if goal is not None:
         argument("goal", goal, Goal, "a Goal")
+        if plan is not None:
+            raise ConfigError("goal: expected none with a plan, whose quality is chosen")
     expect_folder_name(path_argument("path", path), ENDING)
-    working = temporary_work(told(progress)) if work is None else nullcontext(work)
-    with staged_package(place_at(path)) as stage, working as at:
-        return _encode(sequence, Folder(stage, alone=True), settings, goal, at)
-
-
-def _encode(
-    sequence: GaussianSequence, place: Place, settings: EncodeSettings, goal: Goal | None, work: Work
-) -> EncodeReport:
-    """Track a sequence where its settings say so, encode it and write its files to a place."""
-    attribution, sound = sequence.attribution, sequence.sound_track
-    with tracked(hold_frames(sequence), settings, work) as found, closing(hold_frames(found.sequence)) as held:
-        watch = Stopwatch()
-        ordered, rows_s = order_rows(held, settings, work), watch.lap()
-        original = prepare(ordered, settings, work, attribution, found.views)
-        progress = EncodeProgress(work.progress, original, settings)
-        work = replace(work, progress=progress)
-        if goal and goal.metric == DELTA_E:
-            settings = weigh_colours(settings, original)
-        survey_s = watch.lap()
-        calibrated, calibrate_s = calibrate_sequence(original, settings, work), watch.lap()
-        chosen = calibrated.settings
-        trials: list[tuple[float, float]] = []
-        if goal:
-            chosen, trials = search_quality(calibrated, original, goal, work)
-            calibrated = replace(calibrated, expected=None)  # what costs too much was taken back before the search
-        search_s = watch.lap()
-        encoded, _, repairs = encode_repaired(calibrated, chosen, work, original)
-        encode_s, measured = watch.lap(), Measured(encoded.manifest, math.inf)
-        if settings.measure_pictures:
-            measured = measure_encoded(encoded, original, settings.measure_pictures)
+    jobs = Work.of(executor, work, told(progress))
+    with staged_package(place_at(path)) as stage, closing(hold_frames(sequence)) as held:
+        watch, place, surveys = Stopwatch(), Folder(stage, alone=True), {}
+        ordered = order_rows(held, settings.rows, jobs.progress)
+        if plan is None:
+            plan, surveys = choose(ordered, settings, goal, jobs.progress)
+        plan = plan.of(ordered.sequence)
+        watch.lap()
+        tables = []
+        for number, group in encode_groups(ordered.sequence, plan, jobs, surveys):
+            tables.append((number, group.table))
+            for name, data in group.files.items():
+                write_file(place, name, data)
+        manifest = finish(place, ordered.sequence, plan, [table for _, table in sorted(tables, key=lambda one: one[0])])
+        encode_s = watch.lap()
+        manifest = measured(place, manifest, ordered.sequence, plan, jobs.progress)
         measure_s = watch.lap()
-        progress.end()
-    decisions = [*found.notes, *measured.manifest.decisions, *calibrated.decisions, *repairs]
-    manifest, files = replace(measured.manifest, decisions=decisions), NO_FILES
-    if sound:
-        manifest, files = add_sound(manifest, sound)
-    size = write_package(place, encoded, manifest, more_files=files)
-    return EncodeReport(
-        manifest,
-        size,
-        replace(ordered.rows, sequence=found.sequence),
-        rows_s,
-        survey_s,
-        calibrate_s,
-        search_s,
-        encode_s,
-        measure_s,
-        calibrated.cached,
-        work.records(),
-        calibrated.saved,
-        goal,
-        trials,
-        repairs,
-        measured.uncertainty,
-    )
+        size = write_checked(place, manifest)
+        jobs.progress("encoding", len(plan.groups), len(plan.groups))
+    return EncodeReport(manifest, size, plan, ordered.restored, encode_s, measure_s)
+
+
+def encode_groups(
+    sequence: GaussianSequence, plan: Plan, jobs: Work, surveys: Surveys
+) -> Iterator[tuple[int, GroupFiles]]:
+    """Encode all groups and give each, with its number, when it is there: in order, but for runs that are jobs."""
+    runs, done = list(plan.runs(sequence)), 0
+    if jobs.executor is None and jobs.store is None:
+        for frames, group in zip(plan.frames(sequence), _fold(runs, plan, surveys), strict=True):
+            done += 1
+            jobs.progress(f"encoding: {frames.words}", done, len(plan.groups))
+            yield frames.number, group
+        return
+    contents = [content_of(run, plan) for run in runs] if jobs.store else None
+    for place, groups in jobs.map("encoding", encode_run, [(run, plan) for run in runs], contents, VERSION):
+        yield from zip((frames.number for frames in runs[place]), groups, strict=True)
+
+
+def _fold(runs: Iterable[Iterable[Frames]], plan: Plan, surveys: Surveys) -> Iterator[GroupFiles]:
+    for run in runs:
+        yield from fold(run, plan, surveys)
+
+
+def content_of(run: Sequence[Frames], plan: Plan) -> list[Any]:
+    """Give all that decides the files of a run, to name its stored result by."""
+    sequence, first = run[0].sequence, run[0]
+    frames = range(first.start, run[-1].stop)
+    settings = replace(plan.settings, threads=1, device="auto", measure_pictures=0)
+    named = replace(plan, settings=settings, groups=(), begins=(), notes=(), choices=())
+    spans = [(part.number, part.spans, sequence.usage(*part.spans[0])) for part in run]
+    return [library_versions(), named, spans, first.first_segment, sequence.fps, [sequence.read(n) for n in frames]]
+
+
+def finish(place: Place, sequence: GaussianSequence, plan: Plan, groups: Sequence[Group]) -> Manifest:
+    """Make the tables of a package whose groups are at a place, measure it, and write the files that are no group's."""
+    first = first_views(plan.views.region, plan.views.world)[0]
+    poster = draw_poster(sequence, 0, first, open_renderer(plan.settings.device))
+    manifest, shared = build_manifest(plan, sequence, sequence.attribution, groups, poster)
+    if sequence.sound_track:
+        manifest, files = add_sound(manifest, sequence.sound_track)
+        shared |= files
+    for path, data in shared.items():
+        write_file(place, path, data)
+    return manifest
+
+
+def measured(
+    place: Place, m: Manifest, sequence: GaussianSequence, plan: Plan, progress: Progress = silent
+) -> Manifest:
+    """Measure a package whose files are at a place, all but its tables, unless the settings say not to."""
+    if not plan.settings.measure_pictures:
+        return m
+    progress("measuring", 0, 1)
+    renderer, package = open_renderer(plan.settings.device), Package(place, m, 0)
+    most, segments = plan.settings.measure_pictures, range(len(m.segments))
+    seen = measure(package, sequence, plan.views, renderer, most, segments)
+    progress("measuring", 1, 1)
+    return with_quality(m, [seen])
 
 
 @contextmanager
 def held_to_readers() -> Iterator[None]:
-    """Nothing; a refusal of what the block writes becomes a SceneError: nobody else could read it either."""
+    """Make a SceneError of a refusal of what the block writes: nobody else could read it either."""
     try:
         yield
     except FormatError as error:
         raise SceneError(f"the package cannot be read back, and is not published: {error}") from error
 
 
-def write_package(
-    place: Place,
-    encoded: Encoded,
-    manifest: Manifest,
-    clock: LiveClock | None = None,
-    more_files: Mapping[str, bytes] = NO_FILES,
-) -> int:
-    """Write all files of a package, its tables last; gives the length of tables and manifest.mpd together.
+def write_checked(place: Place, manifest: Manifest, clock: LiveClock | None = None) -> int:
+    """Write the tables of a package, whose other files are there; gives the length of tables and manifest.mpd together.
 
-    `manifest`: its tables, measured. `clock`: of a package that grows. Raises SceneError where what is there then is
-    not what the tables say, or its first and last frame cannot be decoded.
+    `clock`: of a package that grows. Raises SceneError where what is there then is not what the tables say, or its
+    first and last frame cannot be decoded.
     """
-    groups = (encoded.group(number).files for number in range(len(encoded.files)))
-    for files in (encoded.shared, more_files, *groups):
-        for path, data in files.items():
-            write_file(place, path, data)
     with held_to_readers():
         size = write_tables(place, manifest, clock)
         package = open_files(place)
@@ -217,3 +204,17 @@ def write_package(
         for frame in {0, manifest.frames - 1}:
             decode(package, frame)
     return size
+
+
+def draw_poster(sequence: GaussianSequence, frame: int, camera: Camera, renderer: Renderer) -> bytes:
+    """Draw a JPEG of what a camera sees of a frame, as good, and then as large, as MAX_POSTER_BYTES allow."""
+    share = MAX_POSTER_SIDE / max(camera.width, camera.height)
+    shown = with_pixels(camera, *(max(1, round(share * side)) for side in (camera.width, camera.height)))
+    picture = to_bytes(renderer.render(sequence.load([frame]).frames[0], shown).rgb)
+    while True:
+        for quality in POSTER_QUALITIES:
+            data = encode_jpeg(picture, quality)
+            if len(data) <= MAX_POSTER_BYTES:
+                return data
+        height, width = (side * 3 // 4 for side in picture.shape[:2])
+        picture = to_bytes(resize(to_floats(picture), width, height))

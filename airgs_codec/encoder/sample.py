@@ -31,7 +31,7 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import difference_steps, unpack_matrix
+from airgs_codec.package.tables import unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 Weights = NDArray[np.float64]
@@ -41,11 +41,6 @@ PRESET = "fast"  # of x264, for trial encodes
 LEAST_LINED = 4  # frames that a line in time is tried for: its picture is one more
 LEAST_ERROR = 1e-12  # of pictures: below it nobody sees a difference
 RATE_OF_ERROR = 0.4  # bytes fall with this power of the error that steps make, as single-rung packages show
-
-
-def at_equal_error(size: float, error: float) -> float:
-    """Bytes at equal error, but for a factor that all share, of so many at a mean squared error of pictures."""
-    return size * max(error, LEAST_ERROR) ** RATE_OF_ERROR
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +66,7 @@ class CalibrationSample:
     row_ratio: float  # rows of the group for each of the sample
     group_frames: int  # frames of the group
     segment_frames: int  # frames of a state segment
-    lined: bool = False  # whether segments have a line in time
+    lined: bool = False  # whether segments have lines
 
     def take(self, rows: NDArray[np.bool_]) -> CalibrationSample:
         """Fewer rows, as a sample of a group that has fewer by the same share."""
@@ -113,14 +108,6 @@ class CalibrationSample:
         base = dequantise_key(channels, KeySidecar(codes, self.classes, wider, still), transform, grid, steps.key)
         return self.row_ratio * size / self.group_frames, base
 
-    def code_difference(self, steps: StepSettings, base: Canonical, other: Gaussians) -> float:
-        """Bytes of the key of another group with n rows of these, `other`, as what differs from a decoded one."""
-        grid = fit_grid(self.key.means, self.classes, steps.grid)
-        of = difference_steps(steps.key, grid)
-        values = state_channels([other], base, of)
-        sizes, _ = encode_and_decode(values, STATE.steps(of, base.colours.shape[1]), key_codec(PRESET))
-        return self.row_ratio * sizes[0]
-
     def _code_key_channels(
         self, steps: StepSettings, transform: NDArray[np.float64], factor: float, attributes: Sequence[str]
     ) -> tuple[NDArray[np.float32], float]:
@@ -152,20 +139,23 @@ class CalibrationSample:
         values = state_channels([self.key, *self.frames], base, steps.state)
         return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
 
-    def with_line(self, states: NDArray[np.float64], steps: StepSettings, most: int) -> CalibrationSample:
-        """The same sample, with a line in time if at most so many blocks of it take fewer bytes with one.
+    def with_line(self, states: NDArray[np.float64], steps: StepSettings) -> CalibrationSample:
+        """The same sample, with lines if its moving Gaussians take fewer bytes at equal error with them.
 
         `states` are those of `self.states`.
         """
         moving = np.flatnonzero(self.moving)
-        if not len(moving):
+        if len(states) - 1 < LEAST_LINED or not len(moving):
             return self
-        some = moving[block_rows(len(moving), most)]
         weights = channel_weights(
-            self.classes[some], self.sensitivity.take(some).by_attribute(), steps.state, self._transform(steps)
+            self.classes[moving], self.sensitivity.take(moving).by_attribute(), steps.state, self._transform(steps)
         )
-        worth = worth_line(states[1:, :, some], np.ones(states.shape[1]), weights, state_codec(PRESET))
-        return replace(self, lined=worth)
+        costs, values, ones = [], states[1:, :, moving], np.ones(states.shape[1])
+        for line in (False, True):
+            sizes, decoded = encode_and_decode(values, ones, state_codec(PRESET), line)
+            error = float(withheld_error(decoded - values, weights).sum())
+            costs.append(sum(sizes) * max(error, LEAST_ERROR) ** RATE_OF_ERROR)
+        return replace(self, lined=costs[1] < costs[0])
 
     def code_states(
         self, states: NDArray[np.float64], factor: float, part: slice = slice(None)
@@ -186,21 +176,6 @@ class CalibrationSample:
         errors[:, channels[:, None], moving] = decoded - values
         others = float(np.mean(sizes[1:])) if len(sizes) > 1 else 0.0
         return self.row_ratio * (sizes[0] + (self.segment_frames - 1) * others) / self.segment_frames, errors
-
-
-def worth_line(values: NDArray[np.float64], steps: NDArray[np.float64], weights: Weights, codec: CodecSettings) -> bool:
-    """Whether (T, C, N) values, with (C,) steps, take fewer bytes at equal error with a line in time than without.
-
-    `weights` (C, N) are those of the squares of errors in steps.
-    """
-    if len(values) < LEAST_LINED or not values.size:
-        return False
-    costs = []
-    for line in (False, True):
-        sizes, decoded = encode_and_decode(values, steps, replace(codec, preset=PRESET), line)
-        error = float(withheld_error((decoded - values) / steps[:, None], weights).sum())
-        costs.append(at_equal_error(sum(sizes), error))
-    return costs[1] < costs[0]
 
 
 def fit_slopes(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -127,12 +127,6 @@ class EncodeSettings:
         "else coded frame by frame (auto); taken as they are (keep); or matched whether they look lost or not (match)",
         choices=ROWS,
     )
-    track: bool | None = setting(
-        None,
-        "frames that share no rows become Gaussians that move, fitted to pictures of the frames; seconds a frame, and "
-        "then far fewer bytes",
-        default="where the first frames share none",
-    )
     keys: str = setting(
         KEPT,
         "keys of groups: what differs from an earlier group, where that is smaller (kept), or every group is coded by "
@@ -235,10 +229,6 @@ class EncodeSettings:
             (self.decide_pictures >= 1, f"expected 1 or more pictures to decide with, got {self.decide_pictures}"),
             (self.measure_pictures >= 0, f"expected 0 or more pictures to measure, got {self.measure_pictures}"),
             (self.rows in ROWS, f"expected rows {', '.join(ROWS)}, got {self.rows}"),
-            (
-                self.rows == AUTO or not self.track,
-                f"rows: expected {AUTO} with track, which leaves rows in order, got {self.rows}",
-            ),
             (self.keys in KEYS, f"expected keys {', '.join(KEYS)}, got {self.keys}"),
             (self.preset in PRESETS, f"expected an x264 preset, got {self.preset}"),
             (self.threads >= 1, f"expected at least one thread, got {self.threads}"),
@@ -282,6 +272,10 @@ class EncodeSettings:
         """Number of key tiers that viewers of a level fetch."""
         return level.tiers or len(self.tiers)
 
+    @property
+    def words(self) -> str:
+        return f"levels {','.join(level.words for level in self.levels)} at quality {self.quality:.3g}"
+
     def table(self) -> dict[str, str]:
         """Settings as text, for the record in airgs.json."""
         return {
@@ -323,7 +317,6 @@ def as_preview(settings: EncodeSettings) -> EncodeSettings:
         preset="superfast",
         decide_pictures=8,
         measure_pictures=min(settings.measure_pictures, 8),
-        track=bool(settings.track),
     )
 
 

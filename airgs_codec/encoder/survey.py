@@ -31,7 +31,9 @@ class Frames:
 
     sequence: GaussianSequence
     number: int  # of the group, from 0
-    spans: tuple[Span, ...]  # of the group itself, then of groups whose keyframes may be coded by their difference to it
+    spans: tuple[
+        Span, ...
+    ]  # of the group itself, then of groups whose keyframes may be coded by their difference to it
     first_segment: int = 0  # how many segments the groups before it have
     begins: bool = True  # its keyframe is coded by itself
 
@@ -58,7 +60,9 @@ class Survey:
     importance: NDArray[np.float64]  # (N,) as `analysis.importance` has it
     checks: _Pictures  # other pictures, which show what leaving Gaussians out would do
     renderer: Renderer
-    errors: dict[int, float] = field(default_factory=dict)  # Gaussians left out -> error that `checks` have shown so far
+    errors: dict[int, float] = field(
+        default_factory=dict
+    )  # Gaussians left out -> error that `checks` have shown so far
 
     @staticmethod
     def of(frames: Frames, views: Views, renderer: Renderer) -> Survey:

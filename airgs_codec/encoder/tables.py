@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
 from airgs_codec.coding.sidecar import pack_key_sidecar
-from airgs_codec.encoder.keys import CodedKeys, key_sidecar
-from airgs_codec.encoder.plan import GroupLayout
-from airgs_codec.encoder.representation import Clock, ErrorModel, Representation, with_bounds
-from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.encoder.states import CodedStates
+from airgs_codec.encoder.deltas import CodedDeltas
+from airgs_codec.encoder.keyframes import CodedKeys, key_sidecar
+from airgs_codec.encoder.layout import GroupLayout
+from airgs_codec.encoder.plan import Plan
+from airgs_codec.encoder.streams import Clock, ErrorModel, Representation, with_bounds
+from airgs_codec.encoder.views import CHECKED
 from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
-from airgs_codec.media.mp4 import sound_segment
+from airgs_codec.media.mp4 import init_segment, sound_segment
 from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package import tables
+from airgs_codec.package.dash_check import largest_picture
 from airgs_codec.package.layout import (
     INIT_NAME,
     KEY,
@@ -40,7 +42,8 @@ from airgs_codec.package.tables import (
     SegmentLevel,
     file_entry,
 )
-from airgs_codec.scene.origin import ZERO, Origin
+from airgs_codec.scene.origin import ZERO
+from airgs_codec.scene.sequence import GaussianSequence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +52,7 @@ class CodedGroup:
 
     layout: GroupLayout
     keys: CodedKeys
-    states: CodedStates
+    states: CodedDeltas
     key_pictures: Sequence[Sequence[Representation]]  # key tier x key quality
     state_pictures: Sequence[Representation]  # of each level
     first_segment: int  # how many segments the groups before it have
@@ -57,7 +60,7 @@ class CodedGroup:
     @property
     def number(self) -> int:
         """The group in paths: it counts from 1."""
-        return self.layout.span.index + 1
+        return self.layout.number
 
 
 Files = Mapping[str, FileEntry]  # by path
@@ -93,41 +96,32 @@ def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
                 yield state_media_path(j, place + 1), next(gops).media(escapes)
 
 
-@dataclass(frozen=True, slots=True)
-class Provenance:
-    """Where a package comes from: what airgs.json records but no picture depends on."""
-
-    settings: EncodeSettings
-    region: tables.Region
-    world: tables.World | None
-    origin: Origin
-    views: tables.Views
-    attribution: str
-    decisions: Sequence[str]  # about views and groups
-    frames: int
-    sh_degree: int
-
-
-def build_manifest(about: Provenance, clock: Clock, shared: Files, groups: Groups) -> Manifest:
-    """The tables of a package; `shared` are the files that are no group's."""
-    settings = about.settings
-    return Manifest(
+def build_manifest(
+    plan: Plan, sequence: GaussianSequence, attribution: str, groups: Sequence[Group], poster: bytes
+) -> tuple[Manifest, dict[str, bytes]]:
+    """Make the tables of a package that has these groups, without measured quality, and the files that are no group's."""
+    settings, views, clock = plan.settings, plan.views, Clock.of(sequence.fps)
+    shared = {INIT_NAME: init_segment(clock.timescale, *largest_picture(groups)), POSTER_NAME: poster}
+    decisions, differing = list(plan.notes), sum(group.keeps is not None for group in groups)
+    if differing:
+        decisions.append(f"{differing} of {len(groups)} keyframes are coded as what differs from an earlier one")
+    manifest = Manifest(
         version=tables.VERSION,
         generator=tables.Generator(__version__, library_versions(), settings.table()),
-        attribution=about.attribution,
-        decisions=list(about.decisions),
+        attribution=attribution,
+        decisions=decisions,
         frame_rate=[clock.fps.numerator, clock.fps.denominator],
         timescale=clock.timescale,
-        frames=about.frames,
+        frames=groups[-1].stop - groups[0].start,
         live=False,
-        sh_degree=about.sh_degree,
+        sh_degree=plan.sh_degree,
         key_gain=qp_step(KEY_QP),
         state_gain=qp_step(STATE_QP),
-        region=about.region,
-        world=about.world,
-        origin=None if about.origin == ZERO else list(about.origin),
-        poster=shared[POSTER_NAME],
-        views=about.views,
+        region=views.region,
+        world=views.world,
+        origin=None if sequence.origin == ZERO else list(sequence.origin),
+        poster=file_entry(poster),
+        views=tables.Views(views.decided + CHECKED, 0, "original" if settings.measure_pictures else "none"),
         qualities=[
             tables.KeyQuality(f"Q{q}", factor, coarser)
             for q, (factor, coarser) in enumerate(zip(settings.key_factors, settings.coarser, strict=True))
@@ -137,10 +131,12 @@ def build_manifest(about: Provenance, clock: Clock, shared: Files, groups: Group
             for j, level in enumerate(settings.levels)
         ],
         tiers=len(settings.tiers),
+        rungs=[],
         sound=None,
-        init=shared[INIT_NAME],
-        groups=groups,
+        init=file_entry(shared[INIT_NAME]),
+        groups=Groups.of(groups),
     )
+    return manifest, shared
 
 
 def add_sound(m: Manifest, track: SoundTrack) -> tuple[Manifest, dict[str, bytes]]:
@@ -161,8 +157,8 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
     layout, states = group.layout, group.states
     levels = zip(states.levels, group.state_pictures, strict=True)
     return Group(
-        start=layout.span.start,
-        stop=layout.span.stop,
+        start=layout.span[0],
+        stop=layout.span[1],
         count=len(layout.rows),
         static=int((states.depths == STATIC).sum()),
         unused=layout.count - len(layout.rows),
@@ -203,7 +199,7 @@ def _segment_tables(group: CodedGroup, files: Files) -> list[Segment]:
         file = files.get(state_media_path(j, number), NO_FILE)
         sizes = next(gops[j]).picture_bytes if file.bytes else []
         line = group.states.levels[j].lines[number - 1 - group.first_segment]
-        return SegmentLevel(file, sizes, [], [], [], [], True if line else None)
+        return SegmentLevel(file, sizes, [], [], True if line else None)
 
     return [
         Segment(*span, [level(j, index + 1) for j in range(len(gops))])

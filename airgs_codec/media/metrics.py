@@ -104,8 +104,8 @@ class Difference:
     """How much one picture differs from the picture that it should be."""
 
     mse: float  # mean squared error over pixels and channels
-    ssim: float  # mean over pixels and channels
-    delta_e: float  # CIEDE2000, mean over pixels
+    ssim: float | None  # mean over pixels and channels; None: not compared
+    delta_e: float | None  # CIEDE2000, mean over pixels; None: not compared
     blank: bool = False  # both are the same colour all over: they show nothing, and tell nothing
 
     @staticmethod

@@ -9,7 +9,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any, overload
 
 from airgs_codec.errors import FormatError
 from airgs_codec.package.index import Entry, GroupIndex, ReadPage
@@ -26,10 +26,7 @@ from airgs_codec.package.layout import (
 )
 from airgs_codec.package.parse import build_index, pack_group
 from airgs_codec.package.references import check_base
-from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
-
-if TYPE_CHECKING:  # decoding compares no pictures
-    from airgs_codec.media.metrics import Quality
+from airgs_codec.package.tables import FileEntry, Group, Header, RungQuality, Segment, Spans
 
 KEPT = 1024  # tables of groups
 
@@ -238,28 +235,16 @@ def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
     """The rungs of a package whose tables and manifest.mpd have `manifest_bytes` together, quality by quality."""
     places = [(q, j) for q in range(len(m.qualities)) for j in range(len(m.levels))]
     sizes = [manifest_bytes + m.bytes_of(m.rung_files(q, j)) for q, j in places]
-    measured = [pooled_quality(m, j, q) for q, j in places]
+    measured = [quality_of(m, j, q) for q, j in places]
     psnr = [None if one is None else one.psnr for one in measured]
     names = [(m.qualities[q].id, m.levels[j].id) for q, j in places]
     rest = zip(names, sizes, psnr, on_ladder(list(zip(sizes, psnr, strict=True))), strict=True)
     return tuple(Rung("+".join(name), *name, *figures) for name, *figures in rest)  # type: ignore[arg-type]
 
 
-def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
-    """Quality of a rung over the whole sequence, segments weighed by frames; None when one was not measured."""
-    from airgs_codec.media.metrics import Quality, psnr
-
-    squared, similarity, difference, worst = 0.0, 0.0, 0.0, MAX_PSNR
-    for segment in m.segments:
-        measured = segment.levels[level]
-        if not measured.psnr:
-            return None
-        weight = (segment.stop - segment.start) / m.frames
-        squared += weight * 10.0 ** min(-measured.psnr[quality] / 10, 300.0)  # 300: a float, whatever a table claims
-        worst = min(worst, measured.worst[quality])
-        similarity += weight * measured.ssim[quality]
-        difference += weight * measured.delta_e[quality]
-    return Quality(psnr(squared), worst, similarity, difference)
+def quality_of(m: Manifest, level: int, quality: int) -> RungQuality | None:
+    """The quality of a rung over the whole package; None where it was not measured."""
+    return m.rungs[quality][level] if m.rungs else None
 
 
 def on_ladder(rungs: Sequence[tuple[float, float | None]]) -> list[bool]:

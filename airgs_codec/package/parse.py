@@ -87,6 +87,12 @@ def read_region(path: Path) -> Region:
     return dataclasses.replace(region, source="file")
 
 
+def read_as(kind: type[Table], data: bytes, where: str) -> Table:
+    """Read JSON as a dataclass, whose annotations are its schema. Raises FormatError as `parse_root` does."""
+    value: Table = _parse(kind, _load(data, where), where)
+    return value
+
+
 def check_written(region: Region) -> None:
     """Raise FormatError for a region that no reader would take."""
     check_region(_parse(Region, json.loads(_text(region)), "region"), "region")
@@ -107,6 +113,12 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
         return value
     if origin is list:
         return [_parse(arguments[0], d, f"{where}[{i}]") for i, d in enumerate(_expect(data, list, where))]
+    if origin is tuple:
+        data = _expect(data, list, where)
+        kinds = arguments[:1] * len(data) if arguments[-1] is ... else arguments
+        if len(data) != len(kinds):
+            raise FormatError("bad_value", where, f"expected {len(kinds)} values, got {len(data)}")
+        return tuple(_parse(kind, d, f"{where}[{i}]") for i, (kind, d) in enumerate(zip(kinds, data, strict=True)))
     if origin is dict:
         name, item = arguments
         data = _expect(data, dict, where)
@@ -175,6 +187,7 @@ def _expect(data: Any, kind: type | tuple[type, ...], where: str) -> Any:
     return data
 
 
+Table = typing.TypeVar("Table")
 MAX_TABLE_BYTES = 1 << 24  # of JSON: what it may cost is known before it is read
 MAX_VALUES = 1 << 21  # commas and opening brackets: a value follows each
 _GZIP = 31  # zlib's window bits: the largest window, in a gzip wrapper
@@ -192,10 +205,10 @@ def pack_group(group: Group) -> bytes:
 
 def _text(table: Any) -> bytes:
     """The JSON of a table; fields that may be missing are left out where they are None."""
-    return json.dumps(table, default=_as_dict, separators=(",", ":"), allow_nan=False).encode()
+    return json.dumps(table, default=as_plain, separators=(",", ":"), allow_nan=False).encode()
 
 
-def _as_dict(table: Any) -> dict[str, Any]:
+def as_plain(table: Any) -> dict[str, Any]:
     """The fields of a dataclass, which JSON knows nothing of. `dataclasses.asdict` would copy every list of numbers."""
     values = ((field.name, getattr(table, field.name)) for field in dataclasses.fields(table))
     return {name: value for name, value in values if value is not None}

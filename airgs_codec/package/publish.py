@@ -86,19 +86,20 @@ class GrowingPackage:
         self.manifest = open_manifest(root_of(m), self._read)
         self.manifest.groups.keep(len(m.groups) - 1, m.groups[-1])
 
-    def expect(self, group: Group) -> Manifest:
+    def expect(self, group: Group, rungs: Rungs | None = None) -> Manifest:
         """The tables with one more group, whose files are written, but not its table; until the next call or `add`."""
         table, number = pack_group(group), len(self.manifest.groups)
         index, pages = extend_index(self.manifest.groups.columns, number, group, table)
         self._unwritten = {group_path(number + 1): table} | {path: pack_json(page) for path, page in pages.items()}
-        root = replace(root_of(self.manifest), frames=group.stop, index=index)
+        known = self.manifest.rungs if rungs is None else rungs
+        root = replace(root_of(self.manifest), frames=group.stop, index=index, rungs=known)
         found = open_manifest(root, self._read)
         found.groups.keep(number, group)
         return found
 
-    def add(self, group: Group) -> None:
+    def add(self, group: Group, rungs: Rungs | None = None) -> None:
         """Publish one more group, whose files are written. Raises FormatError for a table that no reader takes."""
-        expected, number = self.expect(group), len(self.manifest.groups)
+        expected, number = self.expect(group, rungs), len(self.manifest.groups)
         open_manifest(root_of(expected), self._read).base_of(number)
         self.manifest = expected
         for path, data in (self._unwritten | self._streams.add(group)).items():

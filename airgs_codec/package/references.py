@@ -256,8 +256,6 @@ def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> Non
         counts = [
             ("frame_bytes", len(level.frame_bytes), segment.stop - segment.start if fetched else 0),
             ("psnr", len(level.psnr), measured),
-            ("worst", len(level.worst), measured),
-            ("ssim", len(level.ssim), measured),
             ("delta_e", len(level.delta_e), measured),
         ]
         for name, got, expected in counts:

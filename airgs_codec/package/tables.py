@@ -305,8 +305,6 @@ class SegmentLevel:
     file: FileEntry  # none: nothing to fetch, the canonical space is shown
     frame_bytes: list[PictureBytes]  # H.264 bytes of each frame, the first with the slopes; empty without a file
     psnr: list[Decibels]  # for each key quality; empty: not measured
-    worst: list[Decibels]  # PSNR of the worst picture, for each key quality
-    ssim: list[Annotated[float, Range(-1, 1)]]  # for each key quality
     delta_e: list[Annotated[float, Range(0, MAX_DELTA_E)]]  # CIEDE2000 for each key quality
     line: bool | None = None  # whether its file begins with slopes; None, and no such field: it does not
 
@@ -374,6 +372,18 @@ class Spans:
 
 
 @dataclass(frozen=True, slots=True)
+class RungQuality:
+    """The quality of a level with a key quality over the whole package, as pictures have shown it."""
+
+    psnr: Decibels  # of the mean squared error over pictures
+    error: Annotated[float, Range(0, MAX_PSNR)]  # dB: standard error of the PSNR
+    low: Decibels  # the 5 % quantile of the PSNR of pictures
+    ssim: Annotated[float, Range(-1, 1)]  # mean
+    delta_e: Annotated[float, Range(0, MAX_DELTA_E)]  # mean CIEDE2000
+    pictures: Count
+
+
+@dataclass(frozen=True, slots=True)
 class Header:
     """What is true of a whole package."""
 
@@ -396,6 +406,7 @@ class Header:
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]
     tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers
+    rungs: list[list[RungQuality]]  # of each key quality and level; empty: not measured
     sound: Sound | None  # None, and no such field in airgs.json: there is none
 
     @property

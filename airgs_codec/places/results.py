@@ -97,6 +97,54 @@ def user_cache(name: str) -> Store:
     return Store(Folder((Path(base) if base else Path.home() / ".cache") / "airgs-codec" / name))
 
 
+def load(store: Store, entry: str, trusted: tuple[str, ...] = OWN) -> tuple[Any] | None:
+    """Read a stored value; None where there is none, which a value of None is not.
+
+    One that is no value, or of a dataclass that is no more, is removed, and said. `trusted` is as in `unpack`.
+    """
+    data = store.read(entry)
+    try:
+        return None if data is None else (unpack(data, trusted),)
+    except ValueError:
+        store.discard(entry)
+        return None
+
+
+def digest(*values: Any) -> str:
+    """Compute the SHA-256 of plain values, arrays, and dataclasses, sequences and mappings of them, as hexadecimal digits.
+
+    Raises TypeError for anything else: what has no content that can be told apart must not name a result.
+    """
+    h = hashlib.sha256()
+    for value in values:
+        _add(h, value)
+    return h.hexdigest()
+
+
+def _add(h: hashlib._Hash, value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        h.update(f"array {value.dtype.str} {value.shape} ".encode())
+        h.update(np.ascontiguousarray(value).data)
+    elif value is None or isinstance(value, str | bytes | bool | int | float | Fraction | np.generic):
+        text = repr(value).encode()
+        h.update(f"{type(value).__name__} {len(text)} ".encode() + text)
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        h.update(f"{type(value).__qualname__} ".encode())
+        for field in dataclasses.fields(value):
+            _add(h, getattr(value, field.name))
+    elif isinstance(value, tuple | list):
+        h.update(f"sequence {len(value)} ".encode())
+        for part in value:
+            _add(h, part)
+    elif isinstance(value, Mapping):
+        h.update(f"mapping {len(value)} ".encode())
+        for name in sorted(value):
+            _add(h, name)
+            _add(h, value[name])
+    else:
+        raise TypeError(f"expected plain values, arrays or dataclasses, got {type(value).__qualname__}")
+
+
 def _path(entry: str) -> str:
     return f"{entry[:2]}/{entry}"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from numbers import Real
 
@@ -11,18 +11,24 @@ import numpy as np
 
 from airgs_codec._arguments import argument
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.encoder.batch import Calibrated, encode_sequence, measure_encoded
-from airgs_codec.encoder.pipeline import PreparedSequence
-from airgs_codec.encoder.repair import encode_repaired
+from airgs_codec.encoder.group import fold
+from airgs_codec.encoder.measure import measure, with_quality
+from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.survey import Survey
+from airgs_codec.encoder.tables import build_manifest
+from airgs_codec.encoder.views import Views
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import PSNR_CAP, delta_e_metric
-from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import write_mpd
-from airgs_codec.package.package import root_of
+from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.parse import pack_json
+from airgs_codec.places.place import Memory
+from airgs_codec.progress import Progress
+from airgs_codec.render.backend import Renderer
 from airgs_codec.render.compare import draw_still
+from airgs_codec.scene.sequence import GaussianSequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +59,8 @@ FACTORS = 0.01, 100.0  # least and largest quality factor that is tried
 
 FRAMES = 6  # of the sequence, whose colours tell which directions are seen
 LEAST_SEEN = 1e-3  # of the squared ΔE of an error along the direction that is seen best: along any other
-TRIAL_PICTURES = 64  # that measure a trial, where the package itself is not measured
+SAMPLE = 4  # groups, at most, from the first on, that trials encode
+TRIAL_PICTURES = 64  # that measure a trial at most, where the package itself is not measured
 
 
 class OutOfReachError(ConfigError):
@@ -152,46 +159,59 @@ def _next_factor(seen: dict[float, float], slope: float) -> float:
 
 
 def search_quality(
-    calibrated: Calibrated, original: PreparedSequence, goal: Goal, work: Work
+    plan: Plan,
+    sequence: GaussianSequence,
+    goal: Goal,
+    surveys: Mapping[int, Survey],
+    renderer: Renderer,
+    progress: Progress,
 ) -> tuple[EncodeSettings, list[tuple[float, float]]]:
-    """Settings with the quality factor that brings the top rung to its goal, and the trials: factors and results.
+    """Find settings with the quality factor that brings the top rung to its goal; also gives trials: factors, results.
 
-    A trial encodes the whole sequence, of which only the top rung where its quality is the goal, and is measured by the
-    pictures that measure the package in the end. Raises OutOfReachError for a goal that no factor meets.
+    A trial encodes the first SAMPLE groups, of which only the top rung where its quality is the goal. Raises
+    OutOfReachError for a goal that no factor meets.
     """
-    prepared, settings = calibrated.prepared, calibrated.settings
-    top = replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
-    if calibrated.expected is not None:  # what costs more than expected is taken back at any quality
-        top = encode_repaired(calibrated, top, work)[1]
-        settings = replace(settings, steps=top.steps, shares=top.shares).at(settings.quality)
-    found: list[tuple[float, float]] = []
+    sample = plan.frames(sequence)[:SAMPLE]
+    begins = (part for part in sample if part.begins)
+    known = {part.number: surveys.get(part.number) or Survey.of(part, plan.views, renderer) for part in begins}
+    settings, trials = plan.settings, []
+    top = settings if goal.metric == SIZE else top_rung(settings)
 
     def trial(factor: float) -> float:
-        work.progress(f"trial {len(found) + 1}: quality factor {factor:.3g}", 0, 1)
+        progress(f"trial {len(trials) + 1}: quality factor {factor:.3g}", 0, 1)
+        tried = replace(plan, settings=top.at(factor))
+        encoded = list(fold(sample, tried, known))
+        m = build_manifest(tried, sequence, "", [group.table for group in encoded], b"")[0]
         if goal.metric == SIZE:
-            got = kilobytes_a_frame(encode_sequence(prepared, settings.at(factor), work).manifest)
+            got = kilobytes_a_frame(m)
         else:
-            encoded = encode_sequence(prepared, top.at(factor), work)
-            m = measure_encoded(encoded, original, settings.measure_pictures or TRIAL_PICTURES).manifest
-            quality = pooled_quality(m, 0, 0)
-            assert quality is not None  # it was just measured
+            files = {path: data for group in encoded for path, data in group.files.items()}
+            package = Package(Memory("trial", files), m, 0)
+            most = settings.measure_pictures or TRIAL_PICTURES
+            seen = measure(package, sequence, plan.views, renderer, most, range(len(m.segments)))
+            quality = with_quality(m, [seen]).rungs[0][0]
             got = quality.psnr if goal.metric == PSNR else quality.delta_e
-        found.append((factor, got))
+        trials.append((factor, got))
         return got
 
-    return settings.at(find_quality(goal, trial, settings.quality)), found
+    return settings.at(find_quality(goal, trial, settings.quality)), trials
 
 
-def weigh_colours(settings: EncodeSettings, original: PreparedSequence) -> EncodeSettings:
+def top_rung(settings: EncodeSettings) -> EncodeSettings:
+    return replace(settings, levels=settings.levels[:1], key_factors=settings.key_factors[:1])
+
+
+def weigh_colours(
+    settings: EncodeSettings, sequence: GaussianSequence, views: Views, renderer: Renderer
+) -> EncodeSettings:
     """Settings that code colours along the directions that CIEDE2000 tells apart, each as finely as it is seen.
 
     Pictures that decide say how ΔE grows with errors. Steps grow so that bytes stay about the same, and no entry of the
     colour transform leaves -1..1.
     """
-    numbers, renderer = evenly_spaced(len(original.sequence), FRAMES), original.views.renderer
     colours = [
-        draw_still(original.sequence.load([number]).frames[0], renderer)(number, camera).sampled.reshape(-1, 3)
-        for number, camera in zip(numbers, original.views.deciding, strict=False)
+        draw_still(sequence.load([number]).frames[0], renderer)(number, camera).sampled.reshape(-1, 3)
+        for number, camera in zip(evenly_spaced(len(sequence), FRAMES), views.deciding, strict=False)
     ]
     values, axes = np.linalg.eigh(delta_e_metric(np.concatenate(colours)))
     sizes = np.sqrt(np.maximum(values, LEAST_SEEN * values[-1]))

@@ -1,8 +1,8 @@
-"""The quantiser steps and the ladder that one scene asks for, found by small encodes of a sample of one of its groups.
+"""The quantiser steps and the pruning levels that one scene asks for, found by small encodes of a sample of one group.
 
 A step is worth halving while that lowers the error of pictures by more than its bytes would elsewhere: Lagrange's
-condition with one multiplier for all choices (Everett 1963), here the price of a byte in squared error. N rows of the
-group, n rows of the sample.
+condition with one multiplier for all choices (Everett 1963), here the price of a byte in squared error. N Gaussians of
+the group, n of the sample.
 """
 
 from __future__ import annotations
@@ -15,23 +15,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.analysis.importance import ExpectedError, RowPruning, pooled_error
+from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.coding.motion import LEAVES, channel_weights, withheld_error
 from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, with_step
-from airgs_codec.encoder.plan import (
-    GroupLayout,
-    assign_depths,
-    keep_rows,
-    lay_out,
-    prune_rows,
-    rank_updates,
-)
+from airgs_codec.encoder.layout import GroupLayout, assign_depths, lay_out, rank_updates
 from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares
-from airgs_codec.encoder.survey import Survey, naming_farthest
+from airgs_codec.encoder.survey import Frames, Survey
+from airgs_codec.encoder.views import Views
 from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import Picture
 from airgs_codec.package.layout import STATE
@@ -39,7 +33,6 @@ from airgs_codec.package.tables import KEY_ATTRIBUTES, STATE_ATTRIBUTES
 from airgs_codec.render.compare import compare, draw_frames, draw_once
 from airgs_codec.scene.frames import turn_least
 from airgs_codec.scene.gaussians import Gaussians, mix_rows
-from airgs_codec.scene.sequence import GaussianSequence
 
 SAMPLE_BLOCKS = 150  # of rows, over all frames of the sample together
 FEWEST_BLOCKS = 5  # in a frame
@@ -67,17 +60,18 @@ SHARES = (0.0, 0.2, 0.4, 0.6, 0.75, 0.87)  # of the updates that a level withhol
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
+    """The group that trial encodes are made of, laid out at quality 1."""
+
     frames: Sequence[Gaussians]  # all of the group, with all input rows
     layout: GroupLayout
-    pruning: RowPruning
+    survey: Survey
     settings: EncodeSettings
 
     @staticmethod
-    def of(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Subject:
-        """Lay out the group at `settings`."""
-        loaded = turn_least(sequence.load(range(survey.span.start, survey.span.stop)))
-        layout = lay_out(loaded, survey, keep_rows(loaded.frames, survey, settings.row_error), settings, sequence.fps)
-        return Subject(loaded.frames, layout, prune_rows(loaded.frames, survey), settings)
+    def of(frames: Frames, survey: Survey, views: Views, settings: EncodeSettings) -> Subject:
+        loaded = turn_least(frames.sequence.load(range(frames.start, frames.stop)))
+        written = survey.needed(settings.row_error if views.trusted else None)
+        return Subject(loaded.frames, lay_out(loaded, frames, survey, written, views, settings), survey, settings)
 
     def sample(self, fps: float) -> CalibrationSample:
         """Blocks spread over all rows, and the frames of the first segment: enough to see P and B pictures settle."""
@@ -103,12 +97,12 @@ class Subject:
         weights = channel_weights(
             sample.classes, sample.sensitivity.by_attribute(), layout.state_steps, layout.transform
         )
-        _, moving = rank_updates(states[1:] - states[0], weights)
+        moving = np.abs(states[1:] - states[0]).max(axis=(0, 1)) > 0.5
         if not settings.keep_all:  # steps are solved for rows of which coding repairs more error than it adds
             variance = np.square(states[1:]).mean(axis=0, keepdims=True)
             added = np.minimum(variance + LEAK * np.maximum(CODING_VARIANCE - variance, 0), CODING_VARIANCE)
             moving &= withheld_error(states[1:], weights) > withheld_error(np.sqrt(added), weights)
-        return replace(sample, moving=moving).with_line(states, settings.steps, len(sample.index))
+        return replace(sample, moving=moving).with_line(states, settings.steps)
 
 
 def solve_steps(sample: CalibrationSample, subject: Subject) -> tuple[StepSettings, float, float]:
@@ -174,7 +168,7 @@ def measure_step_slopes(sample: CalibrationSample, steps: StepSettings, threads:
 def _row_slope(sample: CalibrationSample, subject: Subject) -> Slope:
     """The slope of the error that leaving out rows may make, from what TRIAL times as much would save."""
     steps = subject.settings.steps
-    remaining = subject.pruning.within(steps.rows * TRIAL)
+    remaining = subject.survey.pruning.within(steps.rows * TRIAL)
     fewer = sample.take(np.isin(subject.layout.rows[sample.index], remaining.rows)).cost(steps)
     saved = sample.cost(steps).bytes - fewer.bytes
     return saved / np.log(TRIAL), (remaining.error - subject.layout.removal_error) / (TRIAL**2 - 1)
@@ -187,7 +181,7 @@ def choose_levels(
 
     What pictures miss without the others is rendered. `price` is that of a byte a frame at factor 1.
     """
-    layout, pruning = subject.layout, subject.pruning
+    layout, pruning = subject.layout, subject.survey.pruning
     counts = range(1, len(layout.factors) + 1)
     own = layout.tiers
     missing = [pruning.error_of(int((own < count).sum())) for count in counts] if layout.removal_error > 0 else []
@@ -247,102 +241,78 @@ def choose_shares(
     steps: StepSettings,
     price: float,
     factors: Sequence[float],
-    jobs: int,
-) -> tuple[Shares, ExpectedError]:
-    """The cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
+    threads: int,
+) -> Shares:
+    """Find the cheapest share of the updates to withhold at each of `factors` on `steps`; empty if nothing moves.
 
-    `price` is that of a byte a frame at factor 1, in squared error. Also gives the error that factor 1 is expected to
-    make, but for rows that are left out. `jobs` trial encodes run at a time.
+    `price` is that of a byte a frame at factor 1, in squared error; `threads` trial encodes run at a time.
     """
+    if not sample.moving.any():
+        return ()
     states = sample.states(sample.code_key(steps, 1.0)[1], steps)
     still = sample.error(states[0][None], steps)
-    if not sample.moving.any():
-        return (), ExpectedError(steps=float(still.sum()))
-    tried = sorted({1.0, *factors})
     sent = [withholding.sent(sample, share) for share in SHARES]
-    with ThreadPoolExecutor(jobs) as pool:
-        coded = dict(zip(tried, pool.map(lambda factor: sample.code_states(states, factor), tried), strict=True))
-        whole, error = coded[1.0]
+    with ThreadPoolExecutor(threads) as pool:
+        coded = dict(zip(factors, pool.map(lambda factor: sample.code_states(states, factor), factors), strict=True))
+        whole = coded[1.0][0]
         if whole == 0:  # no channel has a plane
-            return (), ExpectedError(steps=float(sample.error(error, steps).sum()))
-        fewer = pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0], sent)
-        parts = [size / whole for size in fewer]
-    shares: dict[float, float] = {}
-    expected, least = ExpectedError(), 0.0
-    for factor in sorted(coded):
-        size, error = coded[factor]
+            return ()
+        parts = list(pool.map(lambda rows: replace(sample, moving=rows).code_states(states, 1.0)[0] / whole, sent))
+    shares, least = [], 0.0
+    for factor, (size, error) in sorted(coded.items()):
         shown = [float(np.where(rows, sample.error(error, steps), still * factor**2).sum()) for rows in sent]
-        errors = [held + e for held, e in zip(withholding.errors, shown, strict=True)]
-        costs = [e + factor**2 * price * part * size for e, part in zip(errors, parts, strict=True)]
-        best = int(np.argmin(costs))
-        expected = ExpectedError(held=withholding.errors[best], steps=shown[best]) if factor == 1 else expected
-        least = max(least, SHARES[best])
-        shares[factor] = least
-    return tuple((factor, shares[factor]) for factor in sorted(factors)), expected
+        costs = [
+            held + steps_error + factor**2 * price * part * size
+            for held, steps_error, part in zip(withholding.errors, shown, parts, strict=True)
+        ]
+        least = max(least, SHARES[int(np.argmin(costs))])
+        shares.append((factor, least))
+    return tuple(shares)
 
 
 def _rank(subject: Subject, frames: Sequence[Gaussians]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """`rank_updates` of all N rows; `frames` are the canonical one and those that are ranked."""
-    layout, settings = subject.layout, subject.settings
+    """`rank_updates` of all N Gaussians; `frames` are the canonical one and those that are ranked."""
+    layout, rank = subject.layout, subject.settings.update_rank
     channels = key_channels(frames[0], layout.transform, layout.key_steps, layout.grid.unit).astype(np.float32)
     base = layout.canonical_space(channels, np.zeros(len(layout.codes), np.uint8))
     steps = STATE.steps(layout.state_steps, layout.colours)[:, None]
     score, moving = np.empty(len(layout.rows)), np.empty(len(layout.rows), bool)
     for rows in row_chunks(len(layout.rows), len(frames) * len(steps)):
         states = state_channels([frame.take(rows) for frame in frames], base.part(rows), layout.state_steps) / steps
-        weights, usage, rank = layout.state_weights(rows), layout.usage.take(rows), settings.update_rank
-        changes = states[1:] - states[0]
-        score[rows], moving[rows] = rank_updates(changes, weights, usage, rank)
+        score[rows], moving[rows] = rank_updates(layout, rows, states[1:] - states[0], rank)
     return score, moving
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """Settings that a scene asks for at quality 1; the fields are those of EncodeSettings."""
+class Found:
+    """What a scene asks for."""
 
-    steps: StepSettings
-    levels: tuple[LevelSettings, ...]
-    tiers: tuple[float, ...]
-    key_factors: tuple[float, ...]
-    shares: Shares
-    byte_price: float
-    expected: ExpectedError  # of the top rung
-    saved: float  # bytes a frame of the top rung that its steps save at equal error, by the slopes of the trials
-
-    def apply(self, settings: EncodeSettings) -> EncodeSettings:
-        """Settings of an encode: what `settings.calibrate` asks for is replaced, and nothing is left to calibrate."""
-        chosen = replace(settings, calibrate="none", steps=self.steps, byte_price=self.byte_price)
-        if settings.calibrate != "ladder":
-            return chosen
-        ladder = replace(chosen, levels=self.levels, tiers=self.tiers, key_factors=self.key_factors, shares=self.shares)
-        return ladder.at(settings.quality)
+    settings: EncodeSettings  # nothing is left to choose in them
+    lined: bool  # segments have lines
+    saved: float  # bytes a frame of the top level that the steps save at equal error, by the slopes of the trials
 
 
-def calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Calibration:
-    """Calibrate on the group of `survey`, starting at `settings.steps`, at quality 1.
+def find_steps(frames: Frames, survey: Survey, views: Views, settings: EncodeSettings) -> Found:
+    """Find steps and, where the settings ask for them, pruning levels, on one group; at quality 1, from their steps on.
 
-    Which updates the top level withholds decides what states cost, so that it is guessed before steps are solved for.
-    Raises SceneError for a group that cannot be coded.
+    Which share of the updates the top level withholds is estimated first, since the delta bytes that steps are solved
+    for depend on it. Raises SceneError for a group that cannot be coded.
     """
-    with naming_farthest(sequence, survey.span):
-        return _calibrate(sequence, survey, settings)
-
-
-def _calibrate(sequence: GaussianSequence, survey: Survey, settings: EncodeSettings) -> Calibration:
-    tiers = TIERS if settings.calibrate == "ladder" else settings.tiers
-    ladder = replace(settings, quality=1.0, calibrate="none", tiers=tiers)
-    subject = Subject.of(sequence, survey, ladder)
-    sample, withholding = subject.sample(float(sequence.fps)), Withholding.of(subject)
+    ladder = settings.calibrate == "ladder"
+    tiers = TIERS if ladder else settings.tiers
+    once = replace(settings, quality=1.0, calibrate="none", tiers=tiers)
+    subject = Subject.of(frames, survey, views, once)
+    sample, withholding = subject.sample(float(frames.sequence.fps)), Withholding.of(subject)
     top = sample
-    if settings.calibrate == "ladder":
+    if ladder:
         guess = guess_price(sample, subject)
-        shares, _ = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
+        shares = choose_shares(sample, withholding, settings.steps, guess, (1.0,), settings.threads)
         top = replace(sample, moving=withholding.sent(sample, shares[0][1])) if shares else sample
     steps, price, saved = solve_steps(top, subject)
-    shares, expected = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
-    if subject.layout.removal_error > 0:
-        expected = replace(expected, rows=subject.pruning.within(steps.rows).error)
-    if not shares:
-        return Calibration(steps, (LevelSettings(0.0),), TIERS, (1.0,), (), price, expected, saved)
-    levels = choose_levels(top, subject, steps, price)
-    return Calibration(steps, levels, TIERS, key_factors(), shares, price, expected, saved)
+    chosen = replace(settings, calibrate="none", steps=steps, byte_price=price)
+    if ladder:
+        shares = choose_shares(sample, withholding, steps, price, FACTORS, settings.threads)
+        levels = choose_levels(top, subject, steps, price) if shares else (LevelSettings(0.0),)
+        factors = key_factors() if shares else (1.0,)
+        chosen = replace(chosen, levels=levels, tiers=TIERS, key_factors=factors, shares=shares)
+    return Found(chosen.at(settings.quality), sample.lined, saved)

@@ -1,0 +1,154 @@
+"""Executors: processes of this machine that are replaced when one dies, and the workers of a Dask cluster.
+
+Any `concurrent.futures.Executor` will do where one is asked for.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from typing import Any
+
+from airgs_codec._settings import available_cores
+from airgs_codec.errors import WorkError
+from airgs_codec.render.cpu import use_threads
+
+DEATHS = 3  # of workers that a call may see before it is given up
+LEAVE_S = 5.0  # for a process to remove what it has begun
+RETRIES = 2  # of a call whose machine fails: its disk, its network
+CONNECT_S = 5  # to a Dask scheduler
+
+
+class Processes(Executor):
+    """So many processes of this machine, which share its cores; what one that dies was doing is done again."""
+
+    def __init__(self, count: int) -> None:
+        self._count, self._threads = count, max(1, available_cores() // count)
+        self._lock, self._pool = threading.Lock(), self._begin()
+
+    def _begin(self) -> ProcessPoolExecutor:
+        context, given = multiprocessing.get_context("spawn"), (os.getpid(), self._threads)
+        return ProcessPoolExecutor(self._count, context, initializer=prepare_worker, initargs=given)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Its future raises WorkError where DEATHS processes died of it or beside it."""
+        shown: Future[Any] = Future()
+        self._send(shown, partial(fn, *args, **kwargs), DEATHS)
+        return shown
+
+    def _send(self, shown: Future[Any], call: Callable[[], Any], lives: int) -> None:
+        with self._lock:
+            pool = self._pool
+            try:
+                done = pool.submit(call)
+            except BrokenProcessPool:
+                pool = self._pool = self._begin()
+                done = pool.submit(call)
+        done.add_done_callback(partial(self._finish, shown, call, lives, pool))
+
+    def _finish(
+        self, shown: Future[Any], call: Callable[[], Any], lives: int, pool: ProcessPoolExecutor, done: Future[Any]
+    ) -> None:
+        if done.cancelled() or shown.cancelled():
+            shown.cancel()
+        elif not isinstance(error := done.exception(), BrokenProcessPool):
+            shown.set_result(done.result()) if error is None else shown.set_exception(error)
+        elif lives > 1:
+            with self._lock:
+                self._pool = self._begin() if self._pool is pool else self._pool
+            self._send(shown, call, lives - 1)
+        else:
+            words = f"{DEATHS} workers died in a row: is there memory for {self._count}?"
+            shown.set_exception(WorkError(words))
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the processes, whatever they are doing, unless it is waited for."""
+        processes = list((self._pool._processes or {}).values())
+        self._pool.shutdown(wait=wait and not cancel_futures, cancel_futures=cancel_futures)
+        for process in processes:
+            process.terminate()
+        for process in processes:  # each removes what it has begun
+            process.join(LEAVE_S)
+            process.kill()
+
+
+def prepare_worker(parent: int, threads: int) -> None:
+    """Called first in a new process: so many threads for kernels; it ends when it is told to or its parent has ended.
+
+    numba has been imported by then, as `spawn` runs the main module of the parent again.
+    """
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    use_threads(threads)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its workers
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+class DaskCluster(Executor):
+    """The workers of a Dask cluster: of the one at an address, or of one of so many processes of this machine.
+
+    `needs`: resources that the worker of a call must have, as {"GPU": 1}, of a cluster that others run.
+    """
+
+    def __init__(self, address: str = "", count: int = 1, needs: dict[str, float] | None = None) -> None:
+        """Raises WorkError where nobody answers at the address."""
+        import dask
+        from dask.distributed import Client, LocalCluster
+
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # what it would say comes as an error
+        self._cluster = None
+        if not address:
+            with dask.config.set({"distributed.scheduler.allowed-failures": DEATHS}):
+                self._cluster = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None)
+        try:
+            self._client = Client(self._cluster or address, timeout=CONNECT_S)
+        except (OSError, ValueError) as error:
+            raise WorkError(f"--executor dask:{address}: {' '.join(str(error).split())}") from error
+        if self._cluster:
+            self._client.run(use_threads, max(1, available_cores() // count))
+        resources = None if self._cluster else needs
+        self._inner = self._client.get_executor(pure=False, retries=RETRIES, resources=resources)
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Its future raises WorkError where workers die of the call or the scheduler is gone."""
+        shown: Future[Any] = Future()
+        self._inner.submit(fn, *args, **kwargs).add_done_callback(partial(_relay, shown))
+        return shown
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the cluster; one that was made here ends."""
+        self._client.close()
+        if self._cluster is not None:
+            logging.getLogger("distributed.nanny").setLevel(logging.CRITICAL)  # it may have to end a slow process
+            self._cluster.close()
+
+
+def _relay(shown: Future[Any], done: Future[Any]) -> None:
+    """Show what became of a call of Dask's, in our words."""
+    gone = "the Dask scheduler does not answer any more; begin again to go on"
+    if shown.cancelled():
+        return
+    error = WorkError(gone) if done.cancelled() else done.exception()
+    if error is None:
+        shown.set_result(done.result())
+    elif type(error).__name__ == "KilledWorker":
+        shown.set_exception(WorkError(f"{DEATHS} workers died of one job: is there memory for it? ({error})"))
+    elif type(error).__name__ in ("FutureCancelledError", "CommClosedError"):
+        shown.set_exception(WorkError(gone))
+    else:
+        shown.set_exception(error)
