@@ -59,7 +59,10 @@ def choose(
     surveys: Surveys = {}
     if settings.calibrate != "none":
         progress("steps and pruning levels", 0, 1)
-        sample = max((run[0] for run in plan.runs(sequence)), key=lambda frames: frames.stop - frames.start)
+        firsts = [run[0] for run in plan.runs(sequence)]
+        most = max(frames.stop - frames.start for frames in firsts)
+        longest_firsts = [frames for frames in firsts if frames.stop - frames.start == most]
+        sample = longest_firsts[len(longest_firsts) // 2]
         survey = Survey.of(sample, views, renderer)
         choices.append(Choice("importance", f"{len(survey.importance)} Gaussians ranked", watch.lap()))
         found = find_steps(sample, survey, views, settings)
