@@ -1,7 +1,7 @@
 // The index of a package at work, where a frame, a segment or a group is: FORMAT.md, section 2. All count from 0.
 import { DIGEST, PAGE } from "../generated/constants.ts";
+import { Recent } from "./collections.ts";
 import { locate, pagePath } from "./paths.ts";
-import { Recent } from "./recent.ts";
 import type { FileEntry, Page, Root } from "./types.ts";
 
 /** Pages of the index, of which those last used stay: more than a buffer reaches over, and hours of play. */

@@ -2,6 +2,7 @@
 // qualities, levels and pages count from 0; groups, segments and pages in paths from 1.
 import { INIT_PATH, PAGE, POSTER_PATH, ROOT_PATH, SOUND_INIT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
+import { Recent } from "./collections.ts";
 import { FormatError } from "./errors.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { inflate, parseRoot, parseTable } from "./parse.ts";
@@ -15,7 +16,6 @@ import {
   soundPath,
   stateMediaPath,
 } from "./paths.ts";
-import { Recent } from "./recent.ts";
 import { checkBase, checkGroup, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 

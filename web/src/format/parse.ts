@@ -2,7 +2,7 @@
 // keywords that it uses. FORMAT.md, section 2. The text of a group's table is one gzip member (RFC 1952).
 import { MAX_TABLE_BYTES, MAX_VALUES, ROOT_PATH, VERSION } from "../generated/constants.ts";
 import { root as rootSchema } from "../generated/schema.ts";
-import { concat } from "./concat.ts";
+import { concat } from "./collections.ts";
 import { FormatError, type Reason } from "./errors.ts";
 import { checkRoot } from "./references.ts";
 import type { Root } from "./types.ts";

@@ -45,3 +45,52 @@ export const untilOnline = (ms: number, signal: AbortSignal): Promise<void> =>
     globalThis.addEventListener?.("online", end);
     return () => globalThis.removeEventListener?.("online", end);
   });
+
+/** Counts what is decoded and not taken; ids stand for calls under way, each of a segment. */
+export class Ahead {
+  /** By call: the bytes of its frames. */
+  readonly #open = new Map<number, Map<number, number>>();
+  readonly #bell = new Bell();
+  #bytes = 0;
+
+  /** At most about `bytes`, and `segments` of which something is not taken. */
+  constructor(
+    readonly bytes: number,
+    readonly segments: number,
+  ) {}
+
+  /** Resolves when another segment may begin. */
+  async place(signal: AbortSignal): Promise<void> {
+    await this.#until(() => this.#open.size < this.segments, signal);
+  }
+
+  /** Resolves when another picture may be decoded: at once for a call with none ahead, as others need it. */
+  async room(id: number, signal: AbortSignal): Promise<void> {
+    await this.#until(() => this.#bytes < this.bytes || !this.#open.has(id), signal);
+  }
+
+  give(id: number, t: number, bytes: number): void {
+    this.#open.set(id, (this.#open.get(id) ?? new Map<number, number>()).set(t, bytes));
+    this.#bytes += bytes;
+  }
+
+  /** The frame was shown, or is not wanted. */
+  taken(id: number, t: number): void {
+    const frames = this.#open.get(id);
+    this.#bytes -= frames?.get(t) ?? 0;
+    frames?.delete(t);
+    if (frames?.size === 0) this.#open.delete(id);
+    this.#bell.ring();
+  }
+
+  drop(id: number): void {
+    for (const t of this.#open.get(id)?.keys() ?? []) this.taken(id, t);
+  }
+
+  async #until(condition: () => boolean, signal: AbortSignal): Promise<void> {
+    const stop = () => this.#bell.ring();
+    signal.addEventListener("abort", stop);
+    while (!signal.aborted && !condition()) await this.#bell.wait();
+    signal.removeEventListener("abort", stop);
+  }
+}

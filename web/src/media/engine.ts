@@ -1,13 +1,14 @@
 // Everything between the network and the renderer, whatever thread it runs on: fetch, check, decode.
+
+import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
 import { isPacked, isTable, soundPath } from "../format/paths.ts";
-import { Recent } from "../format/recent.ts";
 import type { Canonical, CanonicalName, FileEntry, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
-import { Ahead } from "./ahead.ts";
 import { type FileAsk, fetchBatch } from "./batch.ts";
+import { Ahead } from "./bell.ts";
 import { aborted, fromWire, toWire } from "./errors.ts";
 import { checkReprDigest, FileClient } from "./http.ts";
 import type { Calls, Opened, Poster, WireBatch } from "./messages.ts";

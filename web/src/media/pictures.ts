@@ -3,8 +3,7 @@ import { atlasSamples, checkLuma } from "../format/atlas.ts";
 import { FormatError } from "../format/errors.ts";
 import type { Sample } from "../format/mp4.ts";
 import type { Atlas } from "../format/types.ts";
-import { type DecodeOptions, LumaDecoder } from "./decoder.ts";
-import { readLuma, type Samples } from "./luma.ts";
+import { type DecodeOptions, LumaDecoder, readLuma, type Samples } from "./decoder.ts";
 import type { Probe } from "./probe.ts";
 
 export interface PictureFile {

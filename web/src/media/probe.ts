@@ -1,8 +1,8 @@
 // What this browser makes of H.264: whether luma can be had as it was coded.
 import { BLOCK, BRIGHTEST, DARKEST } from "../generated/constants.ts";
+import type { Inverses, Samples } from "./decoder.ts";
 import { LumaDecoder } from "./decoder.ts";
 import { UnsupportedError } from "./errors.ts";
-import type { Inverses, Samples } from "./luma.ts";
 import { PROBE_BLOCKS, PROBE_CLIP } from "./probe-clip.ts";
 
 const SIDE = PROBE_BLOCKS * BLOCK;

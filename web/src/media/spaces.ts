@@ -1,7 +1,7 @@
 // What is decoded: canonical spaces (sidecars and key files, those of a base too) and segments over them (state files).
 // N rows of a group, n of a level.
 import { planeCorner, slopeCodes } from "../format/atlas.ts";
-import { concat } from "../format/concat.ts";
+import { concat } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import { type Bases, checkCount, type KeyTier, levelRows, readKeyTier, readStates } from "../format/files.ts";
 import type { Tables } from "../format/package.ts";

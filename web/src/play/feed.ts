@@ -4,7 +4,7 @@ import { POLICY_NAMES } from "../generated/constants.ts";
 import { untilOnline } from "../media/bell.ts";
 import { TransportError } from "../media/errors.ts";
 import type { SessionEvent } from "./downloader.ts";
-import { HttpDownloader, type Source } from "./http-downloader.ts";
+import { HttpDownloader, type Source } from "./downloader.ts";
 import type { Offers } from "./offers.ts";
 import { fixedPolicy, ROBUST_MPC } from "./policies/mpc.ts";
 import type { OTHERS } from "./policies/named.ts";

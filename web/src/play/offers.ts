@@ -2,13 +2,18 @@
 //
 // Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered quality by quality. A position is a
 // segment of a session, which may play the sequence several times. Wire bytes are those of files with their headers.
+
+import { Recent } from "../format/collections.ts";
 import type { GroupIndex } from "../format/index.ts";
 import type { Tables } from "../format/package.ts";
-import { Recent } from "../format/recent.ts";
 import type { Root, Segment } from "../format/types.ts";
 import { HEADER_BYTES, OVER_BUDGET, ROOT_PATH } from "../generated/constants.ts";
 import { type Option, savedShares } from "./ladder.ts";
-import { ConfigError } from "./settings.ts";
+
+/** Settings that cannot work, or a policy that does not exist. */
+export class ConfigError extends Error {
+  override name = "ConfigError";
+}
 
 /** More than a buffer holds and a policy looks at. */
 const MOST_OFFERS = 1024;

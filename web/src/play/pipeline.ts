@@ -1,6 +1,7 @@
 // Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most.
+
+import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
-import { Recent } from "../format/recent.ts";
 import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import type { Slot } from "./playout.ts";

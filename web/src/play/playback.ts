@@ -3,21 +3,19 @@
 import type { ViewState } from "../format/region.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
-import type { TargetFormat } from "../render/target.ts";
+import type { TargetFormat } from "../render/textures.ts";
 import type { SessionEvent } from "./downloader.ts";
 import { Feed } from "./feed.ts";
-import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, Pipeline } from "./pipeline.ts";
-import { EARLY, Playout } from "./playout.ts";
+import { EARLY, Playout, sessionSettings } from "./playout.ts";
 import { wishedPolicy } from "./policies/mpc.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
-import { sessionSettings } from "./settings.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
-import { Waits } from "./waits.ts";
+import { Held, Waits } from "./waits.ts";
 
 const TIME_EVENT_S = 0.25;
 

@@ -3,7 +3,7 @@ import { firstView, levelled, type ViewState } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
 import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
-import { joinNewest } from "./http-downloader.ts";
+import { joinNewest } from "./downloader.ts";
 import { Offers } from "./offers.ts";
 import { Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";

@@ -3,9 +3,22 @@
 // The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
 // others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
 // those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
-import type { Offers } from "./offers.ts";
+import { SESSION } from "../generated/constants.ts";
+import { ConfigError, type Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
-import type { SessionSettings } from "./settings.ts";
+
+type Rules = typeof SESSION;
+
+/** The rules of airgs_codec.play.settings, which says what each is. */
+export type SessionSettings = { [Name in keyof Rules]: Rules[Name] extends number ? number : boolean };
+
+/** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
+export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
+  const settings = { ...SESSION, ...given };
+  const { bufferS } = settings;
+  if (!(bufferS > 0 && bufferS < Infinity)) throw new ConfigError(`buffer: expected more than 0 s, got ${bufferS}`);
+  return settings;
+}
 
 /** Seconds for which segments that were shown stay in the timeline. */
 const PAST_S = 60;

@@ -5,7 +5,7 @@ import type { Camera, Canonical, Group, Root } from "../format/types.ts";
 import { UnsupportedError } from "../media/errors.ts";
 import { Renderer, type Scene, type Surface } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
-import type { TargetFormat } from "../render/target.ts";
+import type { TargetFormat } from "../render/textures.ts";
 import type { Clip } from "./pipeline.ts";
 
 /** A canonical space on the GPU, and the clip of which it shows something. */

@@ -31,10 +31,9 @@ import {
   type Shown,
 } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
-import { type Batch, filesOf, type Offers } from "./offers.ts";
-import type { Playout, Slot } from "./playout.ts";
+import { type Batch, ConfigError, filesOf, type Offers } from "./offers.ts";
+import type { Playout, SessionSettings, Slot } from "./playout.ts";
 import { type Download, estimateThroughput, type PlayerState, type Policy } from "./policies/state.ts";
-import { ConfigError, type SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
 
 /** What fetches and shows share of a package. */

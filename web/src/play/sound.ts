@@ -2,7 +2,7 @@
 // pictures while it is heard. It is heard at speed 1, while pictures are in time, once somebody has touched the page:
 // browsers allow no sound before. `…S` are seconds of the page's clock, places those of the schedule (schedule.ts).
 
-import { Recent } from "../format/recent.ts";
+import { Recent } from "../format/collections.ts";
 import { packetsOf, readSound } from "../format/sound.ts";
 import { PACKET_TICKS, SOUND_RATE, WARM_UP } from "../generated/constants.ts";
 import { UnsupportedError } from "../media/errors.ts";

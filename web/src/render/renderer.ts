@@ -9,8 +9,7 @@ import { Programs } from "./programs.ts";
 import { projection, setView } from "./project-shader.ts";
 import { Scene } from "./scene.ts";
 import { QUADS, ROW_WIDTH, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX, WHOLE } from "./shaders.ts";
-import { Target, type TargetFormat, targetFormat } from "./target.ts";
-import { RenderError, type Texture, texture } from "./textures.ts";
+import { RenderError, Target, type TargetFormat, type Texture, targetFormat, texture } from "./textures.ts";
 
 export { RenderError, Scene };
 

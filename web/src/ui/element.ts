@@ -2,7 +2,7 @@
 
 import type { PlayerLike, PlayerSettings } from "./desk.ts";
 import { make } from "./dom.ts";
-import { showTrouble } from "./more.ts";
+import { showTrouble } from "./shell.ts";
 import STYLE from "./style.css";
 import { type Owner, View } from "./view.ts";
 

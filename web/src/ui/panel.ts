@@ -1,10 +1,9 @@
 // The panel of figures, for those who want to know, with the last minute in a small picture.
 import type { RungInfo } from "../play/rungs.ts";
 import type { PlayerStats } from "../play/statistics.ts";
-import { ranked, stripes } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { iconButton, make, OTHERS, write } from "./dom.ts";
-import { decibels, rate, rungTitle, SOURCES, size } from "./words.ts";
+import { decibels, ranked, rate, rungTitle, SOURCES, size, stripes } from "./words.ts";
 
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
 const LUMA = { exact: "exact", invertible: "exact, by a table" } as const;

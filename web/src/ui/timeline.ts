@@ -1,9 +1,8 @@
 // The time line: where we are, and what is there in which quality. `Scrub` is the way to go elsewhere.
 
-import { stripes } from "./colours.ts";
 import type { Desk, Part } from "./desk.ts";
 import { make } from "./dom.ts";
-import { spoken } from "./words.ts";
+import { spoken, stripes } from "./words.ts";
 
 export class Timeline {
   readonly node: HTMLElement;

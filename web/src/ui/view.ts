@@ -3,13 +3,12 @@
 import { FormatError } from "../format/errors.ts";
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
-import { rungColours } from "./colours.ts";
 import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
-import { loadMore, type More } from "./more.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, type Sharpness } from "./sharpness.ts";
-import { type FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
+import { type FullScreen, type Looks, loadMore, type More, type Parts, Shell } from "./shell.ts";
 import type { Split } from "./split.ts";
+import { rungColours } from "./words.ts";
 
 const UPDATE_MS = 250;
 /** The figures of rungs change as tables come, and a player takes long to sum them up. */

@@ -1,12 +1,12 @@
 // What the media part does in a browser, task by task: /plan.json lists them, `window.report` is what came of each.
 
+import { FrameReader } from "../../src/airgs-frames.ts";
 import { atlasSamples, basesAfter } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { readStates } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, StateFrame } from "../../src/format/types.ts";
-import { FrameReader } from "../../src/frames.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
 import { PictureDecoder } from "../../src/media/pictures.ts";
 import { probeBrowser } from "../../src/media/probe.ts";

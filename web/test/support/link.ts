@@ -3,8 +3,7 @@ import { FormatError, type Reason } from "../../src/format/errors.ts";
 import { CHECK_S } from "../../src/generated/constants.ts";
 import type { Arrival, Downloader, GiveUp, Request, Partial as UnderWay } from "../../src/play/downloader.ts";
 import { filesOf, type Offers } from "../../src/play/offers.ts";
-import { Playout } from "../../src/play/playout.ts";
-import { type SessionSettings, sessionSettings } from "../../src/play/settings.ts";
+import { Playout, type SessionSettings, sessionSettings } from "../../src/play/playout.ts";
 
 /** Rates that hold from their starts on; after the last second comes the first one. */
 export class Trace {

@@ -2,8 +2,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { TransportError } from "../../src/media/errors.ts";
+import type { Source } from "../../src/play/downloader.ts";
 import { Feed } from "../../src/play/feed.ts";
-import type { Source } from "../../src/play/http-downloader.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf } from "../support/link.ts";

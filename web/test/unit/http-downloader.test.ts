@@ -4,7 +4,7 @@ import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
 import type { Fetched, FetchOptions } from "../../src/media/client.ts";
 import type { Partial, Request } from "../../src/play/downloader.ts";
-import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
+import { HttpDownloader, joinNewest, type Source } from "../../src/play/downloader.ts";
 import { missing, NONE, Offers } from "../../src/play/offers.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { setTimeout } from "node:timers/promises";
-import { Ahead } from "../../src/media/ahead.ts";
+import { Ahead } from "../../src/media/bell.ts";
 import type { Media } from "../../src/media/client.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { Pipeline } from "../../src/play/pipeline.ts";

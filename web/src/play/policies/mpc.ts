@@ -15,8 +15,7 @@ import {
   SWITCH_DB,
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
-import { type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
-import { ConfigError } from "../settings.ts";
+import { ConfigError, type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
 import {
   bufferS,
   type Download,
