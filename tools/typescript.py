@@ -35,7 +35,7 @@ _FLAGS = {
     | {"duration": mp4.DEFAULT_DURATION, "size": mp4.DEFAULT_SIZE},
 }
 MADE = "// Made by python -m tools.typescript from airgs_codec"
-SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon", "pipelined")
+SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon")
 
 
 def main() -> None:

@@ -90,7 +90,7 @@ def events(play: Case, numbers: Numbers, trace: Case) -> list[list[Any]]:
         offers, steps = growing_offers(numbers, play["growth"])
     starts, rates = (np.array(trace[name], float) for name in ("starts_s", "rates_bps"))
     link = faces.Link(faces.Trace(trace["name"], starts, rates, trace["duration_s"]), play["rtt_s"])
-    below = SimulatedDownloader(link, offers, faults, play["pipelines"])
+    below = SimulatedDownloader(link, offers, faults, pipelines=False)  # as browsers
     downloader = GrowingDownloader(below, steps) if play["growth"] else below
     policy, settings = faces.make_policy(play["policy"], offers), faces.SessionSettings(**play["settings"])
     return [row(event) for event in faces.run(offers, downloader, policy, settings)]

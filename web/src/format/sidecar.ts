@@ -1,9 +1,11 @@
 // Positions, motion classes and depths of rows, and escapes: FORMAT.md, sections 3 and 6. N rows of a tier.
 import { LEAST_CLASS, LIMITS, MOST_CLASS, MOST_WIDER, STATIC } from "../generated/constants.ts";
-import { type ColumnReader, ColumnReader as Reader, type Wide } from "./rangecoder.ts";
+import { ColumnReader, type Wide } from "./rangecoder.ts";
 import type { Grid } from "./types.ts";
 
-/** The N rows of a tier as a sidecar and the detail of a quality give them, M of them with their places. */
+/** The N rows of a tier as a sidecar and the detail of a quality give them, M of them with their places: none where keys are
+ * differences, else all.
+ */
 export interface TierRows {
   /** (M) Morton codes of the corners of cells. */
   codes: Wide;
@@ -13,12 +15,6 @@ export interface TierRows {
   wider: Int32Array;
   /** (N) deepest level that carries a row; STATIC: none. */
   depths: Uint8Array;
-}
-
-/** N and M: M is 0 where keys are differences, else N. */
-export interface TierCounts {
-  count: number;
-  placed: number;
 }
 
 /** The jumps of the bases of a segment or of a key picture; of a sidecar the e of rows (T = P = 1). */
@@ -59,24 +55,25 @@ function cellBits(
   return Math.min(k + coarser, LIMITS.bits);
 }
 
-/** A sidecar, with codes of the last quality, `coarsest` its `coarser`. Throws FormatError(bad_sidecar). */
+/** A sidecar, with codes of the last quality, `coarsest` its `coarser`; `count` is N, `placed` M. Throws
+ * FormatError(bad_sidecar).
+ */
 export function readSidecar(
   data: Uint8Array,
-  { count, placed }: TierCounts,
+  count: number,
+  placed: number,
   grid: Grid,
   coarsest: number,
   where: string,
 ): TierRows {
-  const reader = new Reader(data, where);
-  const depths = new Uint8Array(count);
-  const [told, lowest] = reader.column(placed ? 2 : 0, 0);
+  const reader = new ColumnReader(data, where);
+  const [told, lowest = 0] = reader.column(placed ? 2 : 0, 0);
   if (placed) expectCells(reader, told, coarsest);
-  const least = LEAST_CLASS + (lowest ?? 0);
   const above = reader.column(placed, 1);
   const codes = reader.wide(placed, 0);
   const carried = reader.column(count, 1);
   if (carried.some((depth) => depth > STATIC)) throw reader.refuse(`expected depths up to ${STATIC}`);
-  depths.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
+  const depths = Uint8Array.from(carried, (depth) => depth - 1); // 0 − 1 is STATIC
   const wider = new Int32Array(placed);
   if (placed) {
     const { index, jumps } = readEscapes(reader, 1, 1, placed);
@@ -86,12 +83,9 @@ export function readSidecar(
   }
   reader.close();
   if (wider.some((e) => e < 0 || e > MOST_WIDER)) throw reader.refuse(`expected e up to ${MOST_WIDER}`);
-  const classes = new Int16Array(placed);
-  for (let i = 0; i < placed; i++) {
-    const motionClass = least + above[i]!;
-    if (motionClass > MOST_CLASS) throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
-    classes[i] = motionClass;
-  }
+  if (above.some((more) => LEAST_CLASS + lowest + more > MOST_CLASS))
+    throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
+  const classes = Int16Array.from(above, (more) => LEAST_CLASS + lowest + more);
   const rows = { codes, classes, wider, depths };
   if (!sumGaps(rows, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * LIMITS.bits} bits`);
   return rows;

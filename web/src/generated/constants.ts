@@ -136,7 +136,7 @@ export const SHORTEST_S = 1e-09;
 export const LONGEST_POLL_S = 4.0;
 export const POLL_S = 1.0;
 export const SILENCE_S = 60.0;
-export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true} as const;
+export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true} as const;
 
 // airgs_codec.play.http
 export const BUSY: readonly number[] = [429, 502, 503, 504];

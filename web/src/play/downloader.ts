@@ -20,10 +20,7 @@ export interface Request {
   position: number;
   rung: number;
   batch: Batch;
-  /** No earlier than this. */
   sentS: number;
-  /** From then, or from the end of the batch before if that is later, to the first byte. */
-  latencyS: number;
 }
 
 export interface Arrival {
@@ -63,8 +60,6 @@ export type GiveUp = (partial: Partial) => boolean;
 export interface Downloader {
   /** Seconds from a request to its first byte on an idle link. */
   readonly rttS: number;
-  /** Whether a request may be sent before the batch before it has arrived. */
-  readonly pipelines: boolean;
   /** Seconds of a clock that never goes back. */
   now(): number;
   /** Wait until a moment; less long where the playout changes, or the signal aborts. Infinity: for that alone. */
@@ -132,8 +127,6 @@ export type Source = Pick<Media, "opened" | "fetch" | "refreshRoot">;
 
 /** Fetches from a server; time is that of `performance.now()`, in seconds. */
 export class HttpDownloader implements Downloader {
-  /** Batches follow each other: one is known to be over only when it is. */
-  readonly pipelines = false;
   private shortestS = Infinity;
   private opened: Fetched | null;
 

@@ -111,7 +111,7 @@ export class Playback {
     readonly tell: (type: string, detail?: Problem) => void,
   ) {
     const { bufferS, target } = wishes;
-    const settings = sessionSettings({ bufferS, pipelined: false });
+    const settings = sessionSettings({ bufferS });
     const stores = new Stores(offers);
     this.#stores = stores;
     if (media.first) stores.first = media.first;

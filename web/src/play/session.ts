@@ -72,15 +72,15 @@ export class Session {
 
   /** All events until the last segment is fetched or the signal aborts. Rejects with TransportError. */
   async *run(): Events {
-    const { downloader, playout, stores } = this.parts;
+    const { playout, stores } = this.parts;
     const { first } = this;
     if (stores.rootS === null) yield* this.fetchRoot(first, false);
     else if (this.parts.offers.live) yield* this.fetchPages(first);
     for (let position = first; !this.stopped; position++) {
       if (position >= playout.end && !(yield* this.grow(position))) break;
       yield* this.fetchTables(position);
-      let latencyS = this.latencyS(position, yield* this.roomFor(position));
-      while (!this.stopped && !(yield* this.fetchNext(position, latencyS))) latencyS = downloader.rttS;
+      yield* this.roomFor(position);
+      while (!this.stopped && !(yield* this.fetchNext(position)));
       if (!this.stopped) yield* this.shown(playout.started(this.nowS));
     }
     while (!this.stopped && (yield* this.replaceBest()));
@@ -91,13 +91,13 @@ export class Session {
     return this.signal.aborted;
   }
 
-  /** Replace what is buffered until there is room for another segment; gives the moment since when there is. */
-  private async *roomFor(position: number): Events<number> {
+  /** Replace what is buffered until there is room for another segment. */
+  private async *roomFor(position: number): Events {
     const { playout } = this.parts;
     for (;;) {
       playout.makeRoom(position);
       const earliestS = playout.earliestRequestS(position, this.nowS);
-      if (this.nowS >= earliestS || this.stopped) return earliestS;
+      if (this.nowS >= earliestS || this.stopped) return;
       if (yield* this.replaceBest()) continue;
       await this.wait(earliestS);
     }
@@ -166,22 +166,10 @@ export class Session {
     return stores.tables.missing(position, stop).filter((path) => !stores.unusable.has(path));
   }
 
-  /** The rest of the round trip when the link is free: pipelined, the request was sent before. */
-  private latencyS(position: number, earliestS: number): number {
-    const { rttS, pipelines } = this.parts.downloader;
-    if (this.parts.settings.pipelined && pipelines && position > this.first && earliestS < this.nowS)
-      return Math.max(0, rttS - (this.nowS - earliestS));
-    return rttS;
-  }
-
-  private sentS(latencyS: number): number {
-    return this.nowS - (this.parts.downloader.rttS - latencyS);
-  }
-
   /** Choose a rung of the next segment and fetch it; false: it did not come whole, choose again. */
-  private async *fetchNext(position: number, latencyS: number): Events<boolean> {
+  private async *fetchNext(position: number): Events<boolean> {
     const { offers, playout, policy, stores } = this.parts;
-    const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
+    const state = stores.tables.has(position) ? this.state(position) : null;
     if (!state?.options.length) {
       if (position === this.first) offers.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
@@ -194,8 +182,7 @@ export class Session {
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
       const kind = batch.keys.length ? "group" : "state";
-      const sentS = this.sentS(latencyS);
-      const request: Request = { kind, position, rung: decision.index, batch, sentS, latencyS };
+      const request: Request = { kind, position, rung: decision.index, batch, sentS: this.nowS };
       const arrival = await this.receive(request, this.giveUp(state, decision));
       yield { type: "arrived", arrival, throughputBps: estimateThroughput(state.history) };
       if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
@@ -205,8 +192,8 @@ export class Session {
     return true;
   }
 
-  private state(position: number, latencyS: number): PlayerState {
-    const { offers, playout, policy, settings, stores } = this.parts;
+  private state(position: number): PlayerState {
+    const { downloader, offers, playout, policy, settings, stores } = this.parts;
     return {
       ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end)),
       decoded: stores.keys.decoded(position),
@@ -214,9 +201,9 @@ export class Session {
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
       bufferLimitS: settings.bufferS,
-      requestLatencyS: latencyS,
+      requestLatencyS: downloader.rttS,
       shownQuality: playout.last && slotQuality(offers, playout.last),
-      history: this.history(this.sentS(latencyS)),
+      history: this.history(),
       speed: playout.schedule.speed,
     };
   }
@@ -255,16 +242,14 @@ export class Session {
 
   private async receiveTables(tables: readonly string[], position: number): Promise<Arrived> {
     const batch = { keys: [], state: [], tables };
-    const { rttS: latencyS } = this.parts.downloader;
-    const arrival = await this.receive({ kind: "tables", position, rung: 0, batch, sentS: this.nowS, latencyS }, null);
+    const arrival = await this.receive({ kind: "tables", position, rung: 0, batch, sentS: this.nowS }, null);
     return { type: "arrived", arrival, throughputBps: 0 };
   }
 
-  /** The last downloads that are over when a request is sent, oldest first; before there is one, the tables. */
-  private history(sentS: number): Download[] {
+  /** The last downloads, oldest first; before there is one, the tables. */
+  private history(): readonly Download[] {
     const { downloads, first } = this.parts.stores;
-    const past = downloads.slice(-REMEMBERED).filter(({ atS }) => atS <= sentS + SHORTEST_S);
-    return past.length ? past.map(({ download }) => download) : [first];
+    return downloads.length ? [...downloads] : [first];
   }
 
   /** Fetch a batch and take in what is of use; time goes on. */
@@ -282,7 +267,7 @@ export class Session {
       return arrival;
     }
     if (!arrival.cached && !this.signal.aborted) {
-      stores.downloads.push({ atS, download: { bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) } });
+      stores.downloads.push({ bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) });
       if (stores.downloads.length > REMEMBERED) stores.downloads.shift();
     }
     stores.keys.add(arrival);
@@ -311,16 +296,15 @@ export class Session {
 
   /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
   private async *replaceBest(): Events<boolean> {
-    const { downloader, playout, policy, settings } = this.parts;
+    const { playout, policy, settings } = this.parts;
     if (!(settings.replace && policy.adapts)) return false;
-    const estimateBps = estimateThroughput(this.history(this.nowS));
+    const estimateBps = estimateThroughput(this.history());
     const best = estimateBps ? this.bestReplacement(SAFETY * estimateBps) : null;
     if (!best) return false;
     const { slot, rung } = best;
     const { position } = slot;
-    const [batch, latencyS] = [this.replacing(slot, rung), downloader.rttS];
-    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS };
-    const arrival = await this.receive(request, null);
+    const batch = this.replacing(slot, rung);
+    const arrival = await this.receive({ kind: "replacement", position, rung, batch, sentS: this.nowS }, null);
     yield { type: "arrived", arrival, throughputBps: estimateBps };
     const late = slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS);
     if (this.stopped || !isComplete(arrival) || late) return true; // what it replaces stays

@@ -129,8 +129,8 @@ export class KeyStore {
 export class Stores {
   readonly tables: TableStore;
   readonly keys: KeyStore;
-  /** With their arrivals, oldest first. */
-  readonly downloads: { atS: number; download: Download }[] = [];
+  /** The last ones, oldest first. */
+  readonly downloads: Download[] = [];
   /** The fastest of tables and poster, the wait for its first byte included. */
   first: Download = { bytes: 0, seconds: 1 };
   /** Files that cannot be had, and why. */

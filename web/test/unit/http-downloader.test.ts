@@ -52,7 +52,7 @@ function made() {
 
 function request(offers: Offers, tables: string[] = []): Request {
   const batch = tables.length ? { keys: [], state: [], tables } : missing(offers.of(0), 0, NONE);
-  return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
+  return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0 };
 }
 
 test("airgs.json was fetched when the package was opened; later another package is refused", async () => {

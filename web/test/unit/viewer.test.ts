@@ -122,7 +122,7 @@ test("a pause while the buffer is full ends the wait, and shifts the rest", asyn
 });
 
 test("a pause puts off when a download is given up", async () => {
-  const viewer = new Viewer({ replace: false, pipelined: false });
+  const viewer = new Viewer({ replace: false });
   const { playout, downloader } = viewer;
   const answers: boolean[] = [];
   downloader.before = ({ position, kind }, giveUp) => {
