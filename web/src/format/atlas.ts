@@ -10,15 +10,10 @@ export function planeHeight(rows: number, planeWidth: number): number {
   return BLOCK * Math.ceil((Math.ceil(rows / CELLS) * BLOCK) / planeWidth);
 }
 
-/** Lines of all planes of an atlas together; 0 without planes. */
-export function atlasLines(atlas: Atlas): number {
-  const { rows, planes, plane_width, columns } = atlas;
-  return planes.length ? planeHeight(rows, plane_width) * Math.ceil(planes.length / columns) : 0;
-}
-
 /** How many pictures show an atlas together, each the next `height` lines; 0 without planes. */
-export function pages(atlas: Atlas): number {
-  return atlas.planes.length ? Math.ceil(atlasLines(atlas) / atlas.height) : 0;
+export function pages({ rows, planes, plane_width, columns, height }: Atlas): number {
+  if (!planes.length) return 0;
+  return Math.ceil((planeHeight(rows, plane_width) * Math.ceil(planes.length / columns)) / height);
 }
 
 export function atlasSamples(atlas: Atlas): number {

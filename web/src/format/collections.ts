@@ -1,7 +1,7 @@
 // Arrays joined, and values of which the last used stay.
 
 /** Arrays of a kind one after another. */
-export function concat<T extends Uint8Array | Float32Array>(parts: readonly T[], kind: new (length: number) => T): T {
+export function concat<T extends Uint8Array | Float32Array>(kind: new (length: number) => T, parts: readonly T[]): T {
   const whole = new kind(parts.reduce((sum, part) => sum + part.length, 0));
   let at = 0;
   for (const part of parts) {

@@ -72,7 +72,7 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
     }
     parts.push(value);
   }
-  return concat(parts, Uint8Array);
+  return concat(Uint8Array, parts);
 }
 
 type Json = Record<string, unknown>;

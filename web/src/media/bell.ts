@@ -10,8 +10,9 @@ export class Bell {
     this.#next = this.#after();
   }
 
-  wait(): Promise<void> {
-    return this.#next;
+  /** Resolves when `done` says so, which is asked at every ring. */
+  async until(done: () => boolean): Promise<void> {
+    while (!done()) await this.#next;
   }
 
   #after(): Promise<void> {
@@ -22,6 +23,14 @@ export class Bell {
 }
 
 export const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
+
+/** Aborts when `signal` does; aborted at the end, it lets go of that. */
+export function following(signal: AbortSignal): AbortController {
+  const own = new AbortController();
+  signal.addEventListener("abort", () => own.abort(), { signal: own.signal });
+  if (signal.aborted) own.abort();
+  return own;
+}
 
 /** Waits so many ms, or until the signal aborts or what `listen` listens to happens; it gives how to stop. */
 export function waitFor(ms: number, signal: AbortSignal, listen: (end: () => void) => () => void): Promise<void> {
@@ -74,7 +83,6 @@ export class Ahead {
     this.#bytes += bytes;
   }
 
-  /** The frame was shown, or is not wanted. */
   taken(id: number, t: number): void {
     const frames = this.#open.get(id);
     this.#bytes -= frames?.get(t) ?? 0;
@@ -90,7 +98,7 @@ export class Ahead {
   async #until(condition: () => boolean, signal: AbortSignal): Promise<void> {
     const stop = () => this.#bell.ring();
     signal.addEventListener("abort", stop);
-    while (!signal.aborted && !condition()) await this.#bell.wait();
+    await this.#bell.until(() => signal.aborted || condition());
     signal.removeEventListener("abort", stop);
   }
 }

@@ -1,5 +1,5 @@
 // H.264 through WebCodecs: coded pictures in, samples of decoded pictures out, in the order in which they are shown.
-import { annexB, readParameters } from "../format/avc.ts";
+import { annexB, codecOf } from "../format/avc.ts";
 import { FormatError } from "../format/errors.ts";
 import type { Sample } from "../format/mp4.ts";
 import { Bell } from "./bell.ts";
@@ -69,9 +69,8 @@ export class LumaDecoder {
       if (error instanceof LayoutError && this.#acceleration !== "prefer-software") {
         this.#acceleration = "prefer-software";
         failures = 0;
-        continue;
-      }
-      if (error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError") throw error;
+      } else if (error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError")
+        throw error;
       if (failures > 1) throw new FormatError("bad_picture", clip.where, `H.264 does not decode: ${error.message}`);
     }
   }
@@ -112,7 +111,7 @@ export class LumaDecoder {
   /** The decoder, made or configured anew where that is necessary. */
   async #ready({ clip }: Pass): Promise<VideoDecoder> {
     const { width: codedWidth, height: codedHeight, where } = clip;
-    const { codec } = readParameters(clip.samples[0].data, where);
+    const codec = codecOf(clip.samples[0].data, where);
     const config = { codec, codedWidth, codedHeight, hardwareAcceleration: this.#acceleration };
     const name = JSON.stringify(config);
     if (this.#decoder?.state !== "configured") this.#make();
@@ -145,9 +144,8 @@ export class LumaDecoder {
 
 class Pass {
   readonly bell = new Bell();
-  /** Pictures that came out, and those of them that were taken. */
+  /** Pictures that came out. */
   shown = 0;
-  done: number;
   open = 0;
   error: Error | null = null;
   /** Resolves when every picture that came so far is closed, and taken unless something went wrong. */
@@ -158,11 +156,9 @@ class Pass {
   constructor(
     readonly clip: Clip,
     readonly take: TakeSamples,
-    done: number,
+    public done: number,
     readonly free: Uint8Array[],
-  ) {
-    this.done = done;
-  }
+  ) {}
 
   /** Nothing more is taken; the first error counts. */
   fail(error: Error): void {
@@ -170,8 +166,8 @@ class Pass {
     this.bell.ring();
   }
 
-  async until(condition: () => boolean): Promise<void> {
-    while (!this.error && !condition()) await this.bell.wait();
+  until(condition: () => boolean): Promise<void> {
+    return this.bell.until(() => !!this.error || condition());
   }
 
   show(frame: VideoFrame): void {
@@ -231,15 +227,6 @@ const PIXELS = /^(RGB|BGR)[AX]$/;
 const PIXEL_BYTES = 4;
 const GREEN = 1; // of RGBX and BGRX alike
 
-/** How the samples of a picture lie, and what to ask `copyTo` for; pictures that only the GPU can read become pixels. */
-function layoutOf(frame: VideoFrame): { layout: Layout; options: VideoFrameCopyToOptions } {
-  const { format } = frame;
-  if (format === null) return { layout: "rgb", options: { format: "RGBX" } };
-  if (PLANAR.test(format)) return { layout: "planar", options: {} };
-  if (PIXELS.test(format)) return { layout: "rgb", options: {} };
-  throw new UnsupportedError(`this browser gives pictures as ${format}, from which luma cannot be read exactly`);
-}
-
 export interface Samples {
   layout: Layout;
   data: Uint8Array;
@@ -252,7 +239,11 @@ export interface Samples {
 /** Copies a picture out of the decoder's hands into a free buffer, and closes it whatever happens. */
 export async function copySamples(frame: VideoFrame, free: Uint8Array[]): Promise<Samples> {
   try {
-    const { layout, options } = layoutOf(frame);
+    const { format } = frame;
+    const layout = format && PLANAR.test(format) ? "planar" : "rgb";
+    if (format && layout === "rgb" && !PIXELS.test(format))
+      throw new UnsupportedError(`this browser gives pictures as ${format}, from which luma cannot be read exactly`);
+    const options: VideoFrameCopyToOptions = format ? {} : { format: "RGBX" }; // what only the GPU can read becomes pixels
     const bytes = frame.allocationSize(options);
     const last = free.pop();
     const data = last?.length === bytes ? last : new Uint8Array(bytes);
@@ -267,7 +258,11 @@ export async function copySamples(frame: VideoFrame, free: Uint8Array[]): Promis
 /** Puts luma of `width` × `height` samples line by line into `luma`, as the decoder made it. */
 export function readLuma(samples: Samples, width: number, height: number, inverses: Inverses, luma: Uint8Array): void {
   const { data, offset, stride, step } = samples;
-  const inverse = inverseFor(samples.layout, inverses);
+  const inverse = inverses[samples.layout];
+  if (inverse === undefined)
+    throw new LayoutError(
+      `this browser gives some H.264 pictures as ${samples.layout} and others not: luma cannot be trusted`,
+    );
   for (let line = 0; line < height; line++) {
     const from = offset + line * stride;
     const to = line * width;
@@ -275,10 +270,4 @@ export function readLuma(samples: Samples, width: number, height: number, invers
     else
       for (let x = 0; x < width; x++) luma[to + x] = inverse ? inverse[data[from + step * x]] : data[from + step * x];
   }
-}
-
-function inverseFor(layout: Layout, inverses: Inverses): Uint8Array | null {
-  const known = inverses[layout];
-  if (known !== undefined) return known;
-  throw new LayoutError(`this browser gives some H.264 pictures as ${layout} and others not: luma cannot be trusted`);
 }

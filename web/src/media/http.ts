@@ -14,11 +14,10 @@ import {
   LONGEST_PAUSE_S,
   TIMEOUT_S,
 } from "../generated/constants.ts";
-import { untilOnline } from "./bell.ts";
+import { following, untilOnline } from "./bell.ts";
 import { TransportError } from "./errors.ts";
 
 const MOST_AFTER_S = 3600; // a server that wants more is asked before
-const TO_ASK_AGAIN: readonly Reason[] = GARBLED;
 
 export interface Retry {
   path: string;
@@ -82,13 +81,12 @@ export class FileClient {
       const askedMs = performance.now();
       const error = await this.#fault({ ...ask, onBytes }, tries > 0);
       if (!error || signal.aborted) return null;
-      const cause = error instanceof PassingError ? error.away : null;
+      const passing = error instanceof PassingError ? error : null;
       // A server that has answered others since is not away: the fault is the file's.
-      const away = cause === "busy" || (cause === "unreachable" && this.#answeredMs < askedMs);
+      const away = passing?.away === "busy" || (passing?.away === "unreachable" && this.#answeredMs < askedMs);
       if (away && !patient) throw new TransportError(`${this.base.split("?")[0]}${path}: ${error.detail}`);
       if (!away) faults++;
-      const passing = error instanceof PassingError ? error : null;
-      if (faults === attempts || !(passing || TO_ASK_AGAIN.includes(error.reason)))
+      if (faults === attempts || !(passing || (GARBLED as readonly Reason[]).includes(error.reason)))
         return new FormatError(error.reason, error.where, error.detail);
       ask.onRetry({ path, why: error.detail, bytes });
       if (passing) this.onPassing(`${path}: ${error.detail}, trying again`);
@@ -129,10 +127,7 @@ async function receive(
   again: boolean,
   onAnswer: () => void,
 ): Promise<{ bytes: Uint8Array; headers: Headers }> {
-  const ending = new AbortController();
-  const end = () => ending.abort();
-  signal.addEventListener("abort", end);
-  if (signal.aborted) end();
+  const ending = following(signal);
   let patience: ReturnType<typeof setTimeout> | undefined;
   let silent = false;
   let came = 0; // of the next LEAST_BYTES
@@ -140,7 +135,7 @@ async function receive(
     clearTimeout(patience);
     patience = setTimeout(() => {
       silent = true;
-      end();
+      ending.abort();
     }, 1e3 * TIMEOUT_S);
     came = 0;
   };
@@ -174,11 +169,10 @@ async function receive(
       parts.push(value);
       size += value.length;
     }
-    return { bytes: parts.length === 1 ? parts[0] : concat(parts, Uint8Array), headers: response.headers };
+    return { bytes: parts.length === 1 ? parts[0] : concat(Uint8Array, parts), headers: response.headers };
   } finally {
     clearTimeout(patience);
-    signal.removeEventListener("abort", end);
-    end(); // of an answer that is not wanted, nothing more is read
+    ending.abort(); // of an answer that is not wanted, nothing more is read
   }
 }
 

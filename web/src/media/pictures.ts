@@ -15,9 +15,6 @@ export interface PictureFile {
   where: string;
 }
 
-/** What becomes of picture `t`: samples of all its pages, one after the other. */
-export type TakeLuma = (t: number, luma: Uint8Array) => void;
-
 /** Decodes files of pictures one after the other, by what a probe of the browser found. */
 export class PictureDecoder {
   readonly #decoder: LumaDecoder;
@@ -26,11 +23,15 @@ export class PictureDecoder {
     this.#decoder = new LumaDecoder(probe.acceleration);
   }
 
-  /** Decodes a file, and gives its pictures in order, each when its last page is there.
+  /** Decodes a file, and gives the samples of each picture `t`, its pages one after the other, when the last is there.
    *
    * Throws FormatError(bad_picture) for pictures of another number or size, or whose luma differs from its checksum.
    */
-  async decode(file: PictureFile, take: TakeLuma, options: DecodeOptions = {}): Promise<void> {
+  async decode(
+    file: PictureFile,
+    take: (t: number, luma: Uint8Array) => void,
+    options: DecodeOptions = {},
+  ): Promise<void> {
     const { atlas, frames, pages, checksums, where } = file;
     const { width, height } = atlas;
     const gathered = new Map<number, Uint8Array>();

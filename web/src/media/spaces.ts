@@ -43,19 +43,19 @@ export async function decodeCanonical(
     parts.push({ ...part, difference });
     const rows = Uint32Array.from(key.depths, (_, row) => row);
     const scaled = steps.map((step) => step * key.factor);
-    const moved = difference ? movedMeans(tier, rows, key.bases, scaled, difference) : tier.means;
+    const moved = difference ? movedMeans(tier, rows, key.bases, scaled, difference.luma) : tier.means;
     if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", key.where, "means are not finite");
     means.push(moved);
   }
   const depths = concat(
-    keys.map((key) => key.depths),
     Uint8Array,
+    keys.map((key) => key.depths),
   );
   const units = concat(
-    whole.map((tier) => tier.units),
     Float32Array,
+    whole.map((tier) => tier.units),
   );
-  return { ...name, means: concat(means, Float32Array), units, depths, parts };
+  return { ...name, means: concat(Float32Array, means), units, depths, parts };
 }
 
 function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyTier[] {
@@ -104,19 +104,21 @@ export async function decodeStates(
   const show = (t: number, luma: Uint8Array) => {
     const time = line ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
-    const means = movedMeans(positions, carried, bases, steps, { luma, slopes, time });
+    const means = movedMeans(positions, carried, bases, steps, luma, slopes, time);
     take(t, { luma, bases: changes, time, means });
   };
   await decoder.decode({ ...states, where }, show, options);
 }
 
-/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are its atlas's. */
+/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are those of its atlas. */
 function movedMeans(
   { means: before, units }: Pick<Positions, "means" | "units">,
   rows: Uint32Array,
   { atlas, now, offsets }: Bases,
   steps: Float32Array,
-  { luma, slopes, time }: { luma: Uint8Array; slopes?: Int32Array | null; time?: number },
+  luma: Uint8Array,
+  slopes: Int32Array | null = null,
+  time = 0,
 ): Float32Array {
   const means = before.slice();
   const add = (i: number, axis: number, code: number) => {
@@ -130,7 +132,7 @@ function movedMeans(
     const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
     for (let i = 0; i < rows.length; i++) {
       const at = corner + offsets[i];
-      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time! * slopes[at] : 0));
+      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time * slopes[at] : 0));
     }
   }
   for (const [sample, base] of now) {

@@ -4,7 +4,7 @@
 // Times are seconds of the downloader's clock.
 import { FormatError } from "../format/errors.ts";
 import { CHECK_S, ROOT_PATH } from "../generated/constants.ts";
-import { waitFor } from "../media/bell.ts";
+import { following, waitFor } from "../media/bell.ts";
 import type { Fetched, Media } from "../media/client.ts";
 import { type Batch, filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
@@ -171,17 +171,14 @@ export class HttpDownloader implements Downloader {
   /** Looks at a download every CHECK_S from its first byte on, and ends it where it is given up. */
   private async batch(request: Request, paths: string[], giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
     const sentS = this.now();
-    const ending = new AbortController();
-    const end = () => ending.abort();
-    signal.addEventListener("abort", end);
-    if (signal.aborted) end();
+    const ending = following(signal);
     let timer: ReturnType<typeof setInterval> | undefined;
     let bytes = 0;
     let expectedBytes = 0;
     const onProgress = (come: number, expected: number) => {
       [bytes, expectedBytes] = [come, expected];
       const firstS = this.now();
-      const look = (atS: number) => giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes }) && end();
+      const look = (atS: number) => giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes }) && ending.abort();
       if (giveUp) timer ??= setInterval(() => look(this.now()), 1000 * CHECK_S);
     };
     try {
@@ -190,7 +187,7 @@ export class HttpDownloader implements Downloader {
       return arrival(request, came, came.whole.length + came.refused.size < paths.length);
     } finally {
       clearInterval(timer);
-      signal.removeEventListener("abort", end);
+      ending.abort();
     }
   }
 }
