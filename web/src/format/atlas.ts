@@ -5,7 +5,6 @@ import type { Atlas, BaseChanges } from "./types.ts";
 
 const CELLS = BLOCK * BLOCK;
 
-/** Lines of a plane of `rows` rows. */
 export function planeHeight(rows: number, planeWidth: number): number {
   return BLOCK * Math.ceil((Math.ceil(rows / CELLS) * BLOCK) / planeWidth);
 }
@@ -36,13 +35,11 @@ export function rowOffsets(atlas: Atlas): Uint32Array {
   return offsets;
 }
 
-/** Place of the first sample of plane p. */
 export function planeCorner(atlas: Atlas, plane: number): number {
   const line = Math.floor(plane / atlas.columns) * planeHeight(atlas.rows, atlas.plane_width);
   return line * atlas.width + (plane % atlas.columns) * atlas.plane_width;
 }
 
-/** What a byte does to a CRC-32. */
 const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
   let rest = byte;
   for (let bit = 0; bit < 8; bit++) rest = rest & 1 ? (rest >>> 1) ^ 0xedb88320 : rest >>> 1;

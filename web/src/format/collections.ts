@@ -47,7 +47,6 @@ export class Recent<Key, Value> {
     this.#values.delete(key);
   }
 
-  /** The value of a key, which is made where it is not there. */
   of(key: Key, make: () => Value): Value {
     return this.get(key) ?? this.set(key, make());
   }

@@ -7,7 +7,6 @@ import type { FileEntry, Page, Root } from "./types.ts";
 /** Pages of the index, of which those last used stay: more than a buffer reaches over, and hours of play. */
 const MOST_PAGES = 256;
 
-/** What the index says of a group, or of the groups on a page. */
 export interface Entry {
   start: number;
   stop: number;
@@ -26,12 +25,10 @@ export class MissingTableError extends Error {
   }
 }
 
-/** Parts that follow each other: those of a level in the root, or those on a page. */
+/** Groups (level 0) or pages of a level that follow each other, and the group, frame and segment that each begins with. */
 interface Block {
-  /** Of the parts; 0: they are groups, else pages of that level. */
   level: number;
   spans: Page;
-  /** The first of each: group, frame, segment. */
   groups: number[];
   frames: number[];
   segments: number[];
@@ -70,7 +67,6 @@ function entryAt({ spans, frames, segments }: Block, place: number): Entry {
   };
 }
 
-/** The place of the last of ascending numbers that is at most `value`: a block has few. */
 const lastUpTo = (ascending: number[], value: number) => ascending.findLastIndex((one) => one <= value);
 
 /** How many pages of a level an index leads to; of level 0, groups. */
@@ -102,7 +98,6 @@ export class GroupIndex {
     return grown;
   }
 
-  /** Takes in a page, checked by `checkPage`. */
   addPage(path: string, page: Page): void {
     const [above, place] = this.#stepTo(path);
     const { start, firstSegment } = entryAt(above, place);
@@ -122,7 +117,6 @@ export class GroupIndex {
     return entryAt(...this.#leaf("groups", group));
   }
 
-  /** The group that shows a frame, or that a segment belongs to. */
   groupAt(count: "frames" | "segments", number: number): number {
     const [{ groups }, place] = this.#leaf(count, number);
     return groups[place]!;
@@ -166,14 +160,12 @@ export class GroupIndex {
     return { start: upTo(segment - firstSegment), stop: upTo(segment - firstSegment + 1) };
   }
 
-  /** The block of groups that has a group, frame or segment, and the place of its group. */
   #leaf(count: Count, number: number): Step {
     let found: Step | null = null;
     for (const step of this.#descend(count, number)) found = step;
     return found!;
   }
 
-  /** The block that lists a page, and its place there. */
   #stepTo(path: string): Step {
     const [level, number] = locate(path)!.numbers as [number, number];
     for (const step of this.#descend("groups", (number - 1) * PAGE ** level)) if (step[0].level === level) return step;

@@ -61,7 +61,6 @@ class Reader {
     return this.#samples(moof!, mdat!);
   }
 
-  /** All boxes, which must be of these kinds. */
   #expect(kinds: string): Box[] {
     const boxes = this.#boxes(0, this.data.length);
     const got = boxes.map((box) => box.kind).join(" ");
@@ -69,7 +68,6 @@ class Reader {
     return boxes;
   }
 
-  /** Where the content of the uuid box begins. */
   #expectOwn({ start, stop }: Box): number {
     const type = [...this.data.subarray(start, Math.min(start + UUID_BYTES, stop))];
     const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
@@ -148,7 +146,6 @@ class Reader {
     return boxes;
   }
 
-  /** The number `at` bytes into the content of a box. */
   #u32({ kind, start, stop }: Box, at: number): number {
     if (start + at + 4 > stop) throw this.#bad(`a box ${kind} ends after ${stop - start} bytes`);
     return this.#view.getUint32(start + at);

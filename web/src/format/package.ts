@@ -24,10 +24,8 @@ const BRACE = 0x7b; // begins JSON
 /** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
 
-/** The root, and the pages and tables of groups that were added to it. The tables last used stay. */
 export class Tables {
   #groups = new Recent<number, Group>(MOST_TABLES);
-  /** What pages must begin with, since it stood in a root before; by their paths. */
   #starts = new Map<string, Page>();
 
   private constructor(
@@ -115,7 +113,6 @@ export class Tables {
     return this.group(group).segments[segment - this.index.entry(group).firstSegment]!;
   }
 
-  /** The segments of a group, [start, stop). */
   segmentsOf(group: number): { start: number; stop: number } {
     const { firstSegment, segments } = this.index.entry(group);
     return { start: firstSegment, stop: firstSegment + segments };
@@ -208,7 +205,6 @@ function expectStart(columns: Page, start: Page, where: string): void {
   if (!same) throw new FormatError("bad_value", where, ANOTHER);
 }
 
-/** A value as text in which the fields of objects are in order. */
 const inOrder = (value: object) =>
   JSON.stringify(value, (_, part: unknown) =>
     part && typeof part === "object" && !Array.isArray(part) ? Object.fromEntries(Object.entries(part).sort()) : part,

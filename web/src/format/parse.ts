@@ -8,8 +8,7 @@ import { checkRoot } from "./references.ts";
 import type { Root } from "./types.ts";
 
 export function parseRoot(bytes: Uint8Array): Root {
-  const data = parseJson(bytes, ROOT_PATH);
-  checkTable(data, { type: "object" }, ROOT_PATH);
+  const data = parseTable(bytes, { type: "object" }, ROOT_PATH);
   const { version } = data as { version?: unknown };
   if (version !== VERSION) {
     throw new FormatError("unknown_version", ROOT_PATH, `expected version ${VERSION}, got ${JSON.stringify(version)}`);
@@ -20,23 +19,20 @@ export function parseRoot(bytes: Uint8Array): Root {
   return root;
 }
 
-/** A page or the table of a group, which fits `schema`, and not more than that yet. Throws FormatError. */
-export function parseTable(bytes: Uint8Array, schema: Record<string, unknown>, where: string): unknown {
-  const data = parseJson(bytes, where);
-  checkTable(data, schema, where);
-  return data;
-}
-
-function parseJson(bytes: Uint8Array, where: string): unknown {
+/** A table that fits `schema`, and not more than that yet. Throws FormatError. */
+export function parseTable(bytes: Uint8Array, schema: Json, where: string): unknown {
   if (bytes.length > MAX_TABLE_BYTES || countValues(bytes) > MAX_VALUES) {
     const detail = `expected at most ${MAX_TABLE_BYTES} bytes of JSON with ${MAX_VALUES} commas and opening brackets`;
     throw new FormatError("too_large", where, detail);
   }
+  let data: unknown;
   try {
-    return JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
+    data = JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
   } catch (error) {
     throw new FormatError("not_json", where, `expected JSON: ${error}`);
   }
+  checkTable(data, schema, where);
+  return data;
 }
 
 /** Commas and opening brackets: a value follows each. */
@@ -64,7 +60,7 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
     const { done, value } = await reader.read().catch((error: unknown) => {
       throw new FormatError("not_json", where, `expected JSON in gzip: ${error}`);
     });
-    if (done) break;
+    if (done) return concat(Uint8Array, parts);
     length += value.length;
     if (length > MAX_TABLE_BYTES) {
       reader.cancel().catch(() => {});
@@ -72,7 +68,6 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
     }
     parts.push(value);
   }
-  return concat(Uint8Array, parts);
 }
 
 type Json = Record<string, unknown>;

@@ -104,7 +104,6 @@ export class ColumnReader {
     if (this.#at > this.#data.length) throw this.#tooShort(lo.length);
   }
 
-  /** A decision by a model, which learns from it. */
   #modelled(model: number): number {
     const chance = this.#chances[model]!;
     const seen = this.#seen[model]!;

@@ -53,7 +53,6 @@ class Place {
   }
 }
 
-/** Checks that the parts of airgs.json fit together. */
 export function checkRoot(root: Root): void {
   const place = new Place(ROOT_PATH);
   const ids = [...root.qualities, ...root.levels].map((one) => one.id).join();
@@ -156,7 +155,6 @@ export function checkBase(group: Group, base: Group, where: string): void {
   throw bad(`${where}.keeps`, `expected a base laid out alike, got ${group.keeps}`);
 }
 
-/** All that is equal in a group and its base, whatever the order of fields is. */
 const laidOut = (group: Group) =>
   JSON.stringify(group, [
     ...["grid", "origin", "step", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
@@ -222,7 +220,6 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
   place.within("pages", pages(atlas), 1, LIMITS.pages);
 }
 
-/** A segment says as much of each level as there is to say. */
 function checkSegment(root: Root, group: Group, segment: Segment, place: Place): void {
   const measured = root.views.reference === "none" ? 0 : root.qualities.length;
   segment.levels.forEach((level, j) => {

@@ -142,7 +142,6 @@ export function readDetail(
   return { ...shared, codes };
 }
 
-/** Throws FormatError where a file is of cells other than airgs.json says: all codes would be wrong. */
 function expectCells(reader: ColumnReader, told: number | undefined, coarser: number): void {
   if (told !== coarser) throw reader.refuse(`expected coarser ${coarser}, got ${told}`);
 }
@@ -158,14 +157,10 @@ function everyThird(bits: number): number {
 
 /** Grid index on an axis (0, 1, 2) of a Morton code, at most 21 bits. */
 export function mortonIndex(lo: number, hi: number, axis: number): number {
-  // Bits 0 … 29 give ten bits of each axis; the others, shifted down to bit 0, the upper eleven.
-  return (
-    everyThird((lo & 0x3fffffff) >>> axis) | (everyThird(((lo >>> 30) | (hi << 2)) >>> axis) << 10) | topBit(hi, axis)
-  );
+  // Bits 0 … 29 of the code give ten bits of each axis, bits 30 … 59 the next ten, bit 60 + axis the last.
+  const middle = everyThird(((lo >>> 30) | (hi << 2)) >>> axis);
+  return everyThird((lo & 0x3fffffff) >>> axis) | (middle << 10) | (((hi >>> (28 + axis)) & 1) << 20);
 }
-
-/** Bit 20 of an axis, which stands in bit 60 + axis of the code. */
-const topBit = (hi: number, axis: number) => ((hi >>> (28 + axis)) & 1) << 20;
 
 /** (3N) canonical means of a key quality, world units. */
 export function canonicalMeans(rows: TierRows, grid: Grid, coarser: number): Float64Array {

@@ -12,7 +12,6 @@ export function keySteps(root: Root, group: Group, quality: number): Float32Arra
   return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 
-/** World units that a cell of motion class 0 is wide; sizes are coded in it. */
 export const gridUnit = ({ grid }: Group) => grid.step * 2 ** -grid.finest;
 
 /** (10 + C) the same of keys that are differences; of a mean in motion units of its row. */

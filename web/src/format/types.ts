@@ -31,7 +31,6 @@ export type Place = Region["places"][number];
 export type World = NonNullable<Root["world"]>;
 export type FileEntry = Root["init"];
 export type Grid = Group["grid"];
-export type Tier = Group["tiers"][number];
 export type Atlas = Group["levels"][number];
 export type Segment = Group["segments"][number];
 
@@ -57,7 +56,6 @@ export interface KeyPart {
   difference: KeyPart | null;
 }
 
-/** A canonical space by what it is made of; groups count from 0. */
 export interface CanonicalName {
   group: number;
   quality: number;

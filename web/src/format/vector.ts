@@ -4,7 +4,6 @@ export type Vector = readonly [number, number, number];
 type Three = ArrayLike<number>;
 
 export const vector = (a: Three): Vector => [a[0]!, a[1]!, a[2]!];
-/** a + t · b */
 export const along = (a: Three, b: Three, t = 1): Vector => [a[0]! + t * b[0]!, a[1]! + t * b[1]!, a[2]! + t * b[2]!];
 export const minus = (a: Three, b: Three): Vector => along(a, b, -1);
 export const scaled = (a: Three, t: number): Vector => [t * a[0]!, t * a[1]!, t * a[2]!];

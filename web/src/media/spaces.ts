@@ -47,15 +47,9 @@ export async function decodeCanonical(
     if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", key.where, "means are not finite");
     means.push(moved);
   }
-  const depths = concat(
-    Uint8Array,
-    keys.map((key) => key.depths),
-  );
-  const units = concat(
-    Float32Array,
-    whole.map((tier) => tier.units),
-  );
-  return { ...name, means: concat(Float32Array, means), units, depths, parts };
+  const [depths, units] = [keys.map((key) => key.depths), whole.map((tier) => tier.units)];
+  const space = { means: concat(Float32Array, means), units: concat(Float32Array, units) };
+  return { ...name, ...space, depths: concat(Uint8Array, depths), parts };
 }
 
 function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyTier[] {
