@@ -4,10 +4,9 @@
 // Passes: key (once a scene), projection (once a picture or camera), splats, and the canvas. N rows of a group.
 import { colourChannels } from "../format/steps.ts";
 import type { Camera, Canonical, Group, Root } from "../format/types.ts";
-import { prepareKeys, setCodes } from "./key-passes.ts";
 import { Programs } from "./programs.ts";
 import { projection, setView } from "./project-shader.ts";
-import { Scene } from "./scene.ts";
+import { prepareKeys, Scene, setCodes } from "./scene.ts";
 import { QUADS, ROW_WIDTH, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX, WHOLE } from "./shaders.ts";
 import { RenderError, Target, type TargetFormat, type Texture, targetFormat, texture } from "./textures.ts";
 
@@ -77,7 +76,6 @@ export class Renderer {
     this.#programs.prepare("canvas", () => ({ vertex: WHOLE, fragment: SHOW, samplers: ["picture"] }));
   }
 
-  /** Whether it can draw no more: the context was lost, or it was disposed of. */
   get lost(): boolean {
     return this.#disposed || this.#wasLost || this.#gl.isContextLost();
   }
@@ -92,20 +90,17 @@ export class Renderer {
     return false;
   }
 
-  prepare(degree: number): void {
-    if (this.lost) return;
-    const channels = colourChannels(degree);
-    const fragment = () => projection(degree, channels, Math.ceil(channels / 4));
-    this.#programs.prepare(PROJECTION + degree, () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS }));
-    prepareKeys(this.#programs, degree);
-  }
-
   /** A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
    *
    * Throws RenderError for more rows or pages than this machine's textures hold.
    */
   scene(root: Root, group: Group, canonical: Canonical): Scene {
-    this.prepare(root.sh_degree);
+    if (!this.lost) {
+      const fragment = () => projection(root.sh_degree, colourChannels(root.sh_degree));
+      const source = () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS });
+      this.#programs.prepare(PROJECTION + root.sh_degree, source);
+      prepareKeys(this.#programs, root.sh_degree);
+    }
     const scene = new Scene(this.#gl, root, group, canonical);
     scene.freed = this.lost;
     this.#scenes.add(scene);
@@ -120,17 +115,13 @@ export class Renderer {
     return this.#programs.done([PROJECTION + scene.degree, "splats", "canvas"]);
   }
 
-  /** The whole canvas. */
-  get canvas(): Surface {
-    const { drawingBufferWidth: width, drawingBufferHeight: height } = this.#gl;
-    return { framebuffer: null, x: 0, y: 0, width, height };
-  }
-
-  /** Draws a scene, if it is ready; else the picture stays as it is. */
-  draw(scene: Scene, camera: Camera, surface = this.canvas): boolean {
+  /** Draws a scene on a surface, by default the whole canvas, if it is ready; else the picture stays as it is. */
+  draw(scene: Scene, camera: Camera, surface?: Surface): boolean {
     if (!this.ready(scene)) return false;
     const gl = this.#gl;
-    const { framebuffer, x, y, width, height } = surface;
+    const { drawingBufferWidth, drawingBufferHeight } = gl;
+    const whole = { framebuffer: null, x: 0, y: 0, width: drawingBufferWidth, height: drawingBufferHeight };
+    const { framebuffer, x, y, width, height } = surface ?? whole;
     this.#project(scene, camera, [width, height]);
     this.#clear(width, height);
     this.#splat(scene, [width, height]);
@@ -172,7 +163,6 @@ export class Renderer {
     gl.deleteSync(this.#drawing);
   }
 
-  /** Runs the key passes if their programs are there. Gives whether the canonical space is there. */
   #finishKeys(scene: Scene): boolean {
     if (!scene.keys || this.lost) return !this.lost;
     if (!this.#programs.done(prepareKeys(this.#programs, scene.degree))) return false;

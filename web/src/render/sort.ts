@@ -87,10 +87,11 @@ function firstPlaces(counts: Uint32Array): void {
   }
 }
 
-/** Means of a key, which stay until others come for it. `view`: sort them; null: forget them. */
 export interface SortRequest {
   key: string;
+  /** null: those that were given last for this key. */
   means: Float32Array | null;
+  /** null: forget the means. */
   view: DepthView | null;
 }
 
@@ -109,12 +110,9 @@ export function run(): void {
   const scope = globalThis as unknown as Scope;
   scope.onmessage = ({ data: { key, means, view } }) => {
     if (means) known.set(key, means);
-    if (!view) {
-      known.delete(key);
-      return;
-    }
     const last = known.get(key);
-    const rows = last ? sorter.order(last, view) : null;
-    scope.postMessage(rows, rows ? [rows.buffer] : []);
+    const rows = last && view ? sorter.order(last, view) : null;
+    if (view) scope.postMessage(rows, rows ? [rows.buffer] : []);
+    else known.delete(key);
   };
 }

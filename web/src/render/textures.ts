@@ -30,8 +30,7 @@ export function texture(gl: WebGL2RenderingContext, internal: Internal, size: [n
   return { handle, target, internal, width, height, layers };
 }
 
-/** Where texels are written: `layer` only of arrays. */
-export interface Box {
+interface Box {
   y: number;
   width: number;
   height: number;
@@ -92,7 +91,6 @@ const BRIGHTEST = 1.5; // of 1, 1.5 and 2 it has the best worst picture of rando
 
 type Colour = readonly [number, number, number];
 
-/** The wanted format, or the one that this browser can blend into. */
 export function targetFormat(gl: WebGL2RenderingContext, wanted: TargetFormat): TargetFormat {
   if (wanted === "rgb10_a2") return wanted;
   if (!gl.getExtension("EXT_color_buffer_float") && !gl.getExtension("EXT_color_buffer_half_float")) return "rgb10_a2";
