@@ -9,13 +9,11 @@ import type { Fetched, Media } from "../media/client.ts";
 import { type Batch, filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
-/** What a batch was requested for: tables (airgs.json, pages of the index, tables of groups); the next segment with
- * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment.
- */
-export type BatchKind = "tables" | "group" | "state" | "replacement";
-
 export interface Request {
-  kind: BatchKind;
+  /** Requested were tables (airgs.json, pages of the index, tables of groups); the next segment with keys of its group; the
+   * next segment, whose keys are decoded; a better rung of a buffered segment.
+   */
+  kind: "tables" | "group" | "state" | "replacement";
   /** Of the segment in the session. */
   position: number;
   rung: number;
@@ -39,7 +37,6 @@ export interface Arrival {
   cached: boolean;
 }
 
-/** Whether every file of a batch can be used. */
 export const isComplete = (arrival: Arrival): boolean => arrival.whole.length === filesOf(arrival.request.batch).length;
 
 /** The files that are of use: a state segment whose batch is not complete is dropped. */
@@ -60,7 +57,6 @@ export type GiveUp = (partial: Partial) => boolean;
 export interface Downloader {
   /** Seconds from a request to its first byte on an idle link. */
   readonly rttS: number;
-  /** Seconds of a clock that never goes back. */
   now(): number;
   /** Wait until a moment; less long where the playout changes, or the signal aborts. Infinity: for that alone. */
   wait(untilS: number, playout: Playout, signal: AbortSignal): Promise<void>;
@@ -75,28 +71,6 @@ export interface Arrived {
   arrival: Arrival;
   /** The estimate when the batch was requested. */
   throughputBps: number;
-}
-
-/** A replacement took the place of a buffered segment; `before` and `after` are rungs. */
-export interface Replaced {
-  type: "replaced";
-  position: number;
-  before: number;
-  after: number;
-}
-
-/** No rung of a segment can be had. */
-export interface Lost {
-  type: "lost";
-  position: number;
-  atS: number;
-}
-
-/** A session ends before its package says so. */
-export interface Cut {
-  type: "cut";
-  atS: number;
-  why: string;
 }
 
 /** A segment's final time on the screen; rung null: it was lost, the last picture stands. */
@@ -117,10 +91,17 @@ export interface Shown {
   psnr: number | null;
 }
 
-export type SessionEvent = Arrived | Replaced | Lost | Cut | Shown;
+export type SessionEvent =
+  | Arrived
+  | Shown
+  /** A replacement took the place of a buffered segment; `before` and `after` are rungs. */
+  | { type: "replaced"; position: number; before: number; after: number }
+  /** No rung of a segment can be had. */
+  | { type: "lost"; position: number; atS: number }
+  /** The session ends before its package says so. */
+  | { type: "cut"; atS: number; why: string };
 
-/** Timers of browsers take no more, milliseconds. */
-const LONGEST_MS = 2 ** 31 - 1;
+const LONGEST_MS = 2 ** 31 - 1; // of timers of browsers
 
 /** What a downloader needs of an open package. Where a fetch is given up, the files that are whole count. */
 export type Source = Pick<Media, "opened" | "fetch" | "refreshRoot">;

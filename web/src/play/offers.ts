@@ -81,7 +81,6 @@ export const sizesOf = ({ rungs }: SegmentOffer, decoded: Keys): Float64Array =>
       : OVER_BUDGET,
   );
 
-/** Every rung that is allowed, by its number. */
 export function optionsOf(offer: SegmentOffer, decoded: Keys): Option[] {
   const sizes = sizesOf(offer, decoded);
   const all = offer.rungs.map(({ psnr, saved }, index) => ({ index, sizeBytes: sizes[index], quality: psnr, saved }));
@@ -106,11 +105,11 @@ export interface OfferTables
   entry(path: string): { bytes: number };
 }
 
-/** Makes the offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
+/** Offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
 export class Offers {
-  /** (key quality, level) of every rung. */
+  /** (key quality, level) */
   readonly rungs: readonly (readonly [number, number])[];
-  /** The name of every rung, such as Q1+L2. */
+  /** Such as Q1+L2. */
   readonly names: readonly string[];
   readonly fps: number;
   first = 0;
@@ -129,7 +128,6 @@ export class Offers {
     this.fps = frame_rate[0] / frame_rate[1];
   }
 
-  /** The finest level that is offered. */
   get finest(): number {
     return this.#finest;
   }
@@ -193,7 +191,6 @@ export class Offers {
     return this.tables.root.frames / this.fps;
   }
 
-  /** Whether every rung of every segment has a quality. */
   get measured(): boolean {
     return this.tables.root.views.reference !== "none";
   }
@@ -215,11 +212,6 @@ export class Offers {
     return this.#hasTable(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
   }
 
-  secondsAt(position: number): number {
-    const { start, stop } = this.span(position);
-    return (stop - start) / this.fps;
-  }
-
   /** Throws ConfigError where every rung at a position shows more Gaussians than the budget has. */
   checkBudget(position: number): void {
     const segment = this.index(position);
@@ -227,7 +219,6 @@ export class Offers {
     if (least > this.budget) throw new ConfigError(`budget: expected ${least} Gaussians or more, got ${this.budget}`);
   }
 
-  /** The segment of the package that a session plays at a position. */
   index(position: number): number {
     return this.place(position).segment;
   }

@@ -14,7 +14,6 @@ const MOST_SPACES = 2; // canonical spaces: of the group on the screen and of th
 /** A segment that is decoded, or about to be. */
 export interface Clip {
   readonly position: number;
-  /** Number of the rung whose files it is made of. */
   readonly rung: number;
   readonly level: number;
   readonly canonical: Canonical;

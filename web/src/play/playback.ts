@@ -1,6 +1,5 @@
 // An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
 // screen when their time has come. The schedule (`Playout`) is what these three agree on.
-import type { ViewState } from "../format/region.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
 import type { TargetFormat } from "../render/textures.ts";
@@ -52,13 +51,9 @@ export interface Wishes extends PlayerOptions {
 
 /** The sound of a package, which is loaded where there is some: sound.ts. */
 export interface Voice {
-  /** Whether the browser lets it be heard. */
   readonly allowed: boolean;
-  /** Whether it is heard, so that pictures follow it. */
   readonly leads: boolean;
-  /** Take in whether it is wanted, and how loud; somebody may have touched the page. */
   follow(): void;
-  /** Play what is due, and keep the pictures beside it; `calm`: these were in time lately. */
   step(nowS: number, calm: boolean): void;
   close(): void;
 }
@@ -134,7 +129,7 @@ export class Playback {
       onProblem: (error) => this.#problem(error, false),
     });
     this.screen = new Screen(canvas, media.tables, {
-      ...(target && { target }),
+      target,
       onLost: () => {
         this.headset?.end(); // its layer is lost as well
         this.tell("lost");
@@ -150,7 +145,6 @@ export class Playback {
     document.addEventListener("visibilitychange", () => this.follow(), { signal: this.#end.signal });
   }
 
-  /** Fetch and show from the beginning, or from the newest group of a growing package. */
   begin(): void {
     this.follow();
     this.#feed.run(0);
@@ -165,10 +159,6 @@ export class Playback {
     this.#pipeline.clear();
     this.screen.close();
     this.media.close();
-  }
-
-  look(view: ViewState): void {
-    this.screen.look(view);
   }
 
   resize(width: number, height: number): void {
@@ -189,7 +179,6 @@ export class Playback {
     hold("hidden", document.hidden && !this.headset); // a page that nobody sees shows nothing
   }
 
-  /** Choose anew what follows, and fetch again what is not on its way to the screen. */
   async choose(): Promise<void> {
     this.#held.offer();
     if (this.#locating) return this.seek(this.#sought ?? 0);
@@ -267,7 +256,6 @@ export class Playback {
     this.tell("progress");
   }
 
-  /** Make scenes of groups that come next, and free those that have passed. */
   #prepare(): void {
     const clips = [...this.#pipeline.clips];
     for (const clip of clips) if (clip.frames[0] !== undefined) this.screen.prepare(clip);

@@ -95,7 +95,6 @@ export class Player extends EventTarget {
     return () => this.removeEventListener(type, listener);
   }
 
-  /** Go on, after the end from the beginning. */
   play(): void {
     const { ended } = this;
     if (!this.paused && !ended) return;
@@ -131,7 +130,6 @@ export class Player extends EventTarget {
     return this.#playback?.seeking ?? false;
   }
 
-  /** Whether more is to come. */
   get live(): boolean {
     return this.#playback?.offers.live ?? false;
   }
@@ -249,7 +247,7 @@ export class Player extends EventTarget {
 
   set camera(view: ViewState) {
     this.#view = view;
-    if (!this.vr) this.#playback?.look(view);
+    if (!this.vr) this.#playback?.screen.look(view);
   }
 
   /** Whether a headset shows the scene, from where its wearer looks. */
@@ -278,7 +276,6 @@ export class Player extends EventTarget {
     this.#playback?.headset?.end();
   }
 
-  /** From the page to a headset, or back. */
   #changeDisplay(): void {
     this.resize(this.#size.width, this.#size.height);
     this.camera = this.camera;

@@ -61,7 +61,7 @@ export class RungTotals {
   }
 }
 
-/** Whether a rung has more quality at no more bytes, or the same at fewer; without qualities none beats another. */
+/** More quality at no more bytes, or the same at fewer; without qualities none beats another. */
 function beats(a: { psnr: number | null; kbps: number }, b: { psnr: number | null; kbps: number }): boolean {
   if (a.psnr === null || b.psnr === null) return false;
   return a.kbps <= b.kbps && a.psnr >= b.psnr && (a.kbps < b.kbps || a.psnr > b.psnr);

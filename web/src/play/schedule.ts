@@ -12,7 +12,6 @@ const EXCUSES: readonly Hold[] = ["pause", "hidden", "start"];
 export class Schedule {
   /** Seconds of media that would have passed meanwhile, up to the last change. */
   readonly missedS = { decoder: 0, display: 0 };
-  /** Seconds of the schedule a second, where it is not held. */
   speed = 1;
   private readonly holds = new Set<Hold>();
   private clockS = 0;

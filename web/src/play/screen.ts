@@ -20,19 +20,19 @@ interface Stage {
   means: Float32Array | null;
 }
 
-/** What one eye in a headset sees, and where it is drawn. */
-export interface Eye {
+/** What an eye in a headset sees, and where it is drawn. */
+interface Eye {
   camera: Camera;
   surface: Surface;
 }
 
-export interface ScreenOptions {
-  target?: TargetFormat;
+interface ScreenOptions {
+  target: TargetFormat | undefined;
   /** The context is gone, or is back: what was shown must be shown again. */
-  onLost?: () => void;
-  onRestored?: () => void;
+  onLost: () => void;
+  onRestored: () => void;
   /** Nothing more can be shown. */
-  onFail?: (error: Error) => void;
+  onFail: (error: Error) => void;
 }
 
 /** Shows frames of clips on a canvas. While the WebGL context is lost, nothing is shown and nothing fails. */
@@ -51,16 +51,16 @@ export class Screen {
   constructor(
     readonly canvas: HTMLCanvasElement,
     readonly tables: { root: Root; group(number: number): Group },
-    readonly options: ScreenOptions = {},
+    readonly options: ScreenOptions,
   ) {
     this.#renderer = this.#makeRenderer();
-    const fail = (why: string) => options.onFail?.(new UnsupportedError(`the worker that sorts failed: ${why}`));
+    const fail = (why: string) => options.onFail(new UnsupportedError(`the worker that sorts failed: ${why}`));
     this.#sorter = new Sorter(undefined, fail);
     const { signal } = this.#end;
     canvas.addEventListener("webglcontextlost", () => this.#lose(), { signal });
     const restore = () => {
       this.#renderer = this.#makeRenderer();
-      options.onRestored?.();
+      options.onRestored();
     };
     canvas.addEventListener("webglcontextrestored", restore, { signal });
   }
@@ -140,9 +140,8 @@ export class Screen {
   }
 
   #makeRenderer(): Renderer {
-    const { target } = this.options;
     const [r = 0, g = 0, b = 0] = this.tables.root.region.background ?? [];
-    return new Renderer(this.canvas, { background: [r, g, b], ...(target ? { target } : {}) });
+    return new Renderer(this.canvas, { background: [r, g, b], target: this.options.target });
   }
 
   /** Makes ready what a group begins with, so that its first frame can follow the one before without a pause. */
@@ -173,6 +172,6 @@ export class Screen {
     this.#renderer = null;
     this.#stages.clear();
     this.#shown = null;
-    this.options.onLost?.();
+    this.options.onLost();
   }
 }

@@ -36,7 +36,6 @@ import type { Playout, SessionSettings, Slot } from "./playout.ts";
 import { type Download, estimateThroughput, type PlayerState, type Policy } from "./policies/state.ts";
 import type { Stores } from "./stores.ts";
 
-/** What fetches and shows share of a package. */
 export interface Shared {
   offers: Offers;
   settings: SessionSettings;
@@ -70,7 +69,6 @@ export class Session {
     this.nowS = downloader.now();
   }
 
-  /** All events until the last segment is fetched or the signal aborts. Rejects with TransportError. */
   async *run(): Events {
     const { playout, stores } = this.parts;
     const { first } = this;
@@ -353,10 +351,8 @@ export class Session {
   }
 }
 
-/** Whether no file of a batch was found missing or corrupt. */
 const usable = (stores: Stores, batch: Batch): boolean =>
   !stores.unusable.size || filesOf(batch).every((path) => !stores.unusable.has(path));
 
-/** dB, null of a lost segment. */
 const slotQuality = (o: Offers, slot: Slot): number | null =>
   slot.rung === null ? null : o.of(o.index(slot.position)).rungs[slot.rung].psnr;

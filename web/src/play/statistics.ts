@@ -12,9 +12,7 @@ export interface PlayerStats {
   throughputBps: number;
   bufferS: number;
   rung: number | null;
-  /** That came over the network, headers included. */
   bytes: number;
-  /** Frames of the sequence that were drawn. */
   framesShown: number;
   /** Times of frames that passed without a new one: by decoder and display, and in segments that were lost. */
   framesDropped: number;

@@ -30,44 +30,34 @@ export class TableStore {
 
   /** Lists pages that positions [start, stop) still need, and tables that pages that were read, or the root, lead to. */
   missing(start: number, stop: number): string[] {
-    const wanted = new Set<string>();
-    for (let position = start; position < stop; position++) {
-      const path = this.next(this.offers.index(position));
-      if (path !== null) wanted.add(path);
-    }
-    return [...wanted];
+    const wanted = Array.from({ length: stop - start }, (_, i) => this.next(this.offers.index(start + i)) ?? []);
+    return [...new Set(wanted.flat())];
   }
 
   /** Pages of the index with segments of positions from one to another. */
   missingPages(from: number, to: number): string[] {
-    const { first, tables } = this.offers;
-    return tables.index.missingPages(first + from, first + to + 1, (path) => this.hasPage(path));
+    const { index } = this.offers.tables;
+    const [start, stop] = [this.offers.first + from, this.offers.first + to + 1];
+    return index.missingPages(start, stop, (path) => this.paths.has(path) && index.hasPage(path));
   }
 
-  private hasPage(path: string): boolean {
-    return this.paths.has(path) && this.offers.tables.index.hasPage(path); // those last used stay, not all
-  }
-
-  /** The first that is missing of what leads to a segment, and then to the group whose rows its group keeps. */
   private next(segment: number): string | null {
-    const { tables } = this.offers;
-    const page = this.nextPage(tables.index.pagesTo("segments", segment));
-    if (page !== null) return page;
-    const group = tables.groupOf(segment);
-    const path = this.nextTable(group);
-    if (path !== null) return path;
-    const base = tables.base(group);
-    return base === null ? null : (this.nextPage(tables.index.pagesTo("groups", base)) ?? this.nextTable(base));
-  }
-
-  private nextPage(way: Iterable<string>): string | null {
-    for (const path of way) if (!this.hasPage(path)) return path;
+    // Of those that came, the tables that were last used stay.
+    for (const [path, there] of this.way(segment)) if (!there || !this.paths.has(path)) return path;
     return null;
   }
 
-  private nextTable(group: number): string | null {
-    const path = groupPath(group + 1);
-    return this.paths.has(path) && this.offers.tables.has(group) ? null : path; // those last used stay, not all
+  /** What leads to a segment, and then to the group whose rows its group keeps, and whether the tables have it. */
+  private *way(segment: number): Generator<[path: string, there: boolean]> {
+    const { tables } = this.offers;
+    const { index } = tables;
+    for (const path of index.pagesTo("segments", segment)) yield [path, index.hasPage(path)];
+    const group = tables.groupOf(segment);
+    yield [groupPath(group + 1), tables.has(group)];
+    const base = tables.base(group);
+    if (base === null) return;
+    for (const path of index.pagesTo("groups", base)) yield [path, index.hasPage(path)];
+    yield [groupPath(base + 1), tables.has(base)];
   }
 }
 
@@ -105,12 +95,10 @@ export class KeyStore {
     return Math.min(tiers, ...wanted.map(({ tier }) => tier));
   }
 
-  /** The files that a rung of the segment at a position still needs. */
   missing(position: number, rung: number): Batch {
     return missing(this.offers.of(this.offers.index(position)), rung, this.decoded(position));
   }
 
-  /** Every rung of the segment at a position, with the bytes that it still needs. */
   options(position: number): Option[] {
     return optionsOf(this.offers.of(this.offers.index(position)), this.decoded(position));
   }

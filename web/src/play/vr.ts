@@ -34,7 +34,7 @@ function show(playback: Playback, session: XRSession, layer: XRWebGLLayer, room:
   const seat = seatOf(playback.media.tables.root);
   playback.resize(layer.framebufferWidth, layer.framebufferHeight);
   const look = ({ transform, views }: XRViewerPose): boolean => {
-    playback.look(viewFrom(seat, transform.matrix));
+    screen.look(viewFrom(seat, transform.matrix));
     const eyes = views.flatMap((view) => {
       const { x, y, width, height } = layer.getViewport(view) ?? { x: 0, y: 0, width: 0, height: 0 };
       if (!width || !height) return []; // an eye that the headset leaves out

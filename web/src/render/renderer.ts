@@ -14,7 +14,7 @@ export { RenderError, Scene };
 
 export interface RendererOptions {
   /** What splats are blended into; default "rgba16f" where the browser can. */
-  target?: TargetFormat;
+  target?: TargetFormat | undefined;
   /** r, g, b of 0 … 1 behind the Gaussians; default black. */
   background?: readonly [number, number, number];
 }
