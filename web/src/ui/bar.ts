@@ -51,12 +51,8 @@ export class Bar {
       this.#vr,
       this.#full,
     );
-    this.node = make(
-      "div",
-      { class: "bar", part: "controls", role: "group", "aria-label": "Controls" },
-      this.timeline.node,
-      row,
-    );
+    const told = { class: "bar", part: "controls", role: "group", "aria-label": "Controls" };
+    this.node = make("div", told, this.timeline.node, row);
     this.#listen();
   }
 
@@ -68,11 +64,8 @@ export class Bar {
     relabel(this.#sound, player.muted ? "mute" : "sound", player.muted ? "Sound on" : "Mute");
     this.#loop.ariaPressed = String(player.loop);
     this.#free.ariaPressed = String(orbit.free);
-    relabel(
-      this.#free,
-      orbit.free ? "free" : "bounded",
-      orbit.free ? "Stay inside the viewing region" : "Leave the viewing region",
-    );
+    if (orbit.free) relabel(this.#free, "free", "Stay inside the viewing region");
+    else relabel(this.#free, "bounded", "Leave the viewing region");
     this.#vr.hidden = !headset;
     this.#vr.ariaPressed = String(player.vr);
     relabel(this.#vr, "vr", player.vr ? "Leave VR" : "Enter VR");

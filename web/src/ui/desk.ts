@@ -6,11 +6,7 @@ import { readAddress, writeAddress } from "./address.ts";
 import type { Orbit } from "./orbit.ts";
 
 /** `Player`, or one that only pretends, in tests. */
-export type PlayerLike = EventTarget &
-  Pick<Player, "open" | "play" | "pause" | "seek" | "close" | "paused" | "ended" | "live" | "loop" | "speed"> &
-  Pick<Player, "currentTime" | "duration" | "fps" | "buffered" | "rungs" | "rung" | "quality" | "policy"> &
-  Pick<Player, "region" | "camera" | "stats" | "resize" | "vr" | "enterVr" | "leaveVr"> &
-  Pick<Player, "hasSound" | "muted" | "volume">;
+export type PlayerLike = Omit<Player, "canvas" | "on" | "seeking" | "world">;
 
 export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "muted" | "volume">;
 
@@ -18,10 +14,10 @@ export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | 
 export type Part = Player["buffered"][number];
 
 /** What a player tells. */
-export const EVENTS =
-  "open poster firstpicture rung stall resume time progress ended vr volumechange pause play problem lost restored".split(
-    " ",
-  );
+export const EVENTS = [
+  ...["open", "poster", "firstpicture", "rung", "stall", "resume", "time", "progress", "ended", "vr", "volumechange"],
+  ...["pause", "play", "problem", "lost", "restored"],
+];
 
 /** The view as its parts know it. */
 export interface Desk {

@@ -65,7 +65,7 @@ export abstract class PlayerElement extends Base implements Owner {
     if (name === "loop" || name === "muted") this.#view?.apply({ [name]: this[name] });
     else if (name === "policy") this.#view?.apply(now ? { policy: now } : {});
     else if (name === "quality") this.#view?.apply({ quality: this.quality });
-    else if (name === "view-region") this.#view?.apply({ free: this.viewRegion === "free" });
+    else if (name === "view-region") this.#view?.apply({}, this.viewRegion === "free");
     else this.again();
   }
 
@@ -133,31 +133,17 @@ export abstract class PlayerElement extends Base implements Owner {
     this.setAttribute("view-region", viewRegion);
   }
 
+  get settings(): PlayerSettings {
+    const { loop, muted, volume, policy } = this;
+    const budget = Number(this.getAttribute("budget") ?? Infinity);
+    return { loop, muted, volume, budget, ...(policy ? { policy } : {}) };
+  }
+
   #start(): void {
     if (!this.src) return;
-    if (this.lacks()) {
-      this.#refuse(null);
-      return;
-    }
-    const { src, autoplay, controls, poster, quality, split, loop, muted, volume, policy, hash: linked } = this;
-    const budget = Number(this.getAttribute("budget") ?? Infinity);
-    const settings = { loop, muted, volume, budget, ...(policy ? { policy } : {}) };
-    const free = this.viewRegion === "free";
-    const plan = {
-      src,
-      path: this.path && new URL(this.path, this.baseURI).href,
-      autoplay,
-      controls,
-      poster,
-      quality,
-      split,
-      settings,
-      free,
-      linked,
-      at: linked ? location.hash.slice(1) : "",
-    };
     try {
-      this.#view = new View(this, plan, this.#root);
+      if (this.lacks()) this.#refuse(null);
+      else this.#view = new View(this, this.#root);
     } catch (error) {
       this.#refuse(error);
     }

@@ -62,24 +62,21 @@ export function listenToKeys(area: HTMLElement, desk: Desk, signal: AbortSignal)
     down.clear();
     drive();
   };
-  area.addEventListener(
-    "keydown",
-    (event) => {
-      const key = event.key.toLowerCase();
-      if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
-      if (own(event.composedPath()[0], key)) return;
-      const command = COMMANDS[(event.shiftKey && key.startsWith("arrow") ? "shift+" : "") + key];
-      if (!command && !DRIVES[key]) return;
-      event.preventDefault();
-      if (command) {
-        if (!event.repeat || key === "," || key === ".") command(desk);
-      } else if (!event.repeat) {
-        down.add(key);
-        drive();
-      }
-    },
-    { signal },
-  );
+  const press = (event: KeyboardEvent) => {
+    const key = event.key.toLowerCase();
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (own(event.composedPath()[0], key)) return;
+    const command = COMMANDS[(event.shiftKey && key.startsWith("arrow") ? "shift+" : "") + key];
+    if (!command && !DRIVES[key]) return;
+    event.preventDefault();
+    if (command) {
+      if (!event.repeat || key === "," || key === ".") command(desk);
+    } else if (!event.repeat) {
+      down.add(key);
+      drive();
+    }
+  };
+  area.addEventListener("keydown", press, { signal });
   area.addEventListener("keyup", (event) => down.delete(event.key.toLowerCase()) && drive(), { signal });
   area.addEventListener("focusout", release, { signal });
   window.addEventListener("blur", release, { signal });

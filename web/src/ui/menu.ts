@@ -67,11 +67,8 @@ export class Menu {
     const head = make("div", { class: "head" }, title);
     const up = this.#above(page);
     if (up) {
-      const leave = make(
-        "button",
-        { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 },
-        icon(OTHERS.back),
-      );
+      const told = { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 };
+      const leave = make("button", told, icon(OTHERS.back));
       leave.addEventListener("click", () => this.#show(up));
       head.prepend(leave);
     }
@@ -124,13 +121,9 @@ export class Menu {
     const { player, rungs } = this.desk;
     const shown = player.rung === null ? undefined : rungs[player.rung];
     const auto = player.quality === "auto";
+    const note = auto && shown ? `now ${rungTitle(shown)}` : "";
     return [
-      {
-        label: "Auto",
-        ...(auto && shown ? { note: `now ${rungTitle(shown)}` } : {}),
-        checked: auto,
-        run: this.#pick("auto"),
-      },
+      { label: "Auto", note, checked: auto, run: this.#pick("auto") },
       ...this.#rungs(true),
       ...(rungs.every((rung) => rung.onLadder) ? [] : [{ label: "Others", run: () => this.#show("others") }]),
       { label: "How “Auto” chooses", run: () => this.#show("policy") },

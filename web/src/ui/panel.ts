@@ -48,14 +48,9 @@ export class Panel {
   constructor(readonly desk: Desk) {
     const rows = ROWS.map(([label], i) => make("div", {}, make("dt", {}, label), this.#cells[i]));
     this.#history = new History(desk);
-    this.node = make(
-      "section",
-      { class: "panel", part: "panel", "aria-label": "Figures of playing", hidden: true, tabindex: -1 },
-      make("div", { class: "head" }, "Figures", this.close),
-      make("dl", {}, ...rows),
-      this.#history.node,
-      this.#legend,
-    );
+    const told = { class: "panel", part: "panel", "aria-label": "Figures of playing", hidden: true, tabindex: -1 };
+    const parts = [make("div", { class: "head" }, "Figures", this.close), make("dl", {}, ...rows)];
+    this.node = make("section", told, ...parts, this.#history.node, this.#legend);
   }
 
   get open(): boolean {

@@ -10,7 +10,6 @@ const HIDE_MS = 2800;
 const MISSING_MS = 7000;
 const MISSING = "This part of the player cannot be fetched now.";
 
-/** What is loaded later than the rest. */
 export interface Parts {
   readonly menu: Menu;
   readonly panel: Panel;
@@ -19,17 +18,13 @@ export interface Parts {
 
 export interface Looks {
   readonly controls: boolean;
-  readonly poster: string | null;
+  readonly poster: string;
   readonly src: string;
 }
 
 function nameOf(src: string): string {
-  const { pathname } = new URL(src);
-  const last =
-    pathname
-      .replace(/\/*(airgs\.json|manifest\.mpd)?\/*$/, "")
-      .split("/")
-      .pop() ?? "";
+  const folder = new URL(src).pathname.replace(/\/*(airgs\.json|manifest\.mpd)?\/*$/, "");
+  const last = folder.slice(folder.lastIndexOf("/") + 1);
   try {
     return decodeURIComponent(last).replace(/\.airgs$/, "");
   } catch {
@@ -66,27 +61,16 @@ export class Shell {
     if (looks.poster) this.#dress(looks.poster);
     else this.#poster.append(nameOf(looks.src));
     const spinner = make("div", { class: "spinner", role: "progressbar", "aria-label": "Loading" });
-    const above = looks.controls ? [this.#big, this.bar.node] : [];
-    this.frame = make(
-      "div",
-      { class: "frame waiting fresh" },
-      this.scene,
-      this.#poster,
-      this.#edge,
-      spinner,
-      this.notes.node,
-    );
-    this.frame.append(...above);
+    this.frame = make("div", { class: "frame waiting fresh" }, this.scene, this.#poster, this.#edge, spinner);
+    this.frame.append(this.notes.node, ...(looks.controls ? [this.#big, this.bar.node] : []));
     root.replaceChildren(make("style", {}, STYLE), this.frame);
     this.#listen();
   }
 
   update(): void {
     const { player } = this.desk;
-    this.frame.classList.toggle(
-      "fresh",
-      !this.desk.ready || (player.paused && player.currentTime === 0 && !this.#parts?.panel.open),
-    );
+    const began = !player.paused || player.currentTime !== 0 || this.#parts?.panel.open;
+    this.frame.classList.toggle("fresh", !this.desk.ready || !began);
     this.bar.update();
     this.bar.info.ariaPressed = String(!!this.#parts?.panel.open);
     this.#parts?.panel.update();
@@ -110,15 +94,12 @@ export class Shell {
     if (this.looks.controls) this.frame.append(panel.node, menu.node);
     panel.close.addEventListener("click", () => this.desk.toggleInfo(), on);
     this.scene.addEventListener("pointerdown", () => menu.close(), on);
-    panel.node.addEventListener(
-      "keydown",
-      (event) => {
-        if (event.key !== "Escape") return;
-        this.desk.toggleInfo();
-        this.bar.info.focus();
-      },
-      on,
-    );
+    const leave = (event: KeyboardEvent) => {
+      if (event.key !== "Escape") return;
+      this.desk.toggleInfo();
+      this.bar.info.focus();
+    };
+    panel.node.addEventListener("keydown", leave, on);
     write(this.#help, HELP);
     this.added(more);
     return { menu, panel, Split };
@@ -204,10 +185,8 @@ export class Shell {
   #listen(): void {
     const on = { signal: this.desk.signal };
     const stir = (event: Event) => {
-      if (
-        !(event instanceof PointerEvent && event.pointerType === "touch" && this.scene.contains(event.target as Node))
-      )
-        this.stir();
+      const touch = event instanceof PointerEvent && event.pointerType === "touch";
+      if (!touch || !this.scene.contains(event.target as Node)) this.stir();
     };
     for (const name of ["pointermove", "pointerdown", "keydown", "focusin"])
       this.frame.addEventListener(name, stir, on);

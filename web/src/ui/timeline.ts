@@ -17,12 +17,8 @@ export class Timeline {
 
   constructor(readonly desk: Desk) {
     const track = make("div", { class: "track" }, this.#ahead, this.#played);
-    this.node = make(
-      "div",
-      { class: "timeline", part: "timeline", role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 },
-      track,
-      this.#thumb,
-    );
+    const told = { role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 };
+    this.node = make("div", { class: "timeline", part: "timeline", ...told }, track, this.#thumb);
   }
 
   get scrubbing(): boolean {

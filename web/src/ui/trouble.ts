@@ -108,14 +108,8 @@ export function card(trouble: Trouble, again: () => void, signal: AbortSignal): 
     retry.addEventListener("click", again, { signal });
     buttons.prepend(retry);
   }
-  return make(
-    "div",
-    { class: "card", part: "card", role: "alert" },
-    icon(trouble.icon),
-    make("h2", {}, trouble.title),
-    make("p", {}, trouble.text),
-    buttons,
-  );
+  const words = [make("h2", {}, trouble.title), make("p", {}, trouble.text)];
+  return make("div", { class: "card", part: "card", role: "alert" }, icon(trouble.icon), ...words, buttons);
 }
 
 async function copyText(button: HTMLButtonElement, text: string): Promise<void> {
