@@ -14,9 +14,7 @@ export type { Gaussians, Place, Region, Root, World } from "./format/types.ts";
 export { TransportError, UnsupportedError } from "./media/errors.ts";
 
 /** Opens a package to read its frames as Gaussians. Throws what `Player.open` does. */
-export function openFrames(src: string): Promise<FrameReader> {
-  return FrameReader.open(src);
-}
+export const openFrames = async (src: string): Promise<FrameReader> => new FrameReader(await Media.open(src));
 
 /** A segment; `start` is its first frame. */
 interface Decoded {
@@ -32,14 +30,8 @@ export class FrameReader {
   #decoded: Promise<Decoded> | null = null;
   #wanted = "";
 
-  private constructor(private readonly media: Media) {}
+  constructor(private readonly media: Media) {}
 
-  /** Opens a package as `Player.open` does, and throws what that does. */
-  static async open(src: string): Promise<FrameReader> {
-    return new FrameReader(await Media.open(src));
-  }
-
-  /** What is true of the whole package: airgs.json. */
   get root(): Root {
     return this.media.tables.root;
   }
@@ -62,7 +54,6 @@ export class FrameReader {
     return this.root.world ?? null;
   }
 
-  /** Names of all rungs, such as Q0+L0. */
   get rungs(): string[] {
     const { qualities, levels } = this.root;
     return qualities.flatMap((quality) => levels.map((level) => `${quality.id}+${level.id}`));

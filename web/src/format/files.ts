@@ -23,7 +23,6 @@ export interface KeyTier {
   /** The file of its picture; each page of it, none where there is none. */
   where: string;
   pages: Sample[][];
-  /** Of each of these. */
   checksums: Uint32Array;
   /** Bases of its samples, and which are other than 0; null: none. */
   bases: Bases;
@@ -120,7 +119,6 @@ export function checkCount(root: Root, table: Group, level: number, tiers: numbe
 export class Bases {
   /** Bases by now, of samples that ever had another than 0: by plane · N + row. */
   readonly now = new Map<number, number>();
-  /** Place of each row in a plane. */
   readonly offsets: Uint32Array;
   #at = 0;
 
@@ -131,7 +129,6 @@ export class Bases {
     this.offsets = rowOffsets(atlas);
   }
 
-  /** The changes that come with picture `t`, and with `slopes`; null: none. */
   next(t: number, slopes?: Int32Array | null): BaseChanges | null {
     const { index, jumps } = this.escapes;
     const { rows, planes } = this.atlas;

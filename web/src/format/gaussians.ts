@@ -7,7 +7,6 @@ import { levelRows } from "./files.ts";
 import { colourChannels, colourMatrix, colourSteps, differenceSteps, gridUnit, keySteps, stateSteps } from "./steps.ts";
 import type { Canonical, Gaussians, Group, KeyPart, Root } from "./types.ts";
 
-/** How codes of a key or of a state become values. */
 interface Coding {
   /** Value of a code of each channel. */
   steps: Float32Array;

@@ -12,7 +12,6 @@ export interface Entry {
   stop: number;
   firstSegment: number;
   segments: number;
-  /** The table of the group, or the page. */
   file: FileEntry;
 }
 
@@ -78,7 +77,6 @@ export class GroupIndex {
   readonly groups: number = 0;
   readonly frames: number = 0;
   readonly segments: number = 0;
-  /** Those of the root, groups first. */
   #top: Block[] = [];
   #pages = new Recent<string, Block>(MOST_PAGES);
 
@@ -127,7 +125,6 @@ export class GroupIndex {
     for (const [above, place] of this.#descend(count, number)) if (above.level) yield pathAt(above, place);
   }
 
-  /** Whether all pages that lead to a segment are read. */
   leadsTo(segment: number): boolean {
     for (const path of this.pagesTo("segments", segment)) if (!this.#pages.has(path)) return false;
     return true;

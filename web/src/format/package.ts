@@ -21,7 +21,6 @@ import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 
 const MOST_TABLES = 1024; // tables of groups
 const BRACE = 0x7b; // begins JSON
-/** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
 
 export class Tables {
@@ -103,7 +102,6 @@ export class Tables {
     return this.index.groupAt("segments", segment);
   }
 
-  /** Gaussians of a group in each key tier. Throws what `group` does. */
   rows(group: number): number[] {
     return this.group(group).tiers.map(({ count }) => count);
   }
@@ -137,19 +135,16 @@ export class Tables {
     return files.slice(0, Number(count > 0) + Number(qualities[quality]!.rows > 0));
   }
 
-  /** Sidecars and pictures of the first key tiers, and those of the base. */
   keysOf(group: number, quality: number, tiers: number): string[] {
     const groups = [group, this.base(group) ?? []].flat();
     const all = Array.from({ length: tiers }, (_, tier) => groups.flatMap((of) => this.keyFiles(of, tier, quality)));
     return all.flat();
   }
 
-  /** The file of a segment; none where there is nothing to fetch. */
   stateFiles(segment: number, level: number): string[] {
     return this.segment(segment).levels[level]!.file.bytes ? [stateMediaPath(level, segment + 1)] : [];
   }
 
-  /** The sound of a group; none where there is nothing to fetch. */
   soundFiles(group: number): string[] {
     return this.group(group).sound?.bytes ? [soundPath(group + 1)] : [];
   }

@@ -35,7 +35,6 @@ export function parseTable(bytes: Uint8Array, schema: Json, where: string): unkn
   return data;
 }
 
-/** Commas and opening brackets: a value follows each. */
 function countValues(bytes: Uint8Array): number {
   let count = 0;
   for (const byte of bytes) count += Number(byte === 0x2c || byte === 0x5b || byte === 0x7b);

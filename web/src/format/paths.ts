@@ -29,5 +29,4 @@ export const stateMediaPath = (level: number, number: number) => `state/L${level
 
 export const isPacked = (path: string): boolean => path.endsWith(".gz");
 export const isSound = (path: string): boolean => locate(path)?.what === "sound";
-/** Whether a file is a page of the index or the table of a group. */
 export const isTable = (path: string): boolean => ["group", "page"].includes(locate(path)?.what ?? "");

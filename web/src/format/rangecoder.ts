@@ -123,7 +123,6 @@ export class ColumnReader {
     return one;
   }
 
-  /** A decision of which `share` of the range stands for a 1. */
   #take(share: number): number {
     const state = this.#state;
     const one = state[CODE]! < share ? 1 : 0;

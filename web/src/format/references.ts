@@ -108,7 +108,6 @@ function checkRegion(region: Region, where: string): void {
   }
 }
 
-/** Checks that a page holds what the level above says of it. */
 export function checkPage(entry: Entry, page: Page, where: string): void {
   const place = new Place(where);
   place.columns("", page);

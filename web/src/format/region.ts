@@ -29,7 +29,6 @@ export interface ViewState {
   near: number;
 }
 
-/** The camera of a picture of `width` × `height` pixels. */
 export function cameraOf(view: ViewState, width: number, height: number): Camera {
   const right = cross(view.forward, across(view.up, view.forward));
   const down = cross(view.forward, right);

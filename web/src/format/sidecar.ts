@@ -25,7 +25,6 @@ export interface Escapes {
   jumps: Int32Array;
 }
 
-/** The escapes that `reader` reads next. Throws FormatError(bad_sidecar). */
 export function readEscapes(reader: ColumnReader, frames: number, planes: number, rows: number): Escapes {
   const samples = frames * planes * rows; // at most 10⁶ · 55 · 2²⁴: exact
   const number = reader.wide(1, 0);

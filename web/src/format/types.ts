@@ -50,7 +50,6 @@ export interface KeyPart {
   factor: number;
   /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */
   luma: Uint8Array;
-  /** Samples with another base than 0; null: none. */
   bases: BaseChanges | null;
   /** What the group differs by; null: by nothing but means. */
   difference: KeyPart | null;
@@ -75,7 +74,6 @@ export interface Canonical extends CanonicalName {
   parts: KeyPart[];
 }
 
-/** The picture of one frame of a state segment. */
 export interface StateFrame {
   /** Samples of all pages, one after the other. */
   luma: Uint8Array;

@@ -19,7 +19,6 @@ export interface Batch {
   whole: string[];
   /** Files that cannot be had, and why. Those that were given up are neither. */
   refused: Map<string, FormatError>;
-  /** Answers that were not taken. */
   retries: Retry[];
 }
 

@@ -68,7 +68,6 @@ export class Ahead {
     readonly segments: number,
   ) {}
 
-  /** Resolves when another segment may begin. */
   async place(signal: AbortSignal): Promise<void> {
     await this.#until(() => this.#open.size < this.segments, signal);
   }

@@ -33,9 +33,7 @@ export interface FetchOptions {
 }
 
 export interface OpenOptions {
-  /** Bytes that are decoded ahead of what is shown. */
   aheadBytes?: number;
-  /** Most bytes of files that are kept. */
   keptBytes?: number;
   attempts?: number;
   onPoster?: (poster: Blob) => void;
@@ -194,7 +192,6 @@ interface Waiting {
   onEvent: (event: Calls[Call]["event"]) => void;
 }
 
-/** The page's end of the line to the worker. */
 class Caller {
   readonly #worker: Worker;
   readonly #waiting = new Map<number, Waiting>();

@@ -13,13 +13,11 @@ export interface Clip {
   samples: Sample[];
   width: number;
   height: number;
-  /** The file, for errors. */
   where: string;
 }
 
 export interface DecodeOptions {
   signal?: AbortSignal | undefined;
-  /** Resolves when another picture may be decoded. */
   room?: (() => Promise<void>) | undefined;
 }
 
@@ -33,7 +31,6 @@ export type TakeSamples = (samples: Samples, n: number) => void | Promise<void>;
  */
 export class LumaDecoder {
   #acceleration: HardwareAcceleration;
-  /** Buffers for copies, used again and again. */
   readonly #free: Uint8Array[] = [];
   #decoder: VideoDecoder | null = null;
   #configured = "";
@@ -108,7 +105,6 @@ export class LumaDecoder {
     await pass.copies;
   }
 
-  /** The decoder, made or configured anew where that is necessary. */
   async #ready({ clip }: Pass): Promise<VideoDecoder> {
     const { width: codedWidth, height: codedHeight, where } = clip;
     const codec = codecOf(clip.samples[0].data, where);
@@ -144,7 +140,6 @@ export class LumaDecoder {
 
 class Pass {
   readonly bell = new Bell();
-  /** Pictures that came out. */
   shown = 0;
   open = 0;
   error: Error | null = null;
@@ -160,7 +155,6 @@ class Pass {
     readonly free: Uint8Array[],
   ) {}
 
-  /** Nothing more is taken; the first error counts. */
   fail(error: Error): void {
     this.error ??= error;
     this.bell.ring();
@@ -178,7 +172,6 @@ class Pass {
     else frame.close();
   }
 
-  /** Says what is wrong with the n-th picture; null: nothing. */
   #complaint({ visibleRect, timestamp }: VideoFrame, n: number): string | null {
     const { width, height, samples } = this.clip;
     if (n >= samples.length) return `expected ${samples.length} pictures, got more`;

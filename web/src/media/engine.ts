@@ -97,7 +97,6 @@ export class Engine {
     return fetchRoot(this.client, attempts, true, signal, (bytes) => this.tables.grow(bytes));
   }
 
-  /** The file with the sound of a group, which has some. */
   async sound({ group }: Calls["sound"]["args"], { signal }: Context<never>): Promise<Uint8Array> {
     const path = soundPath(group + 1);
     return (await this.#gather([path], signal))(path).slice();

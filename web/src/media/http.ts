@@ -25,7 +25,6 @@ export interface Retry {
   bytes: number;
 }
 
-/** What is asked for, and who is told what comes. */
 export interface Ask {
   path: string;
   /** The most bytes that the file may have; of a longer one, a byte more is read. */
@@ -60,7 +59,6 @@ class PassingError extends FormatError {
 }
 
 export class FileClient {
-  /** When the server last gave an answer that was its own. */
   #answeredMs = Number.NEGATIVE_INFINITY;
 
   /** `base` is the address of the folder, with a slash at the end of its path; its query goes with every file. */

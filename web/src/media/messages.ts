@@ -5,7 +5,6 @@ import type { WireError } from "./errors.ts";
 
 export interface WireBatch extends Omit<Batch, "refused"> {
   refused: [string, WireError][];
-  /** Path and bytes of the tables among the files. */
   tables: [string, Uint8Array][];
 }
 
@@ -39,7 +38,6 @@ export interface Calls {
 }
 export type Call = keyof Calls;
 
-/** What the page says without expecting an answer. */
 export interface Note {
   /** Call that is given up, also when its answer is there. */
   cancel?: number;

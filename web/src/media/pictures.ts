@@ -8,7 +8,6 @@ import type { Probe } from "./probe.ts";
 
 export interface PictureFile {
   pages: Sample[][];
-  /** Of the luma of each of these, in display order. */
   checksums: Uint32Array;
   atlas: Atlas;
   frames: number;

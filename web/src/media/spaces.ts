@@ -13,7 +13,6 @@ import type { PictureDecoder } from "./pictures.ts";
 
 export type Positions = Pick<Canonical, "means" | "units" | "depths">;
 
-/** Gives the bytes of a file. Throws FormatError(missing_file). */
 export type ReadFile = (path: string) => Uint8Array;
 
 /** A canonical space, luma included. Throws FormatError. */

@@ -14,7 +14,6 @@ export interface Request {
    * next segment, whose keys are decoded; a better rung of a buffered segment.
    */
   kind: "tables" | "group" | "state" | "replacement";
-  /** Of the segment in the session. */
   position: number;
   rung: number;
   batch: Batch;
@@ -30,7 +29,6 @@ export interface Arrival {
   bytes: number;
   /** Files that came whole and are what the tables say, in order. */
   whole: readonly string[];
-  /** Files that came and cannot be used. */
   refused: ReadonlyMap<string, FormatError>;
   abandoned: boolean;
   /** It came from a cache and tells nothing of the link. */
@@ -106,7 +104,6 @@ const LONGEST_MS = 2 ** 31 - 1; // of timers of browsers
 /** What a downloader needs of an open package. Where a fetch is given up, the files that are whole count. */
 export type Source = Pick<Media, "opened" | "fetch" | "refreshRoot">;
 
-/** Fetches from a server; time is that of `performance.now()`, in seconds. */
 export class HttpDownloader implements Downloader {
   private shortestS = Infinity;
   private opened: Fetched | null;

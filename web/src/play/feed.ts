@@ -19,7 +19,6 @@ const RETRY_S = 5;
 
 export interface FeedParts extends Shared {
   media: Source;
-  /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
   /** Something went wrong; `fatal`: nothing more will come. */
@@ -31,7 +30,6 @@ export class Feed {
   readonly #downloader: HttpDownloader;
   #stop = new AbortController();
   #running: Promise<void> = Promise.resolve();
-  /** The position that the session under way began with. */
   from = 0;
 
   constructor(parts: FeedParts) {

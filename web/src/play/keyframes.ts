@@ -7,7 +7,6 @@ const MOST_DEGREES = 170;
 const LEAST_SLANT = 1e-6;
 const KNOWN = ["t", "position", "focus", "up", "fov_y", "name"];
 
-/** A player waits no longer for a path. */
 const LONGEST_MS = 5000;
 
 type Row = readonly number[];
@@ -36,7 +35,6 @@ export class CameraPath {
     });
   }
 
-  /** Seconds from the first keyframe to the last. */
   get duration(): number {
     return this.times[this.times.length - 1];
   }

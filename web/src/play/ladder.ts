@@ -9,7 +9,6 @@ import { CLIFF_DB, DEFAULT_BETA, EPS_DB, PSNR_CAP } from "../generated/constants
 
 /** One of the things that can be chosen: its size in bytes on the wire and the quality that it shows. */
 export interface Option {
-  /** In the caller's list, such as a level or a rung. */
   index: number;
   sizeBytes: number;
   /** dB */

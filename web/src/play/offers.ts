@@ -37,7 +37,6 @@ export interface RungOffer {
   readonly level: number;
   /** dB; 0 where it was not measured. */
   readonly psnr: number;
-  /** That it shows. */
   readonly gaussians: number;
   /** Whether the budget has as many, and its level is offered. */
   readonly allowed: boolean;
@@ -116,7 +115,6 @@ export class Offers {
   #made = new Recent<number, SegmentOffer>(MOST_OFFERS);
   #finest = 0;
 
-  /** `budget`: the most Gaussians that a rung may show. */
   constructor(
     readonly tables: OfferTables,
     readonly headerBytes = HEADER_BYTES,
@@ -167,7 +165,6 @@ export class Offers {
     return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
   }
 
-  /** A key tier of a group, and that of the base, as far as they have files. */
   #keys(group: number, quality: number, tier: number): KeyOffer[] {
     const { tables } = this;
     const { qualities, tiers } = tables.root;

@@ -41,7 +41,6 @@ export class Pipeline {
 
   constructor(private readonly parts: PipelineParts) {}
 
-  /** The clip of a position in the session, if it is decoded or on its way. */
   clip(position: number): Clip | undefined {
     return this.#clips.get(position);
   }
@@ -135,7 +134,6 @@ export class Pipeline {
     }
   }
 
-  /** The canonical space of the group of a position, of all tiers that are there. */
   async #space(position: number, quality: number, signal: AbortSignal): Promise<Canonical> {
     const { media, offers, stores } = this.parts;
     const group = media.tables.groupOf(offers.index(position));

@@ -21,7 +21,6 @@ const TIME_EVENT_S = 0.25;
 export interface PlayerOptions {
   /** Name of a policy: robust-mpc (default), throughput, bola, paper, paper-literal; both also with -no-cliff. */
   policy?: string;
-  /** Whether the sequence begins again at its end; default true. */
   loop?: boolean;
   /** Most media time that is fetched ahead, seconds; default 10. */
   bufferS?: number;
@@ -87,10 +86,8 @@ export class Playback {
   sound: Voice | null = null;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
-  /** What follows what is on the screen; null: whatever was sought. */
   #next: { position: number; frame: number } | null = { position: 0, frame: 0 };
   #sought: number | null = null;
-  /** The place of what is sought is not known yet. */
   #locating = false;
   #ended = false;
   #waiting = false;

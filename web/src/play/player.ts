@@ -11,7 +11,6 @@ import type { Sound } from "./sound.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
 import type { enter } from "./vr.ts";
 
-/** Where somebody stands who has not opened a package. */
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
 
 /** Parts that few need, beside this script: for headsets, and for packages with sound. */
@@ -89,7 +88,6 @@ export class Player extends EventTarget {
     this.#playback = null;
   }
 
-  /** Call at every event of a type; the function that is returned ends that. */
   on(type: string, listener: (event: Event) => void): () => void {
     this.addEventListener(type, listener);
     return () => this.removeEventListener(type, listener);
@@ -153,7 +151,6 @@ export class Player extends EventTarget {
     this.#playback?.follow();
   }
 
-  /** Whether the package has sound that this browser plays. */
   get hasSound(): boolean {
     return !!this.#playback?.sound;
   }
@@ -205,7 +202,6 @@ export class Player extends EventTarget {
     return this.#playback?.rungs.read() ?? [];
   }
 
-  /** The number of the rung on the screen. */
   get rung(): number | null {
     return this.#playback?.rung ?? null;
   }
@@ -240,7 +236,6 @@ export class Player extends EventTarget {
     return this.#playback?.media.tables.root.world ?? null;
   }
 
-  /** Where the viewer stands; drawn at the next frame of the display. */
   get camera(): ViewState {
     return this.#view ?? NOWHERE;
   }

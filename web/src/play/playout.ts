@@ -41,7 +41,6 @@ export interface Slot {
 
 /** The timeline of a session up to the position `end`, so far where the package grows. */
 export class Playout {
-  /** Waits for media that has not come, and their seconds. */
   stalls = 0;
   stallS = 0;
   readonly schedule = new Schedule();
@@ -70,7 +69,6 @@ export class Playout {
     return { decoder: frames(decoder), display: frames(display) };
   }
 
-  /** Call when anything changes; the function that is returned ends that. */
   onChange(listener: () => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
@@ -105,7 +103,6 @@ export class Playout {
     this.truncate(-Infinity);
   }
 
-  /** The decoding of the segment at a position begins: what it shows can no longer change. */
   commit(position: number): void {
     const slot = this.slots.find((one) => one.position === position);
     if (slot) slot.committed = true;

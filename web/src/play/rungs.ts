@@ -5,7 +5,6 @@ export interface RungInfo {
   name: string;
   /** dB, mean over the time of the segments whose tables are known; null: not measured. */
   psnr: number | null;
-  /** Mean over the same segments, headers included. */
   kbps: number;
   /** Whether the budget allows it, and no other rung that it allows has more quality at no more bytes. */
   onLadder: boolean;

@@ -31,7 +31,6 @@ interface ScreenOptions {
   /** The context is gone, or is back: what was shown must be shown again. */
   onLost: () => void;
   onRestored: () => void;
-  /** Nothing more can be shown. */
   onFail: (error: Error) => void;
 }
 
@@ -40,7 +39,6 @@ export class Screen {
   #renderer: Renderer | null;
   readonly #sorter: Sorter;
   readonly #stages = new Map<Canonical, Stage>();
-  /** null: nothing was shown yet. */
   #shown: Stage | null = null;
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
@@ -71,7 +69,6 @@ export class Screen {
     for (const stage of this.#stages.values()) this.#sort(stage);
   }
 
-  /** True: pictures have another size from now on. */
   resize(width: number, height: number): boolean {
     const before = this.#size;
     this.#size = { width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };

@@ -89,7 +89,6 @@ export class Session {
     return this.signal.aborted;
   }
 
-  /** Replace what is buffered until there is room for another segment. */
   private async *roomFor(position: number): Events {
     const { playout } = this.parts;
     for (;;) {
@@ -157,7 +156,6 @@ export class Session {
     }
   }
 
-  /** Tables that the policy needs to choose at a position and that can be had. */
   private wantedTables(position: number): string[] {
     const { policy, playout, stores } = this.parts;
     const stop = Math.min(position + policy.horizon, playout.end);
@@ -206,7 +204,6 @@ export class Session {
     };
   }
 
-  /** The rungs of the next segment that can be had and are smaller than what was given up. */
   private options(position: number): readonly Option[] {
     const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
@@ -232,7 +229,6 @@ export class Session {
     };
   }
 
-  /** Wait until a moment; less long where the playout changes, or the signal aborts. */
   private async wait(untilS: number): Promise<void> {
     await this.parts.downloader.wait(untilS, this.parts.playout, this.signal);
     this.nowS = this.parts.downloader.now();
@@ -250,7 +246,6 @@ export class Session {
     return downloads.length ? [...downloads] : [first];
   }
 
-  /** Fetch a batch and take in what is of use; time goes on. */
   private async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
     const { downloader, stores } = this.parts;
     const arrival = await downloader.fetch(request, giveUp, this.signal);

@@ -16,10 +16,8 @@ const PULL = 0.05;
 const APART_S = 0.04;
 /** The clock of a context goes in steps: its least lag in such a time counts. */
 const WINDOW_S = 0.3;
-/** Groups whose packets are kept: of what is played, of what follows and of where people jump. */
 const MOST_GROUPS = 4;
 
-/** The sound of a segment of the schedule. */
 interface Piece {
   /** null: it is on its way, or silent. */
   buffer: AudioBuffer | null;
@@ -62,7 +60,6 @@ export class Sound {
     return this.#context?.state === "running";
   }
 
-  /** Whether it is heard, so that pictures follow it. */
   get leads(): boolean {
     return this.#zeroS !== null;
   }

@@ -16,9 +16,7 @@ export interface PlayerStats {
   framesShown: number;
   /** Times of frames that passed without a new one: by decoder and display, and in segments that were lost. */
   framesDropped: number;
-  /** The time of so many frames passed while one was not decoded. */
   droppedByDecoder: number;
-  /** So many were not drawn in their time, or waited for. */
   droppedByDisplay: number;
   displayFps: number;
   /** What the package claims of the segment on the screen in its rung, dB. */
@@ -38,7 +36,6 @@ export class Statistics {
   #shown = 0;
   #lost = 0;
   #late = 0;
-  /** A frame is to be drawn. */
   waiting = false;
   #drawn: number[] = [];
   #pictures = 0;

@@ -34,7 +34,6 @@ export class TableStore {
     return [...new Set(wanted.flat())];
   }
 
-  /** Pages of the index with segments of positions from one to another. */
   missingPages(from: number, to: number): string[] {
     const { index } = this.offers.tables;
     const [start, stop] = [this.offers.first + from, this.offers.first + to + 1];
@@ -78,7 +77,6 @@ export class KeyStore {
     for (const loop of this.loops.keys()) if (loop < first) this.loops.delete(loop);
   }
 
-  /** The key tiers that are decoded in the loop of a position. */
   decoded(position: number): Recent<number, true> {
     const { loop } = this.offers.place(position);
     const keys = this.loops.get(loop) ?? new Recent<number, true>(MOST_KEYS);
@@ -117,11 +115,9 @@ export class KeyStore {
 export class Stores {
   readonly tables: TableStore;
   readonly keys: KeyStore;
-  /** The last ones, oldest first. */
   readonly downloads: Download[] = [];
   /** The fastest of tables and poster, the wait for its first byte included. */
   first: Download = { bytes: 0, seconds: 1 };
-  /** Files that cannot be had, and why. */
   readonly unusable = new Map<string, FormatError>();
   /** When airgs.json was asked for; null: not yet. */
   rootS: number | null = null;

@@ -33,7 +33,6 @@ export class Waits {
     this.#tickedS = nowS;
   }
 
-  /** Whether pictures came in time lately. */
   calm(nowS: number): boolean {
     return nowS - this.#stoppedS > CALM_S;
   }
@@ -50,10 +49,8 @@ export class Waits {
   }
 }
 
-/** Asks the rule of dropped frames, and has levels offered as it says. */
 export class Held {
   readonly #rule: DropRule;
-  /** Frames that were dropped before the last one that was drawn. */
   #before: ReturnType<Statistics["dropped"]>;
 
   constructor(

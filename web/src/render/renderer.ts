@@ -123,16 +123,22 @@ export class Renderer {
     const whole = { framebuffer: null, x: 0, y: 0, width: drawingBufferWidth, height: drawingBufferHeight };
     const { framebuffer, x, y, width, height } = surface ?? whole;
     this.#project(scene, camera, [width, height]);
-    this.#clear(width, height);
+    const held = this.#picture?.picture;
+    if (held?.width !== width || held.height !== height) {
+      this.#picture?.free();
+      this.#picture = new Target(gl, this.target, [width, height]);
+    }
+    const picture = this.#picture!;
+    picture.clear(this.background);
     this.#splat(scene, [width, height]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(null);
-    const at = this.#programs.use("canvas", [this.#picture!.picture]);
+    const at = this.#programs.use("canvas", [picture.picture]);
     gl.uniform2i(at("corner"), x, y);
-    gl.uniform1f(at("brightest"), this.#picture!.brightest);
-    gl.uniform3f(at("background"), ...this.#picture!.behind(this.background));
+    gl.uniform1f(at("brightest"), picture.brightest);
+    gl.uniform3f(at("background"), ...picture.behind(this.background));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.deleteSync(this.#drawing);
     this.#drawing = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -195,15 +201,6 @@ export class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  #clear(width: number, height: number): void {
-    const held = this.#picture?.picture;
-    if (held?.width !== width || held.height !== height) {
-      this.#picture?.free();
-      this.#picture = new Target(this.#gl, this.target, [width, height]);
-    }
-    this.#picture!.clear(this.background);
-  }
-
   #splat(scene: Scene, [width, height]: [number, number]): void {
     if (!scene.visible) return;
     const gl = this.#gl;
@@ -218,7 +215,6 @@ export class Renderer {
   }
 }
 
-/** Two triangles for each parallelogram of an instance. */
 function quads(gl: WebGL2RenderingContext, corners: WebGLBuffer | null): WebGLVertexArrayObject | null {
   const all = Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
   const made = gl.createVertexArray();

@@ -91,7 +91,6 @@ export interface CodeTable {
   layout: [number, number];
   /** (4 · channels before colour) x and y of the plane's corner, x -1 without a plane; centre; bits of the step. */
   entries: Int32Array;
-  /** (4 T) the same of colour channels. */
   tints: Int32Array;
   /** (T) which colour channel each is. */
   tintChannels: Int32Array;

@@ -22,7 +22,6 @@ interface LevelView {
 interface Part {
   /** The key, then what is added to it; no samples: codes of 0. */
   pictures: { samples: Samples | null; codes: CodeTable }[];
-  /** Rows before it in the group, and its own. */
   first: number;
   rows: number;
 }
@@ -102,7 +101,6 @@ class KeyPasses {
     this.#parts.length = 0;
   }
 
-  /** Draws all parts into a framebuffer, which it deletes. */
   #pass(into: WebGLFramebuffer, use: (part: Part) => Uniforms): void {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, into);
@@ -199,7 +197,6 @@ export class Scene {
     this.keys = new KeyPasses(gl, this, root, group, canonical);
   }
 
-  /** Released, or its context was lost. */
   get #gone(): boolean {
     return this.freed || this.gl.isContextLost();
   }
@@ -284,7 +281,6 @@ function rowSize(gl: WebGL2RenderingContext, rows: number): [number, number] {
   throw new RenderError(`a group: expected at most ${most} Gaussians on this machine, got ${rows}`);
 }
 
-/** Mean and motion unit of each row, as bits. */
 function interleave({ means, units }: Canonical): Uint32Array {
   const places = new Float32Array(4 * units.length);
   for (let i = 0, at = 0, from = 0; i < units.length; i++) {
@@ -306,7 +302,6 @@ function transformOf(gl: WebGL2RenderingContext, group: Group, channels: number)
   return made;
 }
 
-/** The place of each row among those that a level carries. */
 function ranksOf(depths: Uint8Array, level: number): Uint32Array {
   let next = 0;
   return Uint32Array.from(depths, (depth) => (depth >= level && depth !== STATIC ? next++ : NO_RANK));

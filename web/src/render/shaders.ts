@@ -20,11 +20,9 @@ uniform float time; // how often slopes count; 0 but for states
 export const three = (first: number) =>
   `vec3(${[0, 1, 2].map((axis) => `decode(entries[${first + axis}], at)`).join(", ")})`;
 
-/** GLSL of log-scales and α. */
 export const size = ({ log_scales, opacity }: { log_scales: number; opacity: number }) =>
   `vec4(${three(log_scales)}, decode(entries[${opacity}], at))`;
 
-/** A triangle that covers the target. */
 export const WHOLE = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
 
@@ -105,7 +103,6 @@ export const COLOURS = "uniform sampler2D transform; uniform vec2 tintSteps;"; /
 /** Layer l holds the colours 4 l to 4 l + 3: the first three are SH DC. */
 export const layerSteps = (layer: number) => (layer ? "tintSteps.y" : "vec4(tintSteps.xxx, tintSteps.y)");
 
-/** The colour layers [first, first + count) of `channels` colours. */
 export const keyColours = (
   channels: number,
   first: number,

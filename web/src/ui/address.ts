@@ -12,7 +12,6 @@ export interface Moment {
   /** Seconds. */
   t?: number;
   view?: Stance;
-  /** The name of a rung, or auto. */
   rung?: string;
   speed?: number;
 }
@@ -76,7 +75,6 @@ function inShort(numbers: readonly number[]): string {
   return numbers.map((x) => Number((step > 0 ? step * Math.round(x / step) : x).toPrecision(DIGITS))).join(",");
 }
 
-/** The same moment as text. */
 export function writeAddress({ t, view, rung, speed }: Moment): string {
   const parts = {
     t: t === undefined ? "" : String(Number(t.toFixed(TIME_DIGITS))),

@@ -13,7 +13,6 @@ export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | 
 /** A part of the time line, in seconds, and the number of its rung. */
 export type Part = Player["buffered"][number];
 
-/** What a player tells. */
 export const EVENTS = [
   ...["open", "poster", "firstpicture", "rung", "stall", "resume", "time", "progress", "ended", "vr", "volumechange"],
   ...["pause", "play", "problem", "lost", "restored"],
@@ -56,7 +55,6 @@ export interface Desk {
   wake(): void;
 }
 
-/** The moment that is shown, as text. */
 export function momentOf({ player, orbit }: Desk): string {
   const { currentTime: t, quality, speed } = player;
   const [rung, other] = [quality === "auto" ? {} : { rung: quality }, speed === 1 ? {} : { speed }];

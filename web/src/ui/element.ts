@@ -45,7 +45,6 @@ export abstract class PlayerElement extends Base implements Owner {
 
   abstract create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
 
-  /** Whether this browser, or the page, cannot play anything. */
   lacks(): boolean {
     return (
       !window.isSecureContext || typeof VideoDecoder === "undefined" || typeof WebGL2RenderingContext === "undefined"

@@ -46,12 +46,10 @@ export const HELP =
   "Arrow keys turn the view, plus and minus zoom, W A S D move it, R goes back to where you began, Home to the first view, B begins here, O turns over. " +
   "Space plays and pauses, J and L skip, comma and period go frame by frame, F is full screen, M mutes.";
 
-/** A control that wants its keys for itself. */
 const own = (target: EventTarget | undefined, key: string): boolean =>
   target instanceof HTMLElement &&
   (target.matches("input, select, textarea") || (target.matches("button") && (key === " " || key === "enter")));
 
-/** Listens to the keys of an element until `signal` aborts. */
 export function listenToKeys(area: HTMLElement, desk: Desk, signal: AbortSignal): void {
   const down = new Set<string>();
   const drive = () => {

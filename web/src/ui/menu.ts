@@ -8,9 +8,7 @@ export type Page = "settings" | "quality" | "others" | "speed" | "policy";
 
 interface Item {
   label: string;
-  /** On the right, smaller. */
   note?: string;
-  /** After that, smaller still: what the package calls it. */
   name?: string;
   colour?: string;
   /** One of several that exclude each other, or on and off; undefined: leads to something. */
@@ -37,7 +35,6 @@ export class Menu {
     return this.#page !== null;
   }
 
-  /** Open a page of it for a button, or close it again. */
   toggle(page: Page, opener: HTMLElement): void {
     const again = this.#opener === opener && this.open;
     this.close();

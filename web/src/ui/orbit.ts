@@ -58,7 +58,6 @@ const firstOf = ({ position, focus }: Place): Stance => ({ position: vector(posi
 export class Orbit {
   /** Whether viewers may leave the region. */
   free = false;
-  /** Whether a viewer holds the camera: then it does not slide back. */
   held = false;
   /** Whether motion ends at once, as people can ask for. */
   reduced = false;
@@ -118,7 +117,6 @@ export class Orbit {
     this.#up = scaled(this.#up, -1);
   }
 
-  /** Where the viewer is, or goes to. */
   get stance(): Stance {
     const { position, forward } = this.#pose;
     const focus = along(position, forward, length(minus(this.#pivot, position)));
@@ -159,7 +157,6 @@ export class Orbit {
     return { inside, out, off, far: out > STILL * length(minus(inside.position, this.#pivot)) || off > STILL };
   }
 
-  /** In the viewer's hands: it stands still. */
   stop(): void {
     this.#way = null;
     this.#halt();
@@ -278,7 +275,6 @@ export class Orbit {
     this.#pose = { position: along(this.#pivot, offset, wanted / (away || 1)), forward };
   }
 
-  /** Turn about the focus of the place that the viewer has come to. */
   #follow(): void {
     if (!this.region || this.region.places.length < 2) return;
     const place = placeOf(this.region, this.#pose);

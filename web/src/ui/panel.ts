@@ -8,7 +8,6 @@ import { decibels, ranked, rate, rungTitle, SOURCES, size, stripes } from "./wor
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
 const LUMA = { exact: "exact", invertible: "exact, by a table" } as const;
 
-/** In words: what drops frames. */
 const BY = { display: "this screen drops frames", decoder: "decoding is too slow" } as const;
 
 /** What is shown: its label, and its text; null: not at all. */

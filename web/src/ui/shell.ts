@@ -35,7 +35,6 @@ function nameOf(src: string): string {
 export class Shell {
   readonly frame: HTMLElement;
   readonly canvas = make("canvas", { part: "picture" });
-  /** What is dragged and has the keyboard. */
   readonly scene: HTMLElement;
   readonly notes = new Notes();
   readonly bar: Bar;
@@ -51,7 +50,6 @@ export class Shell {
     readonly desk: Desk,
     readonly looks: Looks,
     root: ShadowRoot,
-    /** Called when the rest is there. */
     readonly added: (more: More) => void,
   ) {
     this.bar = new Bar(desk, (page, opener) => this.use(({ menu }) => menu.toggle(page, opener)));
@@ -131,12 +129,10 @@ export class Shell {
     this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / contain no-repeat`;
   }
 
-  /** Whether there was neither a picture nor a trouble yet. */
   get blank(): boolean {
     return this.#blank;
   }
 
-  /** Takes back a trouble that there was before. */
   showPicture(): void {
     this.frame.classList.remove("broken");
     this.frame.querySelector(".card")?.remove();

@@ -89,7 +89,6 @@ export class Split {
     this.follow();
   }
 
-  /** Look, play and be where the first player does and is. */
   follow(): void {
     const [first, second] = [this.desk.player, this.#player];
     if (!this.#open) return;

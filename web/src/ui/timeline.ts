@@ -9,7 +9,6 @@ export class Timeline {
   readonly #ahead = make("div", { class: "ahead" });
   readonly #played = make("div", { class: "played" });
   readonly #thumb = make("div", { class: "thumb" });
-  /** What was on the screen, in which rung: a player may forget it. */
   #seen: Part[] = [];
   /** The time that a hand drags it to, seconds; null: none does. */
   dragged: number | null = null;

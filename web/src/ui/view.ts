@@ -52,7 +52,6 @@ export class View {
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
-  /** What the address of the page said. */
   readonly #began: string;
   /** These three come after the first picture. */
   #more: More | null = null;
@@ -217,7 +216,6 @@ export class View {
     if (!this.#request && !this.signal.aborted) this.#request = requestAnimationFrame((now) => this.#tick(now));
   }
 
-  /** A page may be forbidden to ask. */
   async #seekHeadset(): Promise<void> {
     this.headset = !!(await navigator.xr?.isSessionSupported("immersive-vr").catch(() => false));
     this.wake();
@@ -257,7 +255,6 @@ export class View {
     this.wake();
   }
 
-  /** Show another rung beside the one that plays. */
   #beside(Split: Parts["Split"]): void {
     const { owner } = this;
     const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...owner.settings, muted: true });

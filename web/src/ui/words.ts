@@ -31,22 +31,15 @@ export function spoken(seconds: number): string {
   return said.join(" ") || "0 seconds";
 }
 
-/** Three digits: 0.52, 5.2, 52, 520. */
-function short(value: number): string {
-  return value.toFixed(value >= 9.95 ? 0 : value < 0.995 ? 2 : 1);
+/** Three digits and the unit of thousands, millions or milliards: 0.52, 5.2, 52, 520. */
+function short(value: number, units: readonly string[]): string {
+  const power = value >= 1e9 ? 3 : value >= 1e6 ? 2 : 1;
+  const shown = value / 1000 ** power;
+  return `${shown.toFixed(shown >= 9.95 ? 0 : shown < 0.995 ? 2 : 1)} ${units[power - 1]}`;
 }
 
-export function rate(bps: number): string {
-  if (!(bps > 0)) return "–";
-  if (bps >= 1e9) return `${short(bps / 1e9)} Gbit/s`;
-  return bps >= 1e6 ? `${short(bps / 1e6)} Mbit/s` : `${short(bps / 1e3)} kbit/s`;
-}
-
-export function size(bytes: number): string {
-  if (bytes >= 1e9) return `${short(bytes / 1e9)} GB`;
-  return bytes >= 1e6 ? `${short(bytes / 1e6)} MB` : `${short(bytes / 1e3)} kB`;
-}
-
+export const rate = (bps: number): string => (bps > 0 ? short(bps, ["kbit/s", "Mbit/s", "Gbit/s"]) : "–");
+export const size = (bytes: number): string => short(bytes, ["kB", "MB", "GB"]);
 export const decibels = (psnr: number | null): string => (psnr === null ? "–" : `${psnr.toFixed(1)} dB`);
 
 /** Names a rung by its quality, else by its name in the package. */
@@ -86,7 +79,6 @@ const RAMP = [
   [253, 231, 37],
 ] as const;
 
-/** The colour of a share, 0: the worst … 1: the best. */
 export function rampColour(share: number): string {
   const place = Math.max(0, Math.min(1, share)) * (RAMP.length - 1);
   const first = Math.min(Math.floor(place), RAMP.length - 2);
@@ -100,7 +92,6 @@ export function ranked(rungs: readonly RungInfo[]): number[] {
   return rungs.map((_, i) => i).sort((a, b) => worth(a) - worth(b) || rungs[a].kbps - rungs[b].kbps);
 }
 
-/** A colour for each rung, by their rank. */
 export function rungColours(rungs: readonly RungInfo[]): string[] {
   const colours: string[] = [];
   ranked(rungs).forEach((rung, rank) => {

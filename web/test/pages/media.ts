@@ -1,6 +1,6 @@
 // What the media part does in a browser, task by task: /plan.json lists them, `window.report` is what came of each.
 
-import { FrameReader } from "../../src/airgs-frames.ts";
+import { openFrames } from "../../src/airgs-frames.ts";
 import { atlasSamples, basesAfter } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { readStates } from "../../src/format/files.ts";
@@ -154,7 +154,7 @@ function compare(got: Gaussians, expected: Float32Array, worst: Record<string, n
 /** How far frames that are read in any order are from /expected files: of each attribute, the largest error. */
 async function reading(step: Step): Promise<unknown> {
   const { url, rung, frames, expected } = step as Step & { rung: string; frames: number[]; expected: string };
-  const reader = await FrameReader.open(url);
+  const reader = await openFrames(url);
   const worst = { means: 0, quaternions: 0, logScales: 0, alpha: 0, colours: 0, sorted: 0 };
   for (const frame of frames) {
     const got = await reader.gaussians(frame, rung);

@@ -50,7 +50,6 @@ interface Model {
   gridS: Float64Array;
 }
 
-/** A segment that is looked at. */
 interface Step {
   seconds: number;
   /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r. */
@@ -92,7 +91,6 @@ export function chooseRobustMpc(state: PlayerState): Decision {
 const downloadS = (model: Pick<Model, "latencyS" | "rateBps">, bytes: number): number =>
   (bytes > 0 ? model.latencyS : 0) + (8 * bytes) / model.rateBps;
 
-/** The segments looked at, the next one first. */
 function horizon(state: PlayerState): Step[] {
   const steps: Step[] = [];
   let total = 0;
@@ -165,7 +163,6 @@ function totals(
   }
 }
 
-/** (B) numbers from 0 to `stop`, evenly. */
 function grid(stop: number): Float64Array {
   const step = stop / (GRID_POINTS - 1);
   return Float64Array.from({ length: GRID_POINTS }, (_, i) => (i === GRID_POINTS - 1 ? stop : i * step));
