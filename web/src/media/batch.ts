@@ -1,7 +1,7 @@
 // The files of a batch, all at once, and what came of them when.
 import type { FormatError } from "../format/errors.ts";
 import { pause } from "./bell.ts";
-import type { Ask, FileClient, Retry } from "./http.ts";
+import type { Ask, FileClient } from "./http.ts";
 
 const TIMINGS = 2000; // entries of the browser's list of what was loaded
 const LOOKS = 6; // for the entry of a file: the browser writes it down a moment after the last byte
@@ -19,7 +19,6 @@ export interface Batch {
   whole: string[];
   /** Files that cannot be had, and why. Those that were given up are neither. */
   refused: Map<string, FormatError>;
-  retries: Retry[];
 }
 
 export type FileAsk = Pick<Ask, "path" | "limit" | "attempts" | "patient" | "changing" | "accept">;
@@ -39,7 +38,7 @@ export async function fetchBatch(
   onProgress: (bytes: number) => void,
 ): Promise<Batch> {
   const files = asks.map(() => ({ url: "", askedMs: 0, bytes: 0 }));
-  const batch = { whole: [] as string[], refused: new Map<string, FormatError>(), retries: [] as Retry[] };
+  const batch = { whole: [] as string[], refused: new Map<string, FormatError>() };
   let firstByteMs: number | null = null;
   let total = 0;
   const get = async (ask: FileAsk, file: (typeof files)[number]) => {
@@ -57,7 +56,6 @@ export async function fetchBatch(
         total += bytes;
         onProgress(total);
       },
-      onRetry: (retry) => batch.retries.push(retry),
     });
     if (refused) batch.refused.set(ask.path, refused);
   };

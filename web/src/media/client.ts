@@ -11,7 +11,6 @@ import type { Call, Calls, Note, Poster, Reply, Request, WireBatch } from "./mes
 import { checkBrowser } from "./probe.ts";
 
 export { TransportError, UnsupportedError } from "./errors.ts";
-export type { Retry } from "./http.ts";
 
 const AHEAD_BYTES = 48 * 2 ** 20;
 const KEPT_BYTES = 64 * 2 ** 20;
@@ -173,7 +172,7 @@ function folder(url: string): string {
   return whole.href;
 }
 
-function fetched({ firstByteMs, endMs, bytes, cached, whole, refused, retries }: WireBatch): Fetched {
+function fetched({ firstByteMs, endMs, bytes, cached, whole, refused }: WireBatch): Fetched {
   const seconds = (ms: number) => (ms - performance.timeOrigin) / 1e3;
   return {
     firstByteS: seconds(firstByteMs),
@@ -182,7 +181,6 @@ function fetched({ firstByteMs, endMs, bytes, cached, whole, refused, retries }:
     cached,
     whole,
     refused: new Map(refused.map(([path, error]) => [path, fromWire(error) as FormatError])),
-    retries,
   };
 }
 

@@ -19,12 +19,6 @@ import { TransportError } from "./errors.ts";
 
 const MOST_AFTER_S = 3600; // a server that wants more is asked before
 
-export interface Retry {
-  path: string;
-  why: string;
-  bytes: number;
-}
-
 export interface Ask {
   path: string;
   /** The most bytes that the file may have; of a longer one, a byte more is read. */
@@ -41,7 +35,6 @@ export interface Ask {
   onAsk(url: string): void;
   /** So many bytes have come, headers included. */
   onBytes(bytes: number): void;
-  onRetry(retry: Retry): void;
 }
 
 /** An answer that did not come whole: another may. */
@@ -71,13 +64,8 @@ export class FileClient {
   async get(ask: Ask): Promise<FormatError | null> {
     const { path, attempts, patient, signal } = ask;
     for (let tries = 0, faults = 0; ; tries++) {
-      let bytes = 0;
-      const onBytes = (more: number) => {
-        bytes += more;
-        ask.onBytes(more);
-      };
       const askedMs = performance.now();
-      const error = await this.#fault({ ...ask, onBytes }, tries > 0);
+      const error = await this.#fault(ask, tries > 0);
       if (!error || signal.aborted) return null;
       const passing = error instanceof PassingError ? error : null;
       // A server that has answered others since is not away: the fault is the file's.
@@ -86,7 +74,6 @@ export class FileClient {
       if (!away) faults++;
       if (faults === attempts || !(passing || (GARBLED as readonly Reason[]).includes(error.reason)))
         return new FormatError(error.reason, error.where, error.detail);
-      ask.onRetry({ path, why: error.detail, bytes });
       if (passing) this.onPassing(`${path}: ${error.detail}, trying again`);
       const longestS = Math.min(LONGEST_PAUSE_S, BACKOFF_S * 2 ** tries);
       const pauseS = Math.max(passing?.afterS ?? 0, longestS * (0.5 + 0.5 * Math.random())); // not the same for all

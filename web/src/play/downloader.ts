@@ -142,7 +142,7 @@ export class HttpDownloader implements Downloader {
       if (!(error instanceof FormatError)) throw error;
       const nowS = this.now();
       const refused = new Map([[ROOT_PATH, error]]);
-      return { firstByteS: nowS, endS: nowS, bytes: 0, cached: true, whole: [], refused, retries: [] };
+      return { firstByteS: nowS, endS: nowS, bytes: 0, cached: true, whole: [], refused };
     }
   }
 

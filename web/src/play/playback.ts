@@ -36,17 +36,13 @@ export interface PlayerOptions {
 }
 
 /** What the viewer wants; it may change at any time. */
-export interface Wishes extends PlayerOptions {
-  policy: string;
-  /** "auto": what the policy chooses; else the name of a rung. */
-  quality: string;
-  loop: boolean;
-  paused: boolean;
-  speed: number;
-  muted: boolean;
-  volume: number;
-  readonly bufferS: number;
-}
+export type Wishes = PlayerOptions &
+  Required<Pick<PlayerOptions, "policy" | "loop" | "muted" | "volume" | "bufferS">> & {
+    /** "auto": what the policy chooses; else the name of a rung. */
+    quality: string;
+    paused: boolean;
+    speed: number;
+  };
 
 /** The sound of a package, which is loaded where there is some: sound.ts. */
 export interface Voice {

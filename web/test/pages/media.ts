@@ -264,7 +264,7 @@ async function mistakes({ url }: Step): Promise<unknown> {
 async function opening({ url }: Step): Promise<unknown> {
   const media = await Media.open(url, { attempts: 1 });
   media.close();
-  return { groups: media.tables.index.groups, bytes: media.opened.bytes, retries: media.opened.retries };
+  return { groups: media.tables.index.groups, bytes: media.opened.bytes };
 }
 
 /** What the player's decoder makes of state files in which one bit of a coded picture is flipped: no digest is looked at. */

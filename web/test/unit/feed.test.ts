@@ -18,7 +18,7 @@ function made() {
   const settings = rulesOf();
   const playout = playoutOf(offers, settings);
   const away = () => Promise.reject(new TransportError("away"));
-  const opened = { firstByteS: 0, endS: 0, bytes: 1, cached: false, whole: [], refused: new Map(), retries: [] };
+  const opened = { firstByteS: 0, endS: 0, bytes: 1, cached: false, whole: [], refused: new Map() };
   const media: Source = { opened, fetch: away, refreshRoot: away };
   const problems: [unknown, boolean][] = [];
   const told = new EventTarget();

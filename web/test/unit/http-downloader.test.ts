@@ -18,7 +18,7 @@ const never = new AbortController().signal;
 const nowS = () => performance.now() / 1000;
 
 const nothing = (): Fetched => {
-  return { firstByteS: nowS(), endS: nowS(), bytes: 0, cached: false, whole: [], refused: new Map(), retries: [] };
+  return { firstByteS: nowS(), endS: nowS(), bytes: 0, cached: false, whole: [], refused: new Map() };
 };
 
 /** Answers as the test tells it to; where a fetch is given up, with the first file alone. */

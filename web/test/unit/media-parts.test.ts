@@ -136,7 +136,6 @@ async function fetchSlowly(partBytes: number): Promise<[string | undefined, numb
       },
       onAsk: () => undefined,
       onBytes: () => undefined,
-      onRetry: () => undefined,
     });
     return [error?.detail, came];
   } finally {
