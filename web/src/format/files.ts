@@ -29,10 +29,7 @@ export interface KeyTier {
   changes: BaseChanges | null;
 }
 
-/** A key tier of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
- *
- * Throws FormatError (bad_sidecar, bad_picture, bad_value).
- */
+/** A key tier from its files; `media` null: it has no picture. Throws FormatError (bad_sidecar, bad_picture, bad_value). */
 export function readKeyTier(
   root: Root,
   table: Group,

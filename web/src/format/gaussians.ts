@@ -33,10 +33,7 @@ function codingOf(
   return { steps, colours, at, size };
 }
 
-/** The Gaussians of a canonical space; α is not limited yet.
- *
- * Throws FormatError(bad_value) for numbers not finite.
- */
+/** The Gaussians of a canonical space; α is not limited yet. Throws FormatError(bad_value) for numbers not finite. */
 export function canonicalGaussians(root: Root, group: Group, canonical: Canonical): Gaussians {
   const { means, units, quality } = canonical;
   const gaussians = {

@@ -73,9 +73,7 @@ export class Tables {
     return this.#groups.set(number, table);
   }
 
-  /** Takes in a page or the table of a group, whose digest it checks, unless a server had it unpacked, as its first byte
-   * tells; other paths are left alone.
-   */
+  /** Takes in a page or the table of a group and checks its digest, unless a server had it unpacked; no other path. */
   async add(path: string, bytes: Uint8Array): Promise<void> {
     const found = locate(path);
     if (found?.what !== "page" && found?.what !== "group") return;
@@ -177,10 +175,7 @@ export class Tables {
     return what === "sidecar" ? tier?.sidecar : tier?.pictures[second];
   }
 
-  /** Goes on with the airgs.json of the same package grown; pages that it has new are needed from then on.
-   *
-   * Throws FormatError(bad_value) for another package, and what `parse` throws.
-   */
+  /** Goes on with the airgs.json of the same package grown. Throws FormatError(bad_value) for another package. */
   grow(rootBytes: Uint8Array): void {
     const root = parseRoot(rootBytes);
     for (const [path, start] of checkGrowth(this.root, root)) this.#starts.set(path, start);

@@ -3,9 +3,7 @@ import { LEAST_CLASS, LIMITS, MOST_CLASS, MOST_WIDER, STATIC } from "../generate
 import { ColumnReader, type Wide } from "./rangecoder.ts";
 import type { Grid } from "./types.ts";
 
-/** The N rows of a tier as a sidecar and the detail of a quality give them, M of them with their places: none where keys are
- * differences, else all.
- */
+/** The N rows of a tier, M of them with places: none where keys are differences, else all. */
 export interface TierRows {
   /** (M) Morton codes of the corners of cells. */
   codes: Wide;
@@ -54,13 +52,11 @@ function cellBits(
   return Math.min(k + coarser, LIMITS.bits);
 }
 
-/** A sidecar, with codes of the last quality, `coarsest` its `coarser`; `count` is N, `placed` M. Throws
- * FormatError(bad_sidecar).
- */
+/** A sidecar, with codes of the last quality, whose `coarser` is `coarsest`. Throws FormatError(bad_sidecar). */
 export function readSidecar(
   data: Uint8Array,
-  count: number,
-  placed: number,
+  count: number, // N
+  placed: number, // M
   grid: Grid,
   coarsest: number,
   where: string,

@@ -27,9 +27,8 @@ const nowMs = () => performance.timeOrigin + performance.now();
 
 let underWay = 0; // batches of this thread
 
-/** Fetches files at once; files that a signal stops are neither whole nor refused.
- *
- * `onProgress` is told how many bytes have come so far. Throws TransportError.
+/** Fetches files at once; those that a signal stops are neither whole nor refused. `onProgress` hears how many bytes have
+ * come so far. Throws TransportError.
  */
 export async function fetchBatch(
   client: FileClient,

@@ -57,11 +57,9 @@ export class Media {
     this.#caller = caller;
   }
 
-  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`; relative addresses are of the page. `onPoster` hears
-   * of the poster before.
+  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`; relative addresses are of the page.
    *
-   * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play
-   * packages.
+   * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play it.
    */
   static async open(url: string, options: OpenOptions = {}): Promise<Media> {
     const { aheadBytes = AHEAD_BYTES, keptBytes = KEPT_BYTES, attempts = ATTEMPTS, onPoster, onPassing } = options;
@@ -83,9 +81,7 @@ export class Media {
     }
   }
 
-  /** Fetches files at once. Tables among them are added to `tables`; of the others the last used are kept, as far as
-   * there is room, and not fetched again.
-   */
+  /** Fetches files at once. Tables among them are added to `tables`; of the others the last used are kept. */
   async fetch(paths: string[], options: FetchOptions = {}): Promise<Fetched> {
     const { signal, onProgress, attempts = ATTEMPTS } = options;
     const batch = await this.#caller.call(

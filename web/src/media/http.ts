@@ -102,10 +102,7 @@ export class FileClient {
   }
 }
 
-/** Asks once for a file, and takes its whole answer; `again`: no cached one, which may be what was wrong.
- *
- * Throws PassingError, FormatError(missing_file).
- */
+/** Asks once for a file; `again`: for no cached one. Throws PassingError, FormatError(missing_file). */
 async function receive(
   url: URL,
   { path, limit, changing, signal, onAsk, onBytes }: Ask,

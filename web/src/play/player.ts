@@ -21,7 +21,8 @@ const SOUND = "./airgs-sound.js";
  *
  * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress"
  * (something was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "vr" (a headset shows
- * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context), and "problem" (detail: `Problem`).
+ * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context), and
+ * "problem" (detail: `Problem`).
  */
 export class Player extends EventTarget {
   readonly #wishes: Wishes;
@@ -40,8 +41,7 @@ export class Player extends EventTarget {
     this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
   }
 
-  /** Open a package by the address of its folder, its airgs.json or its manifest.mpd. Its first picture is shown; it moves after
-   * `play`.
+  /** Open a package by the address of its folder, its airgs.json or its manifest.mpd; it moves after `play`.
    *
    * Throws FormatError for what is no package, TransportError where it cannot be fetched, UnsupportedError where the
    * browser cannot play it. Where another package is opened meanwhile, or the player is closed, nothing comes of it.

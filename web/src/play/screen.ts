@@ -76,9 +76,7 @@ export class Screen {
     return this.#size.width !== before.width || this.#size.height !== before.height;
   }
 
-  /** Show a frame of a clip, which is decoded, from the next picture on. False: not yet, since its scene has no order; the
-   * old picture stays.
-   */
+  /** Show a decoded frame from the next picture on. False: its scene has no order yet; the old picture stays. */
   show(clip: Clip, frame: number): boolean {
     const stage = this.prepare(clip);
     if (!stage || !this.#renderer?.ready(stage.scene)) return false;

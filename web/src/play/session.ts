@@ -2,12 +2,8 @@
 //
 // One batch passes at a time: those key tiers of the chosen rung that are not decoded, one by one, then the state segment.
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
-// download that would come too late is abandoned when a smaller one would come sooner; key files that are whole are
-// used. A segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on.
-//
-// The sequence may be played several times: keys and states are fetched again, tables are not. One that grows is played
-// as it grows, until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
-
+// segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on. A package that grows
+// is played until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
 import { isSound } from "../format/paths.ts";
 import {
   LONGEST_POLL_S,
@@ -211,9 +207,7 @@ export class Session {
     return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
   }
 
-  /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that
-   * were requested now. A pause meanwhile puts the deadline off.
-   */
+  /** Abandon a download that would come late, and later than the smallest rung requested now; a pause puts that off. */
   private giveUp(state: PlayerState, decision: Decision): GiveUp | null {
     const { downloader, playout, policy, settings } = this.parts;
     const smallest = Math.min(...state.options.map((option) => option.sizeBytes));

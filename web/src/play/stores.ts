@@ -12,9 +12,7 @@ import type { Download } from "./policies/state.ts";
 /** Files that are known to have come; those of more were played long ago. */
 const MOST_PATHS = 4096;
 
-/** Pages of the index and tables of groups are fetched once, also where the sequence is played again, as long as the
- * tables have them.
- */
+/** Pages of the index and tables of groups, fetched once, as long as the tables have them. */
 export class TableStore {
   private readonly paths = new Recent<string, true>(MOST_PATHS);
 
@@ -63,9 +61,7 @@ export class TableStore {
 /** Key tiers of a loop that are known; more were played long ago. */
 const MOST_KEYS = 32768;
 
-/** Key tiers are decoded once a loop over the sequence: a group that is played again is asked for again, and comes from
- * what is kept as far as there is room.
- */
+/** Key tiers, decoded once a loop over the sequence. */
 export class KeyStore {
   private readonly loops = new Map<number, Recent<number, true>>();
 

@@ -90,10 +90,7 @@ export class Renderer {
     return false;
   }
 
-  /** A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
-   *
-   * Throws RenderError for more rows or pages than this machine's textures hold.
-   */
+  /** A group, of which it shows the canonical space first. Throws RenderError for more than the textures here hold. */
   scene(root: Root, group: Group, canonical: Canonical): Scene {
     if (!this.lost) {
       const fragment = () => projection(root.sh_degree, colourChannels(root.sh_degree));
@@ -107,8 +104,8 @@ export class Renderer {
     return scene;
   }
 
-  /** Whether `draw` would draw it: it has an order, and its programs are compiled. Ask from time to time until it is:
-   * the key passes run, in a task of their own, when somebody asks after their programs were compiled.
+  /** Whether `draw` would draw it: it has an order, and its programs are compiled, after which the first to ask has the key
+   * passes run. Ask from time to time.
    */
   ready(scene: Scene): boolean {
     if (this.lost || scene.freed || !this.#finishKeys(scene) || !scene.ordered) return false;

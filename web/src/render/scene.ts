@@ -224,7 +224,7 @@ export class Scene {
   }
 
   /** The picture that is shown from now on, with slopes at a time: luma of all pages of the level's atlas, whose bases
-   * were told before. null: the canonical space, where a level has no picture. Throws RenderError for a picture of another atlas.
+   * were told before; null: the canonical space. Throws RenderError for a picture of another atlas.
    */
   state(atlas: Atlas, luma: Uint8Array | null, time = 0): void {
     if (this.#gone) return;

@@ -6,7 +6,7 @@ export class RenderError extends Error {
   override name = "RenderError";
 }
 
-type Internal = "R8UI" | "RG32I" | "R32UI" | "RGBA32UI" | "RGBA32F" | "RGBA16F" | "RGB10_A2";
+type Internal = keyof typeof LAYOUTS;
 
 /** A texture with its size; `layers` 0: not an array. */
 export interface Texture {

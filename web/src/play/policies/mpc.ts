@@ -190,9 +190,7 @@ export function wishedPolicy(wishes: { quality: string; policy: string }, { meas
   return measured ? wishes.policy : "fixed:0";
 }
 
-/** fixed:J (level J, finest keys), or fixed:RUNG, in the finest level that is offered. Throws ConfigError for other
- * names.
- */
+/** fixed:J (level J, finest keys) or fixed:RUNG, in the finest level offered. Throws ConfigError for other names. */
 export function fixedPolicy(name: string, offers: Offers): Policy {
   const rung = fixedRung(name, offers);
   const choose: Policy["choose"] = ({ options }) => {
