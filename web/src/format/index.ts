@@ -130,21 +130,6 @@ export class GroupIndex {
     return true;
   }
 
-  /** Pages with some of the segments [start, stop) that are not there, as far as pages that are there lead to them. */
-  missingPages(start: number, stop: number, there: (path: string) => boolean): string[] {
-    const missing: string[] = [];
-    const blocks = this.#top.filter(({ level }) => level > 0);
-    for (let above = blocks.pop(); above; above = blocks.pop()) {
-      for (const [place, first] of above.segments.entries()) {
-        if (first >= stop || first + above.spans.segments[place]! <= start) continue;
-        const path = pathAt(above, place);
-        if (!there(path)) missing.push(path);
-        else if (above.level > 1) blocks.push(this.#page(path));
-      }
-    }
-    return missing;
-  }
-
   /** Frames [start, stop) of a segment as if those of its group, or of its unread page, were of one length. */
   guessSpan(segment: number): { start: number; stop: number } {
     let found: Entry | null = null;

@@ -4,7 +4,7 @@
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
 // segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on. A package that grows
 // is played until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
-import { isSound } from "../format/paths.ts";
+import { isPage, isSound } from "../format/paths.ts";
 import {
   LONGEST_POLL_S,
   POLL_S,
@@ -132,10 +132,10 @@ export class Session {
   }
 
   private async *fetchPages(position: number): Events {
-    const { playout, stores } = this.parts;
+    const { offers, playout, stores } = this.parts;
     const { tables, unusable } = stores;
     const from = Math.max(0, Math.min(playout.slots[0]?.position ?? position, position - 1));
-    const missing = () => tables.missingPages(from, position);
+    const missing = () => tables.missing(from, Math.min(position + 1, offers.end(1))).filter(isPage);
     for (let pages = missing(); pages.length && !this.stopped; pages = missing()) {
       yield await this.receiveTables(pages, position);
       if (pages.some((path) => unusable.has(path))) {

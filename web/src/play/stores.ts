@@ -32,12 +32,6 @@ export class TableStore {
     return [...new Set(wanted.flat())];
   }
 
-  missingPages(from: number, to: number): string[] {
-    const { index } = this.offers.tables;
-    const [start, stop] = [this.offers.first + from, this.offers.first + to + 1];
-    return index.missingPages(start, stop, (path) => this.paths.has(path) && index.hasPage(path));
-  }
-
   private next(segment: number): string | null {
     // Of those that came, the tables that were last used stay.
     for (const [path, there] of this.way(segment)) if (!there || !this.paths.has(path)) return path;
