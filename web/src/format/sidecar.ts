@@ -86,6 +86,13 @@ export function readSidecar(
   return rows;
 }
 
+/** The upper half of a number of 64 bits after a shift to the left. */
+const shifted = (hi: number, lo: number, shift: number) =>
+  shift >= 32 ? lo << (shift - 32) : shift ? (hi << shift) | (lo >>> (32 - shift)) : hi;
+
+const exceeds = (hi: number, lo: number, bits: number): boolean =>
+  bits < 32 ? hi > 0 || lo >= 2 ** bits : hi >= 2 ** (bits - 32);
+
 /** Turns gaps between neighbours into Morton codes. False when a code does not fit the grid. */
 function sumGaps(rows: TierRows, grid: Grid, coarsest: number): boolean {
   const { lo, hi } = rows.codes;
@@ -98,13 +105,11 @@ function sumGaps(rows: TierRows, grid: Grid, coarsest: number): boolean {
     const before = shift >= 32 ? high >>> (shift - 32) : shift ? (low >>> shift) | (high << (32 - shift)) : low;
     const sum = (before >>> 0) + lo[i]!;
     const top = (shift >= 32 ? 0 : high >>> shift) + hi[i]! + (sum > 0xffffffff ? 1 : 0);
-    if (room < 32 ? top || sum >= 2 ** room : top >= 2 ** (room - 32)) return false;
-    high = shift >= 32 ? sum << (shift - 32) : shift ? (top << shift) | ((sum >>> 0) >>> (32 - shift)) : top;
-    low = shift >= 32 ? 0 : sum << shift;
+    if (exceeds(top, sum, room)) return false;
+    high = shifted(top, sum >>> 0, shift) >>> 0;
+    low = shift >= 32 ? 0 : (sum << shift) >>> 0;
     lo[i] = low;
     hi[i] = high;
-    low >>>= 0;
-    high >>>= 0;
   }
   return true;
 }
@@ -124,14 +129,10 @@ export function readDetail(
   for (let i = 0; i < lo.length; i++) {
     const shift = 3 * cellBits(shared, i, grid, coarser);
     const room = 3 * cellBits(shared, i, grid, coarsest) - shift;
-    const low = lo[i]!;
     const high = hi[i]!;
-    if (room < 32 ? high || low >= 2 ** room : high >= 2 ** (room - 32)) {
-      throw reader.refuse("the detail of a position leaves its cell");
-    }
-    hi[i] =
-      shared.codes.hi[i]! |
-      (shift >= 32 ? low << (shift - 32) : shift ? (high << shift) | (low >>> (32 - shift)) : high);
+    const low = lo[i]!;
+    if (exceeds(high, low, room)) throw reader.refuse("the detail of a position leaves its cell");
+    hi[i] = shared.codes.hi[i]! | shifted(high, low, shift);
     lo[i] = shared.codes.lo[i]! | (shift >= 32 ? 0 : low << shift);
   }
   return { ...shared, codes };

@@ -34,7 +34,7 @@ export async function fetchBatch(
   client: FileClient,
   asks: FileAsk[],
   signal: AbortSignal,
-  onProgress: (bytes: number) => void,
+  onProgress: (bytes: number) => void = () => {},
 ): Promise<Batch> {
   const files = asks.map(() => ({ url: "", askedMs: 0, bytes: 0 }));
   const batch = { whole: [] as string[], refused: new Map<string, FormatError>() };

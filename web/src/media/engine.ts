@@ -166,7 +166,7 @@ export class Engine {
       if (bytes) found.set(path, bytes);
       else asks.push(this.#ask(path, ATTEMPTS, found));
     }
-    const { refused } = await fetchBatch(this.client, asks, signal, () => {});
+    const { refused } = await fetchBatch(this.client, asks, signal);
     if (signal.aborted) throw aborted();
     for (const refusal of refused.values()) throw refusal;
     return (path) => {
@@ -192,7 +192,7 @@ async function fetchPoster(
     emit({ poster: bytes, seconds: (performance.now() - beganMs) / 1e3 });
   };
   const ask = { path: POSTER_PATH, limit: entry.bytes, attempts: 1, patient: false, changing: false, accept };
-  await fetchBatch(client, [ask], signal, () => {});
+  await fetchBatch(client, [ask], signal);
 }
 
 /** Fetches airgs.json, which `take` takes in; `patient`: waits for a server that is away. */
@@ -210,6 +210,6 @@ async function fetchRoot(
     tables.push([ROOT_PATH, bytes]);
   };
   const ask = { path: ROOT_PATH, limit: MAX_TABLE_BYTES, attempts, patient, changing: true, accept };
-  const batch = await fetchBatch(client, [ask], signal, () => {});
+  const batch = await fetchBatch(client, [ask], signal);
   return { ...batch, refused: [...batch.refused].map(([path, error]) => [path, toWire(error)]), tables };
 }

@@ -80,12 +80,12 @@ export class Playback {
   headset: XRSession | null = null;
   /** Leads the pictures while it is heard; null: there is none, or it is not loaded yet. */
   sound: Voice | null = null;
+  ended = false;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
   #next: { position: number; frame: number } | null = { position: 0, frame: 0 };
   #sought: number | null = null;
   #locating = false;
-  #ended = false;
   #waiting = false;
   #timeTold = Number.NEGATIVE_INFINITY;
 
@@ -166,10 +166,8 @@ export class Playback {
       this.playout.setSpeed(now, speed);
       this.#held.restart();
     }
-    const hold = (why: "pause" | "hidden", held: boolean) =>
-      held ? this.playout.freeze(now, why) : this.playout.thaw(now, why);
-    hold("pause", paused);
-    hold("hidden", document.hidden && !this.headset); // a page that nobody sees shows nothing
+    this.playout.hold(now, "pause", paused);
+    this.playout.hold(now, "hidden", document.hidden && !this.headset); // a page that nobody sees shows nothing
   }
 
   async choose(): Promise<void> {
@@ -211,10 +209,6 @@ export class Playback {
       this.#problem(error, false);
       this.#goOn(signal);
     }
-  }
-
-  get ended(): boolean {
-    return this.#ended;
   }
 
   get seeking(): boolean {
@@ -284,8 +278,8 @@ export class Playback {
     const over = !lack && this.playout.done(now);
     this.#tellWaiting((lack !== null && begins) || (this.playout.waits(now) && !over));
     const ended = over && !this.statistics.waiting;
-    if (ended && !this.#ended) this.tell("ended");
-    this.#ended = ended;
+    if (ended && !this.ended) this.tell("ended");
+    this.ended = ended;
   }
 
   /** What a frame lacks; null: it is on the screen, or nothing can be shown in its place but what is there. */

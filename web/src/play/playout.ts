@@ -74,12 +74,9 @@ export class Playout {
     return () => this.listeners.delete(listener);
   }
 
-  freeze(nowS: number, why: Hold = "pause"): void {
-    if (this.schedule.hold(why, nowS)) this.changed();
-  }
-
-  thaw(nowS: number, why: Hold = "pause"): void {
-    if (this.schedule.release(why, nowS)) this.changed();
+  /** The schedule stands still for a reason from now on, or no longer for this one. */
+  hold(nowS: number, why: Hold, held: boolean): void {
+    if (this.schedule.hold(nowS, why, held)) this.changed();
   }
 
   /** So many seconds of media a second, more than 0, from now on. */

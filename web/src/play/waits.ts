@@ -29,7 +29,7 @@ export class Waits {
   /** The page has the chance to show something, whenever the display takes it. */
   tick(nowS: number): void {
     const sinceS = this.#tickedS + LONGEST_TICK_S;
-    if (sinceS < nowS && !this.playout.waits(sinceS) && !this.sounds()) this.playout.freeze(sinceS, "display");
+    if (sinceS < nowS && !this.playout.waits(sinceS) && !this.sounds()) this.playout.hold(sinceS, "display", true);
     this.#tickedS = nowS;
   }
 
@@ -42,9 +42,9 @@ export class Waits {
     this.#lackedS = what && what !== "start" ? Math.min(this.#lackedS, nowS) : Number.POSITIVE_INFINITY;
     const isLong = nowS - this.#lackedS > PATIENCE_S;
     if (isLong) this.#stoppedS = nowS;
-    if (what && (what === "start" || isLong || !this.sounds())) this.playout.freeze(nowS, what);
+    if (what && (what === "start" || isLong || !this.sounds())) this.playout.hold(nowS, what, true);
     for (const other of ["decoder", "display", "start"] as const) {
-      if (other !== what) this.playout.thaw(nowS, other);
+      if (other !== what) this.playout.hold(nowS, other, false);
     }
   }
 }

@@ -32,25 +32,9 @@ export class Bar {
     readonly openMenu: (page: Page, opener: HTMLElement) => void,
   ) {
     this.timeline = new Timeline(desk);
-    const row = make(
-      "div",
-      { class: "row" },
-      this.play,
-      this.#sound,
-      this.#live,
-      this.#time,
-      make("span", { class: "gap" }),
-      this.#speed,
-      this.#quality,
-      this.#loop,
-      this.#free,
-      this.#home,
-      this.#link,
-      this.#settings,
-      this.info,
-      this.#vr,
-      this.#full,
-    );
+    const left = [this.play, this.#sound, this.#live, this.#time, make("span", { class: "gap" })];
+    const chosen = [this.#speed, this.#quality, this.#loop, this.#free, this.#home, this.#link, this.#settings];
+    const row = make("div", { class: "row" }, ...left, ...chosen, this.info, this.#vr, this.#full);
     const told = { class: "bar", part: "controls", role: "group", "aria-label": "Controls" };
     this.node = make("div", told, this.timeline.node, row);
     this.#listen();

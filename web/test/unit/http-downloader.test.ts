@@ -116,7 +116,7 @@ test("waits end when the playout changes, or the session is stopped", async () =
   const playout = playoutOf(offers, rulesOf());
   const stop = new AbortController();
   const paused = downloader.wait(Infinity, playout, stop.signal);
-  playout.freeze(nowS());
+  playout.hold(nowS(), "pause", true);
   await paused;
   const stopped = downloader.wait(Infinity, playout, stop.signal);
   stop.abort();

@@ -65,7 +65,7 @@ test("where a hold takes time back, segments are still decoded in their order", 
   for (let position = 0; position < SEGMENTS; position++) playout.enqueue(position, 0, beganS);
   pipeline.due(0, 0);
   await setTimeout(12e3 / FPS);
-  playout.freeze(beganS, "display");
+  playout.hold(beganS, "display", true);
   for (let position = 0; position < SEGMENTS; position++) {
     pipeline.due(position, 0);
     while (!pipeline.clip(position)?.frames[0]) await setTimeout(1);

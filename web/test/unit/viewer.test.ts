@@ -107,12 +107,12 @@ test("a pause while the buffer is full ends the wait, and shifts the rest", asyn
     waits.push(untilS);
     const nowS = viewer.downloader.now();
     if (waits.length === 1) {
-      playout.freeze(nowS);
+      playout.hold(nowS, "pause", true);
       return nowS;
     }
     if (waits.length > 2) return untilS;
     assert.equal(untilS, Infinity);
-    playout.thaw(nowS + 100);
+    playout.hold(nowS + 100, "pause", false);
     return nowS + 100;
   };
   const events = await viewer.watch("fixed:0", 0);
@@ -131,7 +131,7 @@ test("a pause puts off when a download is given up", async () => {
     // Two seconds are left of it, a second before its deadline.
     const partial = { atS: deadlineS - 1, elapsedS: 10, bytes: 1e9, expectedBytes: 1.2e9 };
     answers.push(giveUp(partial));
-    playout.freeze(downloader.now());
+    playout.hold(downloader.now(), "pause", true);
     answers.push(giveUp(partial));
   };
   await viewer.watch("throughput", 0, enqueued(5));
