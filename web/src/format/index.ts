@@ -39,13 +39,7 @@ type Step = [Block, number];
 
 export const sum = (counts: number[]) => counts.reduce((total, count) => total + count, 0);
 
-function starts(counts: number[], first: number): number[] {
-  let next = first;
-  return counts.map((count) => {
-    next += count;
-    return next - count;
-  });
-}
+const starts = (counts: number[], first: number) => counts.map((_, i) => first + sum(counts.slice(0, i)));
 
 function block(spans: Page, level: number, first: Record<Count, number>): Block {
   const groups = spans.frames.map((_, place) => first.groups + place * PAGE ** level);

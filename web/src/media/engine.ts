@@ -11,7 +11,7 @@ import { type FileAsk, fetchBatch } from "./batch.ts";
 import { Ahead } from "./bell.ts";
 import { aborted, fromWire, toWire } from "./errors.ts";
 import { checkReprDigest, FileClient } from "./http.ts";
-import type { Calls, Opened, Poster, WireBatch } from "./messages.ts";
+import type { Calls, Poster, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
 import { decodeCanonical, decodeStates, type Positions, type ReadFile } from "./spaces.ts";
@@ -50,7 +50,7 @@ export class Engine {
     { url, attempts, ...limits }: Calls["open"]["args"],
     { signal, emit }: Pick<Context<Poster>, "signal" | "emit">,
     onPassing?: (words: string) => void,
-  ): Promise<{ engine: Engine; opened: Opened }> {
+  ): Promise<{ engine: Engine; opened: Calls["open"]["value"] }> {
     const probing = probeBrowser();
     probing.catch(() => {}); // it is waited for below
     const client = new FileClient(url, onPassing);

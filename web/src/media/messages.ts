@@ -14,17 +14,12 @@ export interface Poster {
   seconds: number;
 }
 
-export interface Opened {
-  luma: "exact" | "invertible";
-  batch: WireBatch;
-}
-
 /** What the page can ask for: arguments, what comes on the way, and the answer. */
 export interface Calls {
   open: {
     args: { url: string; aheadBytes: number; keptBytes: number; attempts: number };
     event: Poster;
-    value: Opened;
+    value: { luma: "exact" | "invertible"; batch: WireBatch };
   };
   fetch: { args: { paths: string[]; attempts: number }; event: { bytes: number; expected: number }; value: WireBatch };
   refreshRoot: { args: { attempts: number }; event: never; value: WireBatch };

@@ -35,8 +35,8 @@ export class Bar {
     const left = [this.play, this.#sound, this.#live, this.#time, make("span", { class: "gap" })];
     const chosen = [this.#speed, this.#quality, this.#loop, this.#free, this.#home, this.#link, this.#settings];
     const row = make("div", { class: "row" }, ...left, ...chosen, this.info, this.#vr, this.#full);
-    const told = { class: "bar", part: "controls", role: "group", "aria-label": "Controls" };
-    this.node = make("div", told, this.timeline.node, row);
+    const attributes = { class: "bar", part: "controls", role: "group", "aria-label": "Controls" };
+    this.node = make("div", attributes, this.timeline.node, row);
     this.#listen();
   }
 

@@ -64,8 +64,8 @@ export class Menu {
     const head = make("div", { class: "head" }, title);
     const up = this.#above(page);
     if (up) {
-      const told = { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 };
-      const leave = make("button", told, icon(OTHERS.back));
+      const attributes = { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 };
+      const leave = make("button", attributes, icon(OTHERS.back));
       leave.addEventListener("click", () => this.#show(up));
       head.prepend(leave);
     }
@@ -159,11 +159,10 @@ export class Menu {
 
   #speeds(): Item[] {
     const { player } = this.desk;
-    const set = (speed: number) => () =>
-      this.#done(() => {
-        player.speed = speed;
-      });
-    return SPEEDS.map((speed) => ({ label: speedName(speed), checked: player.speed === speed, run: set(speed) }));
+    const set = (speed: number) => this.#done(() => Object.assign(player, { speed }));
+    return SPEEDS.map((speed) => {
+      return { label: speedName(speed), checked: player.speed === speed, run: () => set(speed) };
+    });
   }
 
   #done(change: () => void): void {

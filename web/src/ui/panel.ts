@@ -47,9 +47,15 @@ export class Panel {
   constructor(readonly desk: Desk) {
     const rows = ROWS.map(([label], i) => make("div", {}, make("dt", {}, label), this.#cells[i]));
     this.#history = new History(desk);
-    const told = { class: "panel", part: "panel", "aria-label": "Figures of playing", hidden: true, tabindex: -1 };
+    const attributes = {
+      class: "panel",
+      part: "panel",
+      "aria-label": "Figures of playing",
+      hidden: true,
+      tabindex: -1,
+    };
     const parts = [make("div", { class: "head" }, "Figures", this.close), make("dl", {}, ...rows)];
-    this.node = make("section", told, ...parts, this.#history.node, this.#legend);
+    this.node = make("section", attributes, ...parts, this.#history.node, this.#legend);
   }
 
   get open(): boolean {

@@ -10,10 +10,9 @@ const HIDE_MS = 2800;
 const MISSING_MS = 7000;
 const MISSING = "This part of the player cannot be fetched now.";
 
-export interface Parts {
+interface Parts {
   readonly menu: Menu;
   readonly panel: Panel;
-  readonly Split: More["Split"];
 }
 
 export interface Looks {
@@ -43,8 +42,9 @@ export class Shell {
   readonly #big = make("button", { type: "button", class: "big", "aria-label": "Play" }, icon(ICONS.play));
   readonly #edge = make("div", { class: "edge" });
   readonly #help = make("span", { id: "help", hidden: true });
+  /** There was neither a picture nor a trouble yet. */
+  blank = true;
   #timer = 0;
-  #blank = true;
 
   constructor(
     readonly desk: Desk,
@@ -54,8 +54,8 @@ export class Shell {
   ) {
     this.bar = new Bar(desk, (page, opener) => this.use(({ menu }) => menu.toggle(page, opener)));
     const view = { role: "application", "aria-label": "3D view", "aria-roledescription": "3D view" };
-    const told = { tabindex: 0, "aria-describedby": "help", ...view };
-    this.scene = make("div", { class: "scene", ...told }, this.canvas, this.#help);
+    const attributes = { tabindex: 0, "aria-describedby": "help", ...view };
+    this.scene = make("div", { class: "scene", ...attributes }, this.canvas, this.#help);
     if (looks.poster) this.#dress(looks.poster);
     else this.#poster.append(nameOf(looks.src));
     const spinner = make("div", { class: "spinner", role: "progressbar", "aria-label": "Loading" });
@@ -85,7 +85,7 @@ export class Shell {
   }
 
   #add(more: More): Parts {
-    const { Menu, Panel, Split, STYLE, HELP } = more;
+    const { Menu, Panel, STYLE, HELP } = more;
     const [menu, panel] = [new Menu(this.desk), new Panel(this.desk)];
     const on = { signal: this.desk.signal };
     this.frame.append(make("style", {}, STYLE));
@@ -100,7 +100,7 @@ export class Shell {
     panel.node.addEventListener("keydown", leave, on);
     write(this.#help, HELP);
     this.added(more);
-    return { menu, panel, Split };
+    return { menu, panel };
   }
 
   /** How far a viewer pulls at the wall, 0 … 1. */
@@ -113,12 +113,12 @@ export class Shell {
   }
 
   set waiting(waiting: boolean) {
-    this.frame.classList.toggle("waiting", waiting || this.#blank);
+    this.frame.classList.toggle("waiting", waiting || this.blank);
   }
 
   /** The poster of the package, in place of its name. */
   showPoster(poster: Blob): void {
-    if (!this.#blank || this.#poster.style.background) return;
+    if (!this.blank || this.#poster.style.background) return;
     const url = URL.createObjectURL(poster);
     this.desk.signal.addEventListener("abort", () => URL.revokeObjectURL(url));
     this.#dress(url);
@@ -129,22 +129,18 @@ export class Shell {
     this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / contain no-repeat`;
   }
 
-  get blank(): boolean {
-    return this.#blank;
-  }
-
   showPicture(): void {
     this.frame.classList.remove("broken");
     this.frame.querySelector(".card")?.remove();
     this.#poster.classList.add("gone");
-    this.#blank = false;
+    this.blank = false;
     this.waiting = false;
     this.stir();
     this.use(() => {});
   }
 
   showTrouble(error: unknown, again: () => void): void {
-    this.#blank = false;
+    this.blank = false;
     this.waiting = false;
     this.frame.classList.add("broken");
     showTrouble(this.frame, error, { src: this.looks.src, again, signal: this.desk.signal });

@@ -16,8 +16,8 @@ export class Timeline {
 
   constructor(readonly desk: Desk) {
     const track = make("div", { class: "track" }, this.#ahead, this.#played);
-    const told = { role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 };
-    this.node = make("div", { class: "timeline", part: "timeline", ...told }, track, this.#thumb);
+    const attributes = { role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 };
+    this.node = make("div", { class: "timeline", part: "timeline", ...attributes }, track, this.#thumb);
   }
 
   get scrubbing(): boolean {

@@ -6,7 +6,7 @@ import type { RungInfo } from "../play/rungs.ts";
 import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, type Sharpness } from "./sharpness.ts";
-import { type FullScreen, type Looks, loadMore, type More, type Parts, Shell } from "./shell.ts";
+import { type FullScreen, type Looks, loadMore, type More, Shell } from "./shell.ts";
 import type { Split } from "./split.ts";
 import { rungColours } from "./words.ts";
 
@@ -249,17 +249,17 @@ export class View {
     else this.#look();
     this.orbit.reduced = this.#still.matches;
     if (player.region?.source === "orbit") this.#say("guess", GUESSED);
-    if (owner.split) this.#shell.use(({ Split }) => this.#beside(Split));
+    if (owner.split) this.#shell.use(() => this.#beside());
     if (owner.autoplay) await player.play();
     this.#shell.update();
     this.wake();
   }
 
-  #beside(Split: Parts["Split"]): void {
+  #beside(): void {
     const { owner } = this;
     const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...owner.settings, muted: true });
-    const { frame } = this.#shell;
-    this.#split = Split.beside(this, frame, owner, create, (why) => this.#say("split", why));
+    const failed = (why: string) => this.#say("split", why);
+    this.#split = this.#more!.Split.beside(this, this.#shell.frame, owner, create, failed);
   }
 
   #say(name: string, text: string): void {

@@ -31,15 +31,15 @@ export function spoken(seconds: number): string {
   return said.join(" ") || "0 seconds";
 }
 
-/** Three digits and the unit of thousands, millions or milliards: 0.52, 5.2, 52, 520. */
-function short(value: number, units: readonly string[]): string {
+/** Three digits, in thousands of a unit or more: 0.52 kB, 5.2, 52, 520. */
+function short(value: number, unit: string): string {
   const power = value >= 1e9 ? 3 : value >= 1e6 ? 2 : 1;
   const shown = value / 1000 ** power;
-  return `${shown.toFixed(shown >= 9.95 ? 0 : shown < 0.995 ? 2 : 1)} ${units[power - 1]}`;
+  return `${shown.toFixed(shown >= 9.95 ? 0 : shown < 0.995 ? 2 : 1)} ${" kMG"[power]}${unit}`;
 }
 
-export const rate = (bps: number): string => (bps > 0 ? short(bps, ["kbit/s", "Mbit/s", "Gbit/s"]) : "–");
-export const size = (bytes: number): string => short(bytes, ["kB", "MB", "GB"]);
+export const rate = (bps: number): string => (bps > 0 ? short(bps, "bit/s") : "–");
+export const size = (bytes: number): string => short(bytes, "B");
 export const decibels = (psnr: number | null): string => (psnr === null ? "–" : `${psnr.toFixed(1)} dB`);
 
 /** Names a rung by its quality, else by its name in the package. */
