@@ -11,7 +11,7 @@ export function concat<T extends Uint8Array | Float32Array>(kind: new (length: n
   return whole;
 }
 
-/** Values by their keys, of which the last used are there: at most so many, or so much by `sizeOf`, the newest aside. */
+/** Values by their keys, of which the last used stay: at most so many, or so much by `sizeOf`, the newest aside. */
 export class Recent<Key, Value> {
   readonly #values = new Map<Key, Value>(); // its order is that of adding: the last used is the last
   #size = 0;

@@ -29,7 +29,7 @@ export interface KeyTier {
   changes: BaseChanges | null;
 }
 
-/** A key tier from its files; `media` null: it has no picture. Throws FormatError (bad_sidecar, bad_picture, bad_value). */
+/** A key tier from its files; `media` null: it has no picture. Throws FormatError (bad_sidecar, bad_picture). */
 export function readKeyTier(
   root: Root,
   table: Group,
@@ -65,7 +65,7 @@ export function readKeyTier(
   };
 }
 
-/** Segment `place` of a table but for its pictures; `segment` is its number, from 0. `line` is of the picture of slopes,
+/** Segment `place` of a table but for its pictures; `segment` is its number, from 0. `line` is the picture of slopes,
  * null without one; its `bases` are those other than 0. Throws FormatError (bad_sidecar, bad_picture).
  */
 export function readStates(

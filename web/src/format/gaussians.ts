@@ -52,7 +52,7 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
     const coding = codingOf(root, group, steps, group.key_steps, KEY_AT, Math.log(gridUnit(group)));
     add(gaussians, rows, units, codesOf(part), coding);
     if (difference) {
-      const steps = differenceSteps(root, group, quality).map((step, i) => (i < 3 ? 0 : step * factor)); // has means already
+      const steps = differenceSteps(root, group, quality).map((step, i) => (i < 3 ? 0 : step * factor)); // not means
       add(gaussians, rows, units, codesOf(difference), codingOf(root, group, steps, group.key_steps));
     }
     first += atlas.rows;
@@ -61,9 +61,9 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
   return gaussians;
 }
 
-/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the bases of
- * its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer tiers
- * than the level asks for, its rows are the first of the level.
+/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the bases
+ * of its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer
+ * tiers than the level asks for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */

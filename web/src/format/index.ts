@@ -24,7 +24,7 @@ export class MissingTableError extends Error {
   }
 }
 
-/** Groups (level 0) or pages of a level that follow each other, and the group, frame and segment that each begins with. */
+/** Groups (level 0) or pages of a level that follow each other, and the group, frame and segment each begins with. */
 interface Block {
   level: number;
   spans: Page;
@@ -114,7 +114,7 @@ export class GroupIndex {
     return groups[place]!;
   }
 
-  /** The pages that lead to a group, frame or segment, from the root on; each must be there when the next is asked for. */
+  /** The pages that lead to a group, frame or segment, root first; each must be there when the next is asked for. */
   *pagesTo(count: Count, number: number): Generator<string> {
     for (const [above, place] of this.#descend(count, number)) if (above.level) yield pathAt(above, place);
   }

@@ -41,7 +41,7 @@ export function cameraOf(view: ViewState, width: number, height: number): Camera
   return { width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2, near: view.near, worldToCamera };
 }
 
-/** How far a viewer is beyond the reach of a place, world units, and looks further away from its focus than is allowed. */
+/** How far a viewer is beyond the reach of a place, world units, and looks away from its focus more than it may. */
 interface Departure {
   distance: number;
   degrees: number;

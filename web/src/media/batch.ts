@@ -27,8 +27,8 @@ const nowMs = () => performance.timeOrigin + performance.now();
 
 let underWay = 0; // batches of this thread
 
-/** Fetches files at once; those that a signal stops are neither whole nor refused. `onProgress` hears how many bytes have
- * come so far. Throws TransportError.
+/** Fetches files at once; those that a signal stops are neither whole nor refused. `onProgress` hears how many bytes
+ * have come so far. Throws TransportError.
  */
 export async function fetchBatch(
   client: FileClient,
@@ -71,8 +71,8 @@ export async function fetchBatch(
   }
 }
 
-/** Whether an answer was cached, so that its time says nothing of the network. Nobody knows of other sites that do not let
- * pages see times: all of them are 0.
+/** Whether an answer was cached, so that its time says nothing of the network. Nobody knows of other sites that do not
+ * let pages see times: all of them are 0.
  */
 async function fromCache(url: string, askedMs: number): Promise<boolean> {
   type Entry = PerformanceResourceTiming & { deliveryType?: string };

@@ -57,7 +57,7 @@ export class Media {
     this.#caller = caller;
   }
 
-  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`; relative addresses are of the page.
+  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`, relative to the page.
    *
    * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play it.
    */
@@ -125,7 +125,7 @@ export class Media {
     return this.#caller.call("canonical", { group, quality, tiers }, { signal });
   }
 
-  /** Decodes a segment over a canonical space; files that are not at hand are fetched. null stands for the canonical space
+  /** Decodes a segment over a canonical space; files not at hand are fetched. null stands for the canonical space
    * itself. Resolves to the number of frames.
    *
    * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each

@@ -5,7 +5,7 @@ import type { Sample } from "../format/mp4.ts";
 import { Bell } from "./bell.ts";
 import { aborted, UnsupportedError } from "./errors.ts";
 
-/** Pictures on their way out of a decoder, and chunks on their way in: unclosed pictures of about 20 block some decoders. */
+/** Pictures on their way out of a decoder, and chunks on their way in: 20 unclosed pictures block some decoders. */
 const MOST_UNDER_WAY = 4;
 
 export interface Clip {
@@ -209,7 +209,7 @@ class Pass {
 /** Layouts of samples in which browsers give pictures: luma as a plane of its own, or pixels of grey. */
 export type Layout = "planar" | "rgb";
 
-/** What undoes a browser's changes, sample by sample; null: it changes nothing. Layouts that are missing were not seen. */
+/** What undoes a browser's changes, sample by sample; null: it changes nothing. Missing layouts were not seen. */
 export type Inverses = Partial<Record<Layout, Uint8Array | null>>;
 
 /** Pictures in a layout that the probe did not meet: a decoder in software may give them in the one that it did. */
@@ -236,7 +236,7 @@ export async function copySamples(frame: VideoFrame, free: Uint8Array[]): Promis
     const layout = format && PLANAR.test(format) ? "planar" : "rgb";
     if (format && layout === "rgb" && !PIXELS.test(format))
       throw new UnsupportedError(`this browser gives pictures as ${format}, from which luma cannot be read exactly`);
-    const options: VideoFrameCopyToOptions = format ? {} : { format: "RGBX" }; // what only the GPU can read becomes pixels
+    const options: VideoFrameCopyToOptions = format ? {} : { format: "RGBX" }; // null: only the GPU can read it
     const bytes = frame.allocationSize(options);
     const last = free.pop();
     const data = last?.length === bytes ? last : new Uint8Array(bytes);

@@ -45,7 +45,7 @@ export class Engine {
     this.#states = new PictureDecoder(probe);
   }
 
-  /** Fetches airgs.json and the poster, and sees what the browser can do. Throws FormatError, TransportError, UnsupportedError. */
+  /** Fetches airgs.json and the poster, probes the browser. Throws FormatError, TransportError, UnsupportedError. */
   static async open(
     { url, attempts, ...limits }: Calls["open"]["args"],
     { signal, emit }: Pick<Context<Poster>, "signal" | "emit">,

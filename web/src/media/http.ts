@@ -1,7 +1,7 @@
 // Single files over HTTP: asked for again, later and later, until what comes is right or it is no use.
 //
 // A server that cannot be reached, or says that it is busy, is waited for, and people are told. Any other fault is the
-// file's: after some of them the file cannot be had, as one with status 404 at once. Redirects are followed, as a browser does: what other
+// file's: after some of them the file cannot be had, as one with status 404 at once. Redirects are followed: what other
 // origins answer is read only where their CORS headers allow it, without cookies, and is checked like all else.
 import { concat } from "../format/collections.ts";
 import { FormatError, type Reason } from "../format/errors.ts";

@@ -23,8 +23,8 @@ export function checkBrowser(): void {
   }
   if (typeof VideoDecoder === "undefined") {
     throw new UnsupportedError(
-      "this browser has no WebCodecs (VideoDecoder); Chrome, Edge, Safari from 16.4 on and, but for Android, Firefox from " +
-        "130 on have it",
+      "this browser has no WebCodecs (VideoDecoder); Chrome, Edge, Safari from 16.4 on and, but for Android, Firefox " +
+        "from 130 on have it",
     );
   }
 }

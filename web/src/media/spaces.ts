@@ -64,7 +64,7 @@ function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: Ca
 
 const AXES = 3; // the first state channels: means
 
-/** A state file and the canonical space that it changes, as far as `positions` have its tiers; segments count from 0. */
+/** A state file and the canonical space that it changes, as far as `positions` have tiers; segments count from 0. */
 export interface StateFile extends CanonicalName {
   segment: number;
   level: number;
@@ -103,7 +103,7 @@ export async function decodeStates(
   await decoder.decode({ ...states, where }, show, options);
 }
 
-/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are those of its atlas. */
+/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are of its atlas. */
 function movedMeans(
   { means: before, units }: Pick<Positions, "means" | "units">,
   rows: Uint32Array,

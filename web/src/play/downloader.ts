@@ -10,8 +10,8 @@ import { type Batch, filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
 export interface Request {
-  /** Requested were tables (airgs.json, pages of the index, tables of groups); the next segment with keys of its group; the
-   * next segment, whose keys are decoded; a better rung of a buffered segment.
+  /** Requested were tables (airgs.json, pages of the index, tables of groups); the next segment with keys of its group;
+   * the next segment, whose keys are decoded; a better rung of a buffered segment.
    */
   kind: "tables" | "group" | "state" | "replacement";
   position: number;

@@ -14,7 +14,7 @@ import { Session, type Shared } from "./session.ts";
 /** Policies but for the default one are beside this script. */
 const MORE = "./airgs-more.js";
 
-/** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
+/** Seconds after which a session that lost its server begins again, unless the browser says before that it is back. */
 const RETRY_S = 5;
 
 export interface FeedParts extends Shared {

@@ -42,7 +42,7 @@ export interface RungOffer {
   readonly allowed: boolean;
   /** Share of the first level's state bytes that its level saves. */
   readonly saved: number;
-  /** In the order of fetching: sound, then each tier of the group with files, followed by that of the base it reuses. */
+  /** In the order of fetching: sound, then each tier of the group with files, followed by that of its base. */
   readonly keys: readonly KeyOffer[];
   readonly state: readonly string[];
   readonly stateBytes: number;

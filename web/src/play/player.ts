@@ -21,7 +21,7 @@ const SOUND = "./airgs-sound.js";
  *
  * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress"
  * (something was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "vr" (a headset shows
- * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context), and
+ * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context),
  * "problem" (detail: `Problem`).
  */
 export class Player extends EventTarget {

@@ -1,6 +1,6 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key tiers of the chosen rung that are not decoded, one by one, then the state segment.
+// One batch passes at a time: those key tiers of the chosen rung that are not decoded, then the state segment.
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
 // segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on. A package that grows
 // is played until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.

@@ -26,7 +26,7 @@ export class TableStore {
     return this.next(this.offers.index(position)) === null;
   }
 
-  /** Lists pages that positions [start, stop) still need, and tables that pages that were read, or the root, lead to. */
+  /** Lists pages that positions [start, stop) still need, and tables that pages that are read, or the root, lead to. */
   missing(start: number, stop: number): string[] {
     const wanted = Array.from({ length: stop - start }, (_, i) => this.next(this.offers.index(start + i)) ?? []);
     return [...new Set(wanted.flat())];
@@ -91,7 +91,7 @@ export class KeyStore {
     return optionsOf(this.offers.of(this.offers.index(position)), this.decoded(position));
   }
 
-  /** Take in what arrived: a key tier counts once its files are there, and sound that cannot be had, which is silence. */
+  /** Take in what arrived: a key tier counts once its files are there; sound that cannot be had is silence. */
   add(arrival: Arrival): void {
     const { position, rung } = arrival.request;
     const segment = this.offers.index(position);

@@ -3,7 +3,7 @@
 import type { Playback } from "./playback.ts";
 import { eyeCamera, seatOf, viewFrom } from "./seat.ts";
 
-/** Puts the headset on; `left`: it is off again, `select`: a trigger was pulled. Throws DOMException without a session. */
+/** Puts the headset on; `left`: it is off again, `select`: a trigger was pulled. Throws DOMException without one. */
 export async function enter(playback: Playback, left: () => void, select: () => void): Promise<void> {
   const { screen } = playback;
   const gl = screen.canvas.getContext("webgl2");

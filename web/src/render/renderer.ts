@@ -104,8 +104,8 @@ export class Renderer {
     return scene;
   }
 
-  /** Whether `draw` would draw it: it has an order, and its programs are compiled, after which the first to ask has the key
-   * passes run. Ask from time to time.
+  /** Whether `draw` would draw it: it has an order, and its programs are compiled, after which the first to ask has the
+   * key passes run. Ask from time to time.
    */
   ready(scene: Scene): boolean {
     if (this.lost || scene.freed || !this.#finishKeys(scene) || !scene.ordered) return false;

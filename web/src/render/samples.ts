@@ -5,7 +5,7 @@ import type { Atlas, BaseChanges } from "../format/types.ts";
 import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
-/** Bases and slopes, two numbers a sample, go to the GPU with `upload`, in strips of 16 lines that changed: few samples jump in a frame. */
+/** Bases and slopes, two numbers a sample, go to the GPU with `upload`, in strips of 16 lines: few change a frame. */
 export class Samples {
   readonly #width: number;
   readonly #height: number;

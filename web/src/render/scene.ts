@@ -1,5 +1,5 @@
-// What the GPU holds of a group: the canonical space, which passes over key pictures draw once, the picture of a state, an
-// order. N rows, C colour channels.
+// What the GPU holds of a group: the canonical space, which passes over key pictures draw once, the picture of a state,
+// an order. N rows, C colour channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
 import { colourChannels, colourMatrix, differenceSteps, gridUnit, keySteps, stateSteps } from "../format/steps.ts";

@@ -61,7 +61,7 @@ float decode(ivec4 entry, ivec2 at) {
 export const TURNS = `
 vec4 turn(vec3 v) { // rotation vector -> quaternion w x y z
   float angle = length(v);
-  return vec4(cos(0.5 * angle), v * (angle > ${SMALL_ANGLE} ? sin(0.5 * angle) / angle : 0.5)); // below, both are 1/2 in float32
+  return vec4(cos(0.5 * angle), v * (angle > ${SMALL_ANGLE} ? sin(0.5 * angle) / angle : 0.5)); // in float32
 }
 vec4 product(vec4 p, vec4 q) { // turns by q first
   return vec4(p.x * q.x - dot(p.yzw, q.yzw), p.x * q.yzw + q.x * p.yzw + cross(p.yzw, q.yzw));

@@ -35,7 +35,7 @@ export class Sorter {
 
   /** Rows far to near for `camera`; null where a newer request came, no means were given, or it was closed.
    *
-   * `means` (3N) are of the frame that is shown, world units; null: those that were given last for this `key`, a scene's.
+   * `means` (3N) are of the frame that is shown, world units; null: those given last for this `key`, a scene's.
    */
   order(means: Float32Array | null, key: string, camera: Camera): Promise<SortAnswer> {
     if (this.#closed) return Promise.resolve(null);

@@ -7,7 +7,7 @@
 
 export type Cause = "decoder" | "display";
 
-/** Frames, and seconds of play, that are looked at together: the element first tries fewer pixels, every 4 s at most. */
+/** Frames and seconds of play that are looked at together: the element first tries fewer pixels, every 4 s at most. */
 const FEWEST = 60;
 const WINDOW_S = 5;
 /** Shares of dropped frames: with more, it is too slow; with no more, all is well. */
