@@ -157,13 +157,10 @@ export class GroupIndex {
       const place = lastUpTo(at[count], number);
       yield [at, place];
       if (!at.level) return;
-      at = this.#page(pathAt(at, place));
+      const path = pathAt(at, place);
+      const page = this.#pages.get(path);
+      if (!page) throw new MissingTableError(path);
+      at = page;
     }
-  }
-
-  #page(path: string): Block {
-    const found = this.#pages.get(path);
-    if (!found) throw new MissingTableError(path);
-    return found;
   }
 }

@@ -1,6 +1,5 @@
 // What no single field of the tables can tell: counts, spans, and fields that refer to each other. Each check relies on
 // those before it, and all on the schema. Every function throws FormatError (bad_value, missing_entry).
-
 import {
   BLOCK,
   DIGEST,

@@ -168,8 +168,14 @@ class Pass {
     const n = this.shown++;
     const bad = this.#complaint(frame, n);
     if (bad) this.fail(new FormatError("bad_picture", this.clip.where, bad));
-    if (!this.error && n >= this.done) this.#copy(frame, n);
-    else frame.close();
+    if (this.error || n < this.done) {
+      frame.close();
+      return;
+    }
+    this.open++;
+    const copy = copySamples(frame, this.free);
+    copy.catch(() => {}); // it is waited for below, when those before it are done
+    this.copies = this.copies.then(() => this.#hand(copy, n));
   }
 
   #complaint({ visibleRect, timestamp }: VideoFrame, n: number): string | null {
@@ -181,13 +187,6 @@ class Pass {
     if (timestamp <= this.#last) return "pictures do not come in the order of their times";
     this.#last = timestamp;
     return null;
-  }
-
-  #copy(frame: VideoFrame, n: number): void {
-    this.open++;
-    const copy = copySamples(frame, this.free);
-    copy.catch(() => {}); // it is waited for below, when those before it are done
-    this.copies = this.copies.then(() => this.#hand(copy, n));
   }
 
   async #hand(copy: Promise<Samples>, n: number): Promise<void> {

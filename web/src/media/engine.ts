@@ -1,5 +1,4 @@
 // Everything between the network and the renderer, whatever thread it runs on: fetch, check, decode.
-
 import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";

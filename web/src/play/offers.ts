@@ -2,7 +2,6 @@
 //
 // Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered quality by quality. A position is a
 // segment of a session, which may play the sequence several times. Wire bytes are those of files with their headers.
-
 import { Recent } from "../format/collections.ts";
 import type { GroupIndex } from "../format/index.ts";
 import type { Tables } from "../format/package.ts";

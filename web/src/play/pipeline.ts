@@ -1,5 +1,4 @@
 // Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most.
-
 import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import type { Atlas, Canonical, StateFrame } from "../format/types.ts";

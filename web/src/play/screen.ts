@@ -55,7 +55,13 @@ export class Screen {
     const fail = (why: string) => options.onFail(new UnsupportedError(`the worker that sorts failed: ${why}`));
     this.#sorter = new Sorter(undefined, fail);
     const { signal } = this.#end;
-    canvas.addEventListener("webglcontextlost", () => this.#lose(), { signal });
+    const lose = () => {
+      this.#renderer = null;
+      this.#stages.clear();
+      this.#shown = null;
+      options.onLost();
+    };
+    canvas.addEventListener("webglcontextlost", lose, { signal });
     const restore = () => {
       this.#renderer = this.#makeRenderer();
       options.onRestored();
@@ -161,12 +167,5 @@ export class Screen {
     if (!rows || this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
     stage.scene.sort(rows);
     this.#dirty ||= this.#shown === stage;
-  }
-
-  #lose(): void {
-    this.#renderer = null;
-    this.#stages.clear();
-    this.#shown = null;
-    this.options.onLost();
   }
 }

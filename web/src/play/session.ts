@@ -72,7 +72,9 @@ export class Session {
     else if (this.parts.offers.live) yield* this.fetchPages(first);
     for (let position = first; !this.stopped; position++) {
       if (position >= playout.end && !(yield* this.grow(position))) break;
-      yield* this.fetchTables(position);
+      // A page first, then the tables that it leads to.
+      for (let paths = this.wantedTables(position); paths.length && !this.stopped; paths = this.wantedTables(position))
+        yield await this.receiveTables(paths, position);
       yield* this.roomFor(position);
       while (!this.stopped && !(yield* this.fetchNext(position)));
       if (!this.stopped) yield* this.shown(playout.started(this.nowS));
@@ -141,14 +143,6 @@ export class Session {
       if (pages.some((path) => unusable.has(path))) {
         throw new TransportError(`${pages.join(", ")}: expected the index of the growing package`);
       }
-    }
-  }
-
-  /** Fetch the tables that a position needs: a page first, then those that it leads to. */
-  private async *fetchTables(position: number): Events {
-    for (let wanted = this.wantedTables(position); wanted.length; wanted = this.wantedTables(position)) {
-      if (this.stopped) return;
-      yield await this.receiveTables(wanted, position);
     }
   }
 

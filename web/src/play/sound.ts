@@ -1,7 +1,6 @@
 // The sound of a package: decoded by WebCodecs ahead of the pictures, and played by an AudioContext, whose clock leads the
 // pictures while it is heard. It is heard at speed 1, while pictures are in time, once somebody has touched the page:
 // browsers allow no sound before. `…S` are seconds of the page's clock, places those of the schedule (schedule.ts).
-
 import { Recent } from "../format/collections.ts";
 import { packetsOf, readSound } from "../format/sound.ts";
 import { PACKET_TICKS, SOUND_RATE, WARM_UP } from "../generated/constants.ts";

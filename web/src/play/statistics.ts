@@ -1,5 +1,4 @@
 // Figures of a session, for viewers who want to see them.
-
 import type { Arrived } from "./downloader.ts";
 import type { Clip } from "./pipeline.ts";
 import type { Playout } from "./playout.ts";

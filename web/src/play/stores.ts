@@ -1,6 +1,5 @@
 // What a player has of a package beside states: which tables it has read, which key tiers it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
-
 import { Recent } from "../format/collections.ts";
 import type { FormatError } from "../format/errors.ts";
 import { groupPath, isSound, isTable } from "../format/paths.ts";

@@ -1,5 +1,4 @@
 // The time line: where we are, and what is there in which quality. `Scrub` is the way to go elsewhere.
-
 import type { Desk, Part } from "./desk.ts";
 import { make } from "./dom.ts";
 import { spoken, stripes } from "./words.ts";

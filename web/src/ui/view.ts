@@ -1,5 +1,4 @@
 // One life of the element: from a source to a player, a camera and controls, until it is closed.
-
 import { FormatError } from "../format/errors.ts";
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
