@@ -49,3 +49,7 @@ export function between(a: Vector, b: Vector, share: number): Vector {
   const axis = cross(a, b);
   return length(axis) > 0 ? unit(turned(a, unit(axis), angle(a, b) * share)) : share < 1 ? a : b;
 }
+
+/** Whether a direction and what is up in it make a view: the sine of the angle between them is more than rounding. */
+export const makesView = (ahead: Vector, up: Vector): boolean =>
+  length(ahead) > 0 && length(up) > 0 && length(cross(unit(ahead), unit(up))) > 1e-6;

@@ -24,7 +24,7 @@ export class Bell {
 
 export const pause = (ms: number): Promise<void> => new Promise((resolve) => setTimeout(resolve, ms));
 
-/** Aborts when `signal` does; aborted at the end, it lets go of that. */
+/** A controller that aborts with `signal`; whoever has it aborts it in the end, which also removes its listener. */
 export function following(signal: AbortSignal): AbortController {
   const own = new AbortController();
   signal.addEventListener("abort", () => own.abort(), { signal: own.signal });

@@ -28,7 +28,7 @@ export class Engine {
   /** Files that were fetched, tables aside: what is played again is not fetched again. */
   readonly #kept: Recent<string, Uint8Array>;
   readonly #spaces = new Recent<string, Positions>(MOST_SPACES);
-  readonly #ahead: Ahead;
+  readonly ahead: Ahead;
   readonly #keys: PictureDecoder;
   readonly #states: PictureDecoder;
 
@@ -39,7 +39,7 @@ export class Engine {
     { aheadBytes, keptBytes }: Pick<Calls["open"]["args"], "aheadBytes" | "keptBytes">,
   ) {
     this.#kept = new Recent(keptBytes, (bytes) => bytes.length);
-    this.#ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
+    this.ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
     this.#keys = new PictureDecoder(probe);
     this.#states = new PictureDecoder(probe);
   }
@@ -115,7 +115,7 @@ export class Engine {
     context: Context<Calls["segment"]["event"]>,
   ): Promise<number> {
     const { id, signal, emit } = context;
-    await this.#ahead.place(signal);
+    await this.ahead.place(signal);
     if (signal.aborted) throw aborted();
     const { start, stop } = this.tables.segment(index);
     const [where] = this.tables.stateFiles(index, level);
@@ -128,19 +128,11 @@ export class Engine {
     const file = { ...of, segment: index, level, positions, bytes: read(where), where };
     const give = (t: number, frame: StateFrame) => {
       const { luma, means, bases } = frame;
-      this.#ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
+      this.ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
       emit({ t, frame });
     };
-    await decodeStates(this.tables, file, this.#states, give, { signal, room: () => this.#ahead.room(id, signal) });
+    await decodeStates(this.tables, file, this.#states, give, { signal, room: () => this.ahead.room(id, signal) });
     return stop - start;
-  }
-
-  taken(id: number, t: number): void {
-    this.#ahead.taken(id, t);
-  }
-
-  drop(id: number): void {
-    this.#ahead.drop(id);
   }
 
   /** Throws FormatError, MissingTableError for a file that no table leads to. */

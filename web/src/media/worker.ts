@@ -39,8 +39,8 @@ export function run(): void {
     const { cancel, taken } = data;
     if (cancel !== undefined) {
       underWay.get(cancel)?.abort();
-      engine?.drop(cancel);
+      engine?.ahead.drop(cancel);
     }
-    if (taken) engine?.taken(taken.id, taken.t);
+    if (taken) engine?.ahead.taken(taken.id, taken.t);
   };
 }
