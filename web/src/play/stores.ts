@@ -33,12 +33,12 @@ export class TableStore {
 
   private next(segment: number): string | null {
     // Of those that came, the tables that were last used stay.
-    for (const [path, there] of this.way(segment)) if (!there || !this.paths.has(path)) return path;
+    for (const [path, there] of this.pathsTo(segment)) if (!there || !this.paths.has(path)) return path;
     return null;
   }
 
-  /** What leads to a segment, and then to the group whose rows its group keeps, and whether the tables have it. */
-  private *way(segment: number): Generator<[path: string, there: boolean]> {
+  /** Tables that lead to a segment, then those to the base of its group; whether `offers.tables` have each. */
+  private *pathsTo(segment: number): Generator<[path: string, there: boolean]> {
     const { tables } = this.offers;
     const { index } = tables;
     for (const path of index.pagesTo("segments", segment)) yield [path, index.hasPage(path)];
