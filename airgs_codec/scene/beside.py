@@ -21,7 +21,7 @@ from airgs_codec.errors import SceneError
 from airgs_codec.places.whole import atomic_path, write_json
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.files import expecting, read_object
-from airgs_codec.scene.origin import ZERO, Origin
+from airgs_codec.scene.frames import ZERO, Origin
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"

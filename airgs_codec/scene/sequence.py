@@ -17,7 +17,6 @@ from airgs_codec._arguments import argument, described, frame_argument, path_arg
 from airgs_codec.errors import FrameError, SceneError
 from airgs_codec.places.place import Copied, is_address
 from airgs_codec.progress import Progress, silent, told
-from airgs_codec.scene.arrays import IN_MEMORY, clip_of
 from airgs_codec.scene.beside import (
     ATTRIBUTION_NAME,
     DEFAULT_FPS,
@@ -31,15 +30,20 @@ from airgs_codec.scene.beside import (
     read_settings,
 )
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
-from airgs_codec.scene.cameras.posed import distinct, told_of_lenses
-from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
-from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
-from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras, read_posed
+from airgs_codec.scene.cameras import (
+    CAMERA_NAMES,
+    CAMERA_SUFFIXES,
+    find_cameras,
+    locate_cameras,
+    read_cameras,
+    read_posed,
+)
+from airgs_codec.scene.cameras.forms import distinct, told_of_lenses
+from airgs_codec.scene.formats.clips import clip_of
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
 from airgs_codec.scene.formats.table import (
     CLIP_SUFFIXES,
-    Found,
     clip_format,
     find_frames,
     format_of,
@@ -48,14 +52,25 @@ from airgs_codec.scene.formats.table import (
     read_frame,
     read_frame_header,
 )
-from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair
+from airgs_codec.scene.frames import (
+    ZERO,
+    HeldFrames,
+    LazyFrames,
+    Origin,
+    Repaired,
+    choose_origin,
+    narrowed,
+    origin_notes,
+    place_rows,
+    repair,
+)
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, Origin, choose_origin, narrowed, origin_notes
 
 if TYPE_CHECKING:
     from airgs_codec.media.sound import SoundTrack  # and PyAV with it
 
 BESIDE = (ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
+IN_MEMORY = Path("frames in memory")  # in place of a file
 LONE = 2  # frames of a sequence that may be of another scene: where more are unlike, counts vary
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
 
@@ -109,8 +124,10 @@ class GaussianSequence:
         views = tuple(argument("cameras", camera, Camera, "cameras") for camera in cameras)
         clip = clip_of(frames, fps)
         paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
-        found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind)
-        return _from_own_origin(replace(found, alone=True, clip=clip))
+        found = GaussianSequence(
+            IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind, alone=True, clip=clip
+        )
+        return _from_own_origin(found)
 
     @property
     def sh_degree(self) -> int:
@@ -175,7 +192,7 @@ class GaussianSequence:
             return load_usage(path, start, stop, self.count(start)) if path.is_file() else None
 
     def read(self, frame: int) -> Gaussians:
-        """Read one frame unrepaired, as its file has it but for `orders`.
+        """Reads one frame unrepaired, as its file has it but for `orders`.
 
         Raises FrameError for a number below 0 or past the end, SceneError when the file is broken.
         """
@@ -278,28 +295,22 @@ def _naming(copied: Copied | None) -> Iterator[None]:
 
 def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None) -> GaussianSequence:
     found = find_frames(place)
-    if len(found.paths) == 1 and (form := clip_format(found.paths[0])):
-        return _sequence_of_clip(found, form.open(found.paths[0], bake), views, fps)
+    path = found.paths[0]
+    if len(found.paths) == 1 and (form := clip_format(path)):
+        clip = form.open(path, bake)
+        if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
+            try:
+                read_cameras(path)
+                views = path
+            except SceneError as error:  # its own are not of the scene
+                clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
+        headed = [(path, header) for header in clip.headers]
+        rate = clip.fps if fps is None else fps
+        return sequence_of(found.folder, headed, views=views, fps=rate, alone=True, clip=clip)
     if bake != Bake():
         raise SceneError(f"{place}: expected a clip to bake ({', '.join(CLIP_SUFFIXES)}), got frames")
-    frames = [(path, read_frame_header(path)) for path in found.paths]
-    return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
-
-
-def _sequence_of_clip(
-    found: Found, clip: Clip, views: str | Path | None, fps: Fraction | float | None
-) -> GaussianSequence:
-    """A clip with its own cameras or those beside it; the note says where its own are not of the scene."""
-    path = found.paths[0]
-    if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
-        try:
-            read_cameras(path)
-            views = path
-        except SceneError as error:
-            clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
-    frames = [(path, header) for header in clip.headers]
-    rate = clip.fps if fps is None else fps
-    return sequence_of(found.folder, frames, views=views, fps=rate, alone=True, clip=clip)
+    headed = [(path, read_frame_header(path)) for path in found.paths]
+    return sequence_of(found.folder, headed, views=views, fps=fps, alone=found.alone)
 
 
 def sequence_of(
@@ -316,25 +327,33 @@ def sequence_of(
 
     `alone`: it is one file, which others may lie beside. `origin`: by default the one that the first frame asks for.
     """
-    degree = frames[0][1].sh_degree
+    first, degree = frames[0][0], frames[0][1].sh_degree
     for path, header in frames:
         if header.count == 0:
             raise SceneError(f"{path}: expected at least one Gaussian, got none")
         if header.sh_degree != degree:
-            expected = f"expected SH degree {degree} as in {frames[0][0].name}"
-            raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
+            raise SceneError(f"{path}: expected SH degree {degree} as in {first.name}, got {header.sh_degree}")
+    paths, headers = zip(*frames, strict=True)
     own = Settings() if alone else read_settings(folder, len(frames))
-    odd = () if alone else (*oddities_of([path for path, _ in frames]), *_lone_counts(frames))
-    rate = own.fps if fps is None else frame_rate(str(folder), fps)
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     posed = read_posed(cameras_path) if cameras_path else []
-    cameras = tuple(replace(c, background=own.background) for c in distinct(posed))
-    paths, headers = zip(*frames, strict=True)
-    found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
-    found = replace(
-        found, background=own.background, notes=(*own.notes, *odd, *told_of_lenses(posed)), alone=alone, clip=clip
+    cameras = (replace(camera, background=own.background) for camera in distinct(posed))
+    odd = () if alone else (*oddities_of(paths), *_lone_counts(frames))
+    found = GaussianSequence(
+        folder,
+        paths,
+        headers,
+        own.fps if fps is None else frame_rate(str(folder), fps),
+        own.keyframes,
+        cameras_from(own.origin, cameras),
+        cameras_path=cameras_path,
+        background=own.background,
+        notes=(*own.notes, *odd, *told_of_lenses(posed)),
+        alone=alone,
+        clip=clip,
+        origin=own.origin,
+        stored_at=own.origin,
     )
-    found = replace(found, origin=own.origin, stored_at=own.origin, cameras=cameras_from(own.origin, cameras))
     return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
 
@@ -381,7 +400,8 @@ class GrowingFolder:
         Raises SceneError as `open_sequence` does, and for a frame whose name comes before that of one that was taken.
         """
         fresh = [(path, read_ply_header(path)) for path in itertools.takewhile(is_whole, self._waiting())]
-        written = self._settings_time()
+        settings = self._folder / SETTINGS_NAME
+        written = settings.stat().st_mtime_ns if settings.is_file() else 0
         if fresh or (self._frames and written != self._read_at):
             self._frames += fresh
             self._read_at = written
@@ -404,8 +424,3 @@ class GrowingFolder:
             last = self._frames[-1][0].name
             raise SceneError(f"{found[0]}: expected frames to come in the order of their names, got it after {last}")
         return found
-
-    def _settings_time(self) -> int:
-        """Return when sequence.json was last written; 0 where it is not there."""
-        path = self._folder / SETTINGS_NAME
-        return path.stat().st_mtime_ns if path.is_file() else 0

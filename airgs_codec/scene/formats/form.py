@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply_elements import Header
 from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
@@ -77,7 +76,7 @@ class Format:
 
     name: str
     suffixes: tuple[str, ...]  # of files that are read
-    fits: Callable[[Header], bool] | None = None  # whether a .ply is of this format; None: any other is
+    signs: tuple[str, ...] = ()  # vertex properties of which a .ply of this format has one; none: any other is of it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,8 +119,7 @@ class Losses:
 
     def __init__(self, holds: Holds, form: str) -> None:
         self._holds, self._form = holds, form
-        self._rows: list[int] = []  # of each frame
-        self._degree = 0
+        self._frames = self._rows = self._degree = 0
         self._beyond: Counter[str] = Counter()
         self._notes: list[str] = []
 
@@ -133,28 +131,26 @@ class Losses:
         repaired = repair([gaussians], where)
         g = repaired.frames[0]
         self._notes += repaired.notes
-        self._rows.append(len(g))
-        self._degree = max(self._degree, g.sh_degree)
+        self._frames, self._rows, self._degree = self._frames + 1, self._rows + len(g), max(self._degree, g.sh_degree)
         g = g.with_degree(min(g.sh_degree, self._holds.sh_degree))
         for name, low, high in self._holds.ranges:
             values = getattr(g, name)
             beyond = ((values < low) | (values > high)).reshape(len(g), -1).any(axis=1)
-            if beyond.any():
-                self._beyond[name] += int(beyond.sum())
-                g = replace(g, **{name: np.clip(values, np.float32(low), np.float32(high))})
+            self._beyond[name] += int(beyond.sum())
+            g = replace(g, **{name: np.clip(values, np.float32(low), np.float32(high))}) if beyond.any() else g
         return g
 
     def lines(self) -> list[str]:
         """Return a line for each kind of loss, none where nothing was lost."""
-        lines = list(self._notes)
-        if self._degree > self._holds.sh_degree:
-            lines.append(f"{self._form} has SH of degree {self._holds.sh_degree} at most, of {self._degree}")
-        if self._holds.rounding:
-            lines.append(f"{self._form} rounds {self._holds.rounding}")
-        if not self._holds.keeps_rows and len(self._rows) > 1:
-            lines.append(f"{self._form} has rows in another order in every frame: which Gaussian is which is lost")
-        for name, low, high in self._holds.ranges:
+        lines, holds, form = list(self._notes), self._holds, self._form
+        if self._degree > holds.sh_degree:
+            lines.append(f"{form} has SH of degree {holds.sh_degree} at most, of {self._degree}")
+        if holds.rounding:
+            lines.append(f"{form} rounds {holds.rounding}")
+        if not holds.keeps_rows and self._frames > 1:
+            lines.append(f"{form} has rows in another order in every frame: which Gaussian is which is lost")
+        for name, low, high in holds.ranges:
             if count := self._beyond[name]:
-                share = f"{count} of {sum(self._rows)} Gaussians"
-                lines.append(f"{self._form} has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
+                share = f"{count} of {self._rows} Gaussians"
+                lines.append(f"{form} has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
         return lines
