@@ -259,10 +259,7 @@ DEFAULT_SECONDS = Fraction(50, 30)  # no file states it; the models of the paper
 _SIGN = "trbf_center"
 _GROUPS = (
     ("x", "y", "z"),
-    tuple(f"motion_{i}" for i in range(9)),
-    tuple(f"rot_{i}" for i in range(4)),
-    tuple(f"omega_{i}" for i in range(4)),
-    tuple(f"scale_{i}" for i in range(3)),
+    *(tuple(f"{name}_{i}" for i in range(n)) for name, n in (("motion", 9), ("rot", 4), ("omega", 4), ("scale", 3))),
     ("opacity",),
     tuple(f"f_dc_{i}" for i in range(3)),
     (_SIGN,),
@@ -389,12 +386,10 @@ def _positive(value: Any) -> int:
     return value
 
 
-FOUR_DGS = ClipFormat(name=".4dgs", suffixes=(".4dgs",), open=open_4dgs)
-SPLAT4D = ClipFormat(name=".splat4d", suffixes=(".splat4d",), open=open_splat4d)
+FOUR_DGS = ClipFormat(".4dgs", (".4dgs",), open_4dgs)
+SPLAT4D = ClipFormat(".splat4d", (".splat4d",), open_splat4d)
+_SPACETIME = "Spacetime Gaussians .ply"
 SPACETIME_PLY = ClipFormat(
-    name="Spacetime Gaussians .ply",
-    suffixes=(".ply",),
-    signs=(_SIGN,),
-    open=functools.partial(_open_moving, read_spacetime_ply, "Spacetime Gaussians .ply"),
+    _SPACETIME, (".ply",), functools.partial(_open_moving, read_spacetime_ply, _SPACETIME), (_SIGN,)
 )
-SPLATV = ClipFormat(name=".splatv", suffixes=(".splatv",), open=functools.partial(_open_moving, read_splatv, ".splatv"))
+SPLATV = ClipFormat(".splatv", (".splatv",), functools.partial(_open_moving, read_splatv, ".splatv"))

@@ -70,33 +70,30 @@ class Clip:
     note: str  # what was read, and how it became frames, for people
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Format:
-    """A format of files; its functions raise SceneError."""
+@dataclass(frozen=True, slots=True)
+class FrameFormat:
+    """A format of files that hold one frame; its functions raise SceneError."""
 
     name: str
-    suffixes: tuple[str, ...]  # of files that are read
-    signs: tuple[str, ...] = ()  # vertex properties of which a .ply of this format has one; none: any other is of it
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameFormat(Format):
-    """A format of files that hold one frame."""
-
     key: str  # in options; written files end in it, after a dot
-    holds: Holds = Holds()
-    writer: str = ""  # the library that `write` needs
-    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
+    suffixes: tuple[str, ...]  # of files that are read
     read_header: Callable[[Path], FrameHeader]
     read: Callable[[Path], Gaussians]  # its positions may be float64
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
+    holds: Holds = Holds()
+    signs: tuple[str, ...] = ()  # vertex properties of which a .ply of this format has one; none: any other is of it
+    writer: str = ""  # the library that `write` needs
+    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClipFormat(Format):
+@dataclass(frozen=True, slots=True)
+class ClipFormat:
     """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
 
-    open: Callable[[Path, Bake], Clip]
+    name: str
+    suffixes: tuple[str, ...]
+    open: Callable[[Path, Bake], Clip]  # raises SceneError
+    signs: tuple[str, ...] = ()  # as of FrameFormat
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:
@@ -142,15 +139,15 @@ class Losses:
 
     def lines(self) -> list[str]:
         """Return a line for each kind of loss, none where nothing was lost."""
-        lines, holds, form = list(self._notes), self._holds, self._form
+        holds, lost = self._holds, list[str]()
         if self._degree > holds.sh_degree:
-            lines.append(f"{form} has SH of degree {holds.sh_degree} at most, of {self._degree}")
+            lost.append(f"has SH of degree {holds.sh_degree} at most, of {self._degree}")
         if holds.rounding:
-            lines.append(f"{form} rounds {holds.rounding}")
+            lost.append(f"rounds {holds.rounding}")
         if not holds.keeps_rows and self._frames > 1:
-            lines.append(f"{form} has rows in another order in every frame: which Gaussian is which is lost")
+            lost.append("has rows in another order in every frame: which Gaussian is which is lost")
         for name, low, high in holds.ranges:
             if count := self._beyond[name]:
                 share = f"{count} of {self._rows} Gaussians"
-                lines.append(f"{form} has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
-        return lines
+                lost.append(f"has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
+        return self._notes + [f"{self._form} {line}" for line in lost]

@@ -270,33 +270,18 @@ def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> Document
         accessors.append({"bufferView": i, "componentType": 5126, "count": len(column), "type": types[width]})
         views.append({"buffer": 0, "byteOffset": start, "byteLength": column.nbytes, "target": 34962})
         start += column.nbytes
-    ends = (columns["POSITION"].min(axis=0), columns["POSITION"].max(axis=0))
-    accessors[0] |= {"min": ends[0].tolist(), "max": ends[1].tolist()}
-    primitive = {
-        "mode": 0,
-        "attributes": {name: i for i, name in enumerate(columns)},
-        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOURS[0]}},
-    }
+    means = columns["POSITION"]
+    accessors[0] |= {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
+    extension = {EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOURS[0]}}
+    primitive = {"mode": 0, "attributes": {name: i for i, name in enumerate(columns)}, "extensions": extension}
     return {
-        "asset": {"version": "2.0", "generator": "airgs-codec"},
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "buffers": [{"byteLength": size}],
-        "bufferViews": views,
-        "accessors": accessors,
-    }
+        "asset": {"version": "2.0", "generator": "airgs-codec"}, "extensionsUsed": [EXTENSION],
+        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": size}], "bufferViews": views, "accessors": accessors,
+    }  # fmt: skip
 
 
+_UP = Axes((0, 1, 0), metres=1.0)
 GLTF = FrameFormat(
-    name="glTF",
-    key="glb",
-    suffixes=(".glb", ".gltf"),
-    read_header=read_gltf_header,
-    read=read_gltf,
-    write=write_glb,
-    holds=Holds(ranges=(SIZES,)),
-    axes=Axes((0, 1, 0), metres=1.0),
+    "glTF", "glb", (".glb", ".gltf"), read_gltf_header, read_gltf, write_glb, Holds(ranges=(SIZES,)), axes=_UP
 )

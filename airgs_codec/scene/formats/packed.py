@@ -106,19 +106,9 @@ def write_splat(path: Path, gaussians: Gaussians) -> None:
     rows.tofile(path)
 
 
-SPLAT = FrameFormat(
-    name=".splat",
-    key="splat",
-    suffixes=(".splat",),
-    read_header=read_splat_header,
-    read=read_splat,
-    write=write_splat,
-    holds=Holds(
-        sh_degree=0,
-        rounding="colours, opacities and rotations to 8 bits",
-        ranges=(SIZES, ("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0)),
-    ),
-)
+_SPLAT_RANGES = (SIZES, ("sh_dc", -0.5 / SH_C0, 0.5 / SH_C0))
+_SPLAT_HOLDS = Holds(0, "colours, opacities and rotations to 8 bits", ranges=_SPLAT_RANGES)
+SPLAT = FrameFormat(".splat", "splat", (".splat",), read_splat_header, read_splat, write_splat, _SPLAT_HOLDS)
 
 _GZIP = b"\x1f\x8b"
 _HEAD = struct.Struct("<4sIIBBBB")  # magic, version, count, SH degree, fractional bits, flags, streams from version 4
@@ -199,19 +189,13 @@ def write_spz(path: Path, gaussians: Gaussians) -> None:
     gsply.write_spz(path, data, version=3, fractional_bits=bits)
 
 
+_SPZ_HOLDS = Holds(
+    rounding="positions to 24 bits, rotations to 10, all else to 8",
+    ranges=(("log_scales", -10, -10 + 255 / 16), ("sh_dc", -0.5 / 0.15, 0.5 / 0.15), ("sh_rest", -1, 127 / 128)),
+)
+_SPZ_UP = Axes((0, 1, 0))
 SPZ = FrameFormat(
-    name=".spz",
-    key="spz",
-    suffixes=(".spz",),
-    read_header=read_spz_header,
-    read=read_spz,
-    write=write_spz,
-    holds=Holds(
-        rounding="positions to 24 bits, rotations to 10, all else to 8",
-        ranges=(("log_scales", -10, -10 + 255 / 16), ("sh_dc", -0.5 / 0.15, 0.5 / 0.15), ("sh_rest", -1, 127 / 128)),
-    ),
-    writer=_SPZ_WRITER,
-    axes=Axes((0, 1, 0)),
+    ".spz", "spz", (".spz",), read_spz_header, read_spz, write_spz, _SPZ_HOLDS, writer=_SPZ_WRITER, axes=_SPZ_UP
 )
 
 _CHUNK = 256  # rows
@@ -302,16 +286,11 @@ def _pack_rotations(quaternions: NDArray[np.float32]) -> NDArray[np.uint32]:
 
 
 COMPRESSED = FrameFormat(
-    name="compressed .ply",
-    key="compressed.ply",
-    suffixes=(".ply",),
-    signs=_WORDS,
-    read_header=read_compressed_header,
-    read=read_compressed,
-    write=write_compressed,
-    holds=Holds(
+    "compressed .ply", "compressed.ply", (".ply",), read_compressed_header, read_compressed, write_compressed,
+    Holds(
         rounding="positions and sizes to 10 or 11 bits of the range of 256 neighbours, rotations to 10, all else to 8",
         keeps_rows=False,
         ranges=(("log_scales", -20, 20), ("sh_rest", -_SH_RANGE, _SH_RANGE)),
     ),
-)
+    signs=_WORDS,
+)  # fmt: skip

@@ -149,34 +149,28 @@ def read_columns(path: Path, header: Header, element: Element, groups: Sequence[
     It is float32, but the first float64 where its properties do not fit that. Raises SceneError when the element has
     lists, or the file ends before its last row.
     """
-    row = element.row
-    if row is None:
+    if (row := element.row) is None:
         raise SceneError(f"{path}: expected {element.name} rows of single values, got a list property")
+    kinds: list[Any] = [np.result_type(np.float32, *(row[name] for name in groups[0])), *[np.float32] * len(groups)]
     with expecting(path, f"{element.count} {element.name} rows, got a broken or truncated file"):
-        blocks = (_text_blocks if header.ascii else _binary_blocks)(path, header, element, row)
-        first: Any = np.result_type(np.float32, *(row[name] for name in groups[0]))
-        columns: list[NDArray[Any]] = []
-        start = 0
-        for rows in blocks:
-            if not columns:  # from here on the file is known to be as long as its header says
-                kinds = (first, *[np.float32] * (len(groups) - 1))
-                columns = [np.empty((element.count, len(g)), kind) for g, kind in zip(groups, kinds, strict=True)]
+        rows = (_text_rows if header.ascii else _binary_rows)(path, header, element, row)
+        columns = [np.empty((len(rows), len(names)), kind) for names, kind in zip(groups, kinds, strict=False)]
+        for start in range(0, len(rows), BLOCK):
+            block = rows[start : start + BLOCK]
             for names, column in zip(groups, columns, strict=True):
                 for i, name in enumerate(names):
-                    column[start : start + len(rows), i] = rows[name]  # a double past float32 is Inf
-            start += len(rows)
-    return columns or [np.empty((0, len(names)), np.float32) for names in groups]
+                    column[start : start + BLOCK, i] = block[name]  # a double past float32 is Inf
+    return columns
 
 
-def _binary_blocks(path: Path, header: Header, element: Element, row: np.dtype) -> Iterator[NDArray[np.void]]:
-    """The rows of an element, block by block. Raises ValueError."""
+def _binary_rows(path: Path, header: Header, element: Element, row: np.dtype) -> NDArray[np.void]:
+    """The rows of an element, which are mapped. Raises ValueError."""
     with path.open("rb") as file:
         file.seek(header.size)
         for before in _before(header, element):
             _skip_rows(file, before)
         _expect_bytes(file, element.size)
-        for start in range(0, element.count, BLOCK):
-            yield np.frombuffer(_read(file, min(BLOCK, element.count - start) * row.itemsize), row)
+        return np.memmap(file, row, "r", file.tell(), (element.count,)) if element.count else np.empty(0, row)
 
 
 def _before(header: Header, element: Element) -> list[Element]:
@@ -191,13 +185,15 @@ def _skip_rows(file: BinaryIO, element: Element) -> None:
         return
     for _ in range(element.count):
         for kind in element.properties.values():
-            if isinstance(kind, np.dtype):
-                file.seek(kind.itemsize, os.SEEK_CUR)
-                continue
-            length = int(np.frombuffer(_read(file, kind[0].itemsize), kind[0])[0])
+            length, size = 1, kind
+            if isinstance(kind, tuple):
+                data = file.read(kind[0].itemsize)
+                if len(data) < kind[0].itemsize:
+                    raise ValueError("the file ends early")
+                length, size = int(np.frombuffer(data, kind[0])[0]), kind[1]
             if length < 0:
                 raise ValueError(f"a list of {length} values in {element.name}")
-            file.seek(length * kind[1].itemsize, os.SEEK_CUR)
+            file.seek(length * size.itemsize, os.SEEK_CUR)
 
 
 def _expect_bytes(file: BinaryIO | TextIO, size: int, start: int | None = None) -> None:
@@ -207,28 +203,18 @@ def _expect_bytes(file: BinaryIO | TextIO, size: int, start: int | None = None) 
         raise ValueError(f"{max(left, 0)} of {size} bytes")
 
 
-def _read(file: BinaryIO, size: int) -> bytes:
-    data = file.read(size)
-    if len(data) < size:
-        raise ValueError("the file ends early")
-    return data
-
-
-def _text_blocks(path: Path, header: Header, element: Element, row: np.dtype) -> Iterator[NDArray[np.void]]:
-    """The rows of an element, block by block; a row is a line. Raises ValueError."""
+def _text_rows(path: Path, header: Header, element: Element, row: np.dtype) -> NDArray[np.void]:
+    """The rows of an element; a row is a line. Raises ValueError."""
     with path.open(encoding="ascii", errors="replace") as file:
         # a digit a value, and what parts it from the next
         _expect_bytes(file, 2 * element.count * len(element.properties) - 1, header.size)
         next(line for line in file if line == "end_header\n")
         lines = (line for line in file if not line.isspace())
         skipped = sum(e.count for e in _before(header, element) if e.properties)
-        for start in range(0, element.count, BLOCK):
-            count = min(BLOCK, element.count - start)
-            taken = list(islice(lines, skipped, skipped + count))
-            skipped = 0
-            if len(taken) < count:
-                raise ValueError(f"{start + len(taken)} rows")
-            yield np.loadtxt(taken, row, comments=None, ndmin=1)
+        taken = list(islice(lines, skipped, skipped + element.count))
+    if len(taken) < element.count:
+        raise ValueError(f"{len(taken)} rows")
+    return np.loadtxt(taken, row, comments=None, ndmin=1) if taken else np.empty(0, row)
 
 
 def write_floats(
@@ -331,15 +317,7 @@ def _as_table(g: Gaussians) -> NDArray[np.floating]:
     return np.concatenate(parts, axis=1)
 
 
-INRIA = FrameFormat(
-    name="INRIA .ply",
-    key="ply",
-    suffixes=(".ply",),
-    read_header=read_ply_header,
-    read=read_ply,
-    write=write_ply,
-    holds=Holds(doubles=True),
-)
+INRIA = FrameFormat("INRIA .ply", "ply", (".ply",), read_ply_header, read_ply, write_ply, Holds(doubles=True))
 
 
 def read_points(path: Path) -> tuple[NDArray[np.floating], NDArray[np.float32] | None]:

@@ -94,9 +94,8 @@ def _check_meta(meta: Meta) -> list[str]:
     names: list[str] = []
     for part, number in _PICTURES.items():
         files = meta[part]["files"] if part in meta else []
-        if len(files) != number * (part in meta) or not all(
-            isinstance(n, str) and n and Path(n).name == n for n in files
-        ):
+        plain = all(isinstance(name, str) and name and Path(name).name == name for name in files)
+        if len(files) != number * (part in meta) or not plain:
             raise ValueError(f"{part}: expected {number} plain names of files")
         names += files
     whole = len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5 and _count(meta) >= 0
@@ -255,16 +254,8 @@ def _rotations(pixels: Pixels) -> NDArray[np.float64]:
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
-SOG = FrameFormat(
-    name="SOG",
-    key="sog",
-    suffixes=(".sog", ".zip"),
-    read_header=read_sog_header,
-    read=read_sog,
-    write=write_sog,
-    holds=Holds(
-        rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
-        keeps_rows=False,
-    ),
-    writer=LIBRARY,
+_HOLDS = Holds(
+    rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
+    keeps_rows=False,
 )
+SOG = FrameFormat("SOG", "sog", (".sog", ".zip"), read_sog_header, read_sog, write_sog, _HOLDS, writer=LIBRARY)
