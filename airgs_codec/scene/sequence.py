@@ -168,9 +168,8 @@ class GaussianSequence:
         return map(self.read, range(len(self)))
 
     def __repr__(self) -> str:
-        place, most = self.name_of(self.paths[0] if self.alone else self.folder), max(h.count for h in self.headers)
-        frames = f"{len(self)} frame{'s' * (len(self) > 1)} at {float(self.fps):g} a second"
-        return f"Sequence({place}: {frames}, of up to {most} rows)"
+        place = self.name_of(self.paths[0] if self.alone else self.folder)
+        return f"Sequence({place}: {len(self)} frames at {float(self.fps):g} a second)"
 
     def name_of(self, path: Path) -> str:
         """A path for people: the address, where it was copied from one."""
@@ -185,11 +184,11 @@ class GaussianSequence:
 
         Rows that are in another order than in the files are not those that it measured.
         """
-        if self.alone or any(frame in self.orders for frame in range(start, stop)):
-            return None
         path = self.folder / USAGE_NAME
+        if self.alone or any(frame in self.orders for frame in range(start, stop)) or not path.is_file():
+            return None
         with _naming(self.copied):
-            return load_usage(path, start, stop, self.count(start)) if path.is_file() else None
+            return load_usage(path, start, stop, self.count(start))
 
     def read(self, frame: int) -> Gaussians:
         """Reads one frame unrepaired, as its file has it but for `orders`.
@@ -359,13 +358,12 @@ def sequence_of(
 
 def _lone_counts(frames: Sequence[tuple[Path, FrameHeader]]) -> list[str]:
     """A sentence for each frame with another number of rows than those on both sides, where there are few."""
-    counts = [header.count for _, header in frames]
-    lone = [i for i in range(1, len(counts) - 1) if counts[i - 1] == counts[i + 1] != counts[i]]
-    lines = [
-        f"{frames[i][0].name}: {counts[i]} Gaussians, frames beside it have {counts[i - 1]}: is it of another scene?"
-        for i in lone
+    lone = [
+        f"{path.name}: {this.count} Gaussians, frames beside it have {before.count}: is it of another scene?"
+        for (_, before), (path, this), (_, after) in zip(frames, frames[1:], frames[2:], strict=False)
+        if before.count == after.count != this.count
     ]
-    return lines if len(lone) <= LONE else []
+    return lone if len(lone) <= LONE else []
 
 
 def _from_own_origin(sequence: GaussianSequence) -> GaussianSequence:
