@@ -90,7 +90,6 @@ class HeldFrames:
         return number in self._frames
 
     def get(self, number: int, read: Callable[[int], Gaussians]) -> Gaussians:
-        """Return a frame, which `read` gives where it is not held."""
         with self._lock:
             frame = self._frames.pop(number, None)
             if frame is not None:
@@ -196,7 +195,6 @@ def _with_finite_values(g: Gaussians) -> Gaussians:
 
 
 def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
-    """(N,) whether every attribute of a row is finite."""
     rows = np.ones(len(g), bool)
     for column in g.columns().values():
         finite = np.isfinite(column)
@@ -206,7 +204,6 @@ def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
 
 
 def _lengths(g: Gaussians) -> NDArray[np.float64]:
-    """(N,) of quaternions."""
     w, x, y, z = g.quaternions.T.astype(np.float64)
     return np.asarray(np.sqrt(w * w + x * x + y * y + z * z))
 

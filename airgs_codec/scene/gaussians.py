@@ -87,7 +87,6 @@ class Gaussians(Columns):
 
     @property
     def sh_degree(self) -> int:
-        """The degree of the spherical harmonics, 0 to 3."""
         return SH_REST.index(self.sh_rest.shape[1])
 
     def with_degree(self, degree: int) -> Gaussians:

@@ -17,41 +17,15 @@ from airgs_codec._arguments import argument, described, frame_argument, path_arg
 from airgs_codec.errors import FrameError, SceneError
 from airgs_codec.places.place import Copied, is_address
 from airgs_codec.progress import Progress, silent, told
-from airgs_codec.scene.beside import (
-    ATTRIBUTION_NAME,
-    DEFAULT_FPS,
-    SETTINGS_NAME,
-    USAGE_NAME,
-    Settings,
-    Usage,
-    frame_rate,
-    load_usage,
-    read_attribution,
-    read_settings,
-)
+from airgs_codec.scene import beside
+from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Usage
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
-from airgs_codec.scene.cameras import (
-    CAMERA_NAMES,
-    CAMERA_SUFFIXES,
-    find_cameras,
-    locate_cameras,
-    read_cameras,
-    read_posed,
-)
+from airgs_codec.scene.cameras import CAMERA_NAMES, CAMERA_SUFFIXES, find_cameras, locate_cameras, read_posed
 from airgs_codec.scene.cameras.forms import distinct, told_of_lenses
+from airgs_codec.scene.formats import table
 from airgs_codec.scene.formats.clips import clip_of
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
-from airgs_codec.scene.formats.table import (
-    CLIP_SUFFIXES,
-    clip_format,
-    find_frames,
-    format_of,
-    natural_key,
-    oddities_of,
-    read_frame,
-    read_frame_header,
-)
 from airgs_codec.scene.frames import (
     ZERO,
     HeldFrames,
@@ -69,7 +43,7 @@ from airgs_codec.scene.gaussians import Gaussians
 if TYPE_CHECKING:
     from airgs_codec.media.sound import SoundTrack  # and PyAV with it
 
-BESIDE = (ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
+BESIDE = (beside.ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
 IN_MEMORY = Path("frames in memory")  # in place of a file
 LONE = 2  # frames of a sequence that may be of another scene: where more are unlike, counts vary
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
@@ -131,7 +105,6 @@ class GaussianSequence:
 
     @property
     def sh_degree(self) -> int:
-        """The SH degree of every frame as it is read, 0 to 3."""
         return min(self.headers[0].sh_degree, self.max_sh_degree)
 
     @property
@@ -142,7 +115,7 @@ class GaussianSequence:
     @property
     def format(self) -> FrameFormat:
         """The format of the frames, where they are no clip. Raises SceneError."""
-        return format_of(self.paths[0])
+        return table.format_of(self.paths[0])
 
     @property
     def attribution(self) -> str:
@@ -150,7 +123,7 @@ class GaussianSequence:
         if self.credit is not None:
             return self.credit
         with _naming(self.copied):
-            return read_attribution(self.folder)
+            return beside.read_attribution(self.folder)
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -176,7 +149,6 @@ class GaussianSequence:
         return self.copied.named(str(path)) if self.copied else str(path)
 
     def count(self, frame: int) -> int:
-        """The number of rows of a frame as it is read."""
         return len(self.orders[frame]) if frame in self.orders else self.headers[frame].count
 
     def usage(self, start: int, stop: int) -> Usage | None:
@@ -184,11 +156,11 @@ class GaussianSequence:
 
         Rows that are in another order than in the files are not those that it measured.
         """
-        path = self.folder / USAGE_NAME
+        path = self.folder / beside.USAGE_NAME
         if self.alone or any(frame in self.orders for frame in range(start, stop)) or not path.is_file():
             return None
         with _naming(self.copied):
-            return load_usage(path, start, stop, self.count(start))
+            return beside.load_usage(path, start, stop, self.count(start))
 
     def read(self, frame: int) -> Gaussians:
         """Reads one frame unrepaired, as its file has it but for `orders`.
@@ -201,7 +173,6 @@ class GaussianSequence:
         return place_rows(g, self.orders[frame]) if frame in self.orders else g
 
     def close(self) -> None:
-        """Let go of the frames that are held."""
         if self.held is not None:
             self.held.clear()
 
@@ -210,9 +181,8 @@ class GaussianSequence:
             return narrowed(self._stored(frame), np.subtract(self.origin, self.stored_at), self.paths[frame])
 
     def _stored(self, frame: int) -> Gaussians:
-        """A frame as its file has it, with positions that may be float64."""
         path = self.paths[frame]
-        return self.clip.read(path, frame) if self.clip else read_frame(path)
+        return self.clip.read(path, frame) if self.clip else table.read_frame(path)
 
     def at_origin(self, origin: Origin) -> GaussianSequence:
         """The sequence with positions of frames and cameras from another origin in the world."""
@@ -274,7 +244,7 @@ def open_sequence(
     them, and a `bake_fps` of frames; ConfigError for a wrong address, TransportError for a store that does not answer.
     """
     folder = path_argument("folder", folder)
-    rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
+    rate = None if bake_fps is None else beside.frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
     copied = Copied(str(folder), BESIDE, told(progress)) if is_address(folder) else None
     with _naming(copied):
@@ -293,13 +263,13 @@ def _naming(copied: Copied | None) -> Iterator[None]:
 
 
 def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None) -> GaussianSequence:
-    found = find_frames(place)
+    found = table.find_frames(place)
     path = found.paths[0]
-    if len(found.paths) == 1 and (form := clip_format(path)):
+    if len(found.paths) == 1 and (form := table.clip_format(path)):
         clip = form.open(path, bake)
         if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
             try:
-                read_cameras(path)
+                read_posed(path)
                 views = path
             except SceneError as error:  # its own are not of the scene
                 clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
@@ -307,8 +277,8 @@ def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | flo
         rate = clip.fps if fps is None else fps
         return sequence_of(found.folder, headed, views=views, fps=rate, alone=True, clip=clip)
     if bake != Bake():
-        raise SceneError(f"{place}: expected a clip to bake ({', '.join(CLIP_SUFFIXES)}), got frames")
-    headed = [(path, read_frame_header(path)) for path in found.paths]
+        raise SceneError(f"{place}: expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
+    headed = [(path, table.read_frame_header(path)) for path in found.paths]
     return sequence_of(found.folder, headed, views=views, fps=fps, alone=found.alone)
 
 
@@ -333,16 +303,16 @@ def sequence_of(
         if header.sh_degree != degree:
             raise SceneError(f"{path}: expected SH degree {degree} as in {first.name}, got {header.sh_degree}")
     paths, headers = zip(*frames, strict=True)
-    own = Settings() if alone else read_settings(folder, len(frames))
+    own = beside.Settings() if alone else beside.read_settings(folder, len(frames))
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     posed = read_posed(cameras_path) if cameras_path else []
     cameras = (replace(camera, background=own.background) for camera in distinct(posed))
-    odd = () if alone else (*oddities_of(paths), *_lone_counts(frames))
+    odd = () if alone else (*table.oddities_of(paths), *_lone_counts(frames))
     found = GaussianSequence(
         folder,
         paths,
         headers,
-        own.fps if fps is None else frame_rate(str(folder), fps),
+        own.fps if fps is None else beside.frame_rate(str(folder), fps),
         own.keyframes,
         cameras_from(own.origin, cameras),
         cameras_path=cameras_path,
@@ -415,10 +385,9 @@ class GrowingFolder:
             raise SceneError(f"{self._folder}: expected at least one .ply frame, got none")
 
     def _waiting(self) -> list[Path]:
-        """Files behind the frames that were taken, in order."""
         taken = {path for path, _ in self._frames}
-        found = sorted((path for path in self._folder.glob("*.ply") if path not in taken), key=natural_key)
-        if found and self._frames and natural_key(found[0]) < natural_key(self._frames[-1][0]):
+        found = sorted((path for path in self._folder.glob("*.ply") if path not in taken), key=table.natural_key)
+        if found and self._frames and table.natural_key(found[0]) < table.natural_key(self._frames[-1][0]):
             last = self._frames[-1][0].name
             raise SceneError(f"{found[0]}: expected frames to come in the order of their names, got it after {last}")
         return found

@@ -54,12 +54,9 @@ def read_cameras(path: Path) -> list[Camera]:
 def read_posed(path: Path) -> list[Posed]:
     """`read_cameras`, but one for each entry, with its picture. Raises SceneError."""
     found = locate_cameras(path)
-    if found.is_dir():
-        return colmap.read(found)
-    reader = _reader(found)
-    if reader is None:
-        raise SceneError(f"{found}: expected {WORDS}")
-    return reader(found)
+    if reader := colmap.read if found.is_dir() else _reader(found):
+        return reader(found)
+    raise SceneError(f"{found}: expected {WORDS}")
 
 
 def locate_cameras(path: Path) -> Path:
@@ -103,9 +100,8 @@ def _reader(path: Path) -> Reader | None:
     """Return what reads a file, by its first bytes or by its JSON. Raises SceneError for JSON that is broken."""
     with expecting(path, WORDS), path.open("rb") as file:
         head = file.read(max(len(magic) for magic, _ in BY_MAGIC))
-    for magic, reader in BY_MAGIC:
-        if head.startswith(magic):
-            return reader
+    if known := next((reader for magic, reader in BY_MAGIC if head.startswith(magic)), None):
+        return known
     if not head.lstrip().startswith((b"{", b"[", BOM)) and path.suffix != ".json":
         return None
     data = read_json(path)

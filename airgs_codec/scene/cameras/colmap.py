@@ -83,12 +83,10 @@ def _count_images(model: Path) -> int:
 
 
 def is_model(folder: Path) -> bool:
-    """Return whether a reconstruction lies in this very folder."""
     return any((folder / f"images.{suffix}").is_file() for suffix in ("bin", "txt"))
 
 
 def is_part(path: Path) -> bool:
-    """Return whether a file is one of those that a reconstruction consists of."""
     return path.name in PARTS and is_model(path.parent)
 
 

@@ -128,7 +128,6 @@ def told_of_lenses(posed: Iterable[Posed]) -> tuple[str, ...]:
 
 
 def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """World-to-camera of (4, 4) camera-to-world. Raises ValueError where there is none."""
     return np.linalg.inv(matrix).astype(np.float64)
 
 
@@ -193,18 +192,15 @@ def _time(entry: _Entry) -> float:
 
 
 def is_inria(data: Any) -> bool:
-    """Return whether JSON data is a list of cameras as cameras.json has them."""
     first = data[0] if isinstance(data, list) and data else None
     return isinstance(first, dict) and {"position", "rotation"} <= {*first}
 
 
 def read_inria(path: Path) -> list[Posed]:
-    """One for each entry, in the order of the file. Raises SceneError."""
     return _inria_cameras(path, read_json(path))
 
 
 def read_splatv(path: Path) -> list[Posed]:
-    """One for each camera of the header. Raises SceneError."""
     with expecting(path, "a .splatv header with cameras"):
         cursor = Cursor.open(path)
         _, length = cursor.take("II")
@@ -268,7 +264,6 @@ def _panoptic_cameras(path: Path, split: str) -> list[Posed]:
 
 
 def read_llff(path: Path) -> list[Posed]:
-    """One for each row. Raises SceneError."""
     with expecting(path, "rows of 17 numbers"):
         rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
         posed = [_of_row(row, number) for number, row in enumerate(rows)]

@@ -197,7 +197,6 @@ def open_4dgs(path: Path, bake: Bake) -> Clip:
 
 
 def _baked(rows: Path, said: dict[str, Any]) -> Iterator[Gaussians]:
-    """The frames that the program of `sandbox` left."""
     width = said["width"]
     with rows.open("rb") as file:
         for count in said["counts"]:
@@ -326,14 +325,12 @@ def _cached(load: Load, path: Path, _written: int) -> Moving:
 
 
 def _without_sh(means: Floats, quaternions: Floats, log_scales: Floats, rgb: Floats) -> Gaussians:
-    """Gaussians of one colour from all sides, RGB of [0, 1]."""
     dc = ((rgb - np.float32(0.5)) / np.float32(SH_C0)).astype(np.float32)
     nothing = np.zeros(len(means), np.float32)
     return Gaussians(means, quaternions, log_scales, nothing, dc, np.zeros((len(means), 0, 3), np.float32))
 
 
 def read_spacetime_ply(path: Path) -> Moving:
-    """Reads the model of a file. Raises SceneError."""
     header = read_header(path)
     vertex = header.vertex
     names = {*vertex.properties} if vertex else set()

@@ -29,7 +29,6 @@ class FrameHeader:
 
     @property
     def bytes(self) -> int:
-        """Bytes of the frame in memory, in float32."""
         return 4 * self.count * (14 + 3 * SH_REST[self.sh_degree])
 
 

@@ -48,7 +48,6 @@ class _Placed(NamedTuple):
 
 
 def read_gltf_header(path: Path) -> FrameHeader:
-    """Count and SH degree of all splats together. Raises SceneError."""
     with expecting(path, _WORDS):
         document, _ = _open(path, only_json=True)
         return _header(document, list(_splats(document)))
@@ -133,7 +132,6 @@ def _splats(document: Document) -> Iterator[_Placed]:
 
 
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:
-    """(4, 4) the transform of a node."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     out = np.eye(4)
@@ -158,7 +156,6 @@ def _band(degree: int) -> list[str]:
 
 
 def _harmonics(degree: int) -> list[str]:
-    """The attributes of all bands up to a degree, in their order."""
     return [name for band in range(degree + 1) for name in _band(band)]
 
 

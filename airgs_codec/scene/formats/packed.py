@@ -82,7 +82,6 @@ def read_splat_header(path: Path) -> FrameHeader:
 
 
 def read_splat(path: Path) -> Gaussians:
-    """Reads one frame. Raises SceneError."""
     read_splat_header(path)
     rows = np.fromfile(path, _ROW)
     return Gaussians(
@@ -121,13 +120,11 @@ _SPZ_WRITER = "gsply"
 
 
 def read_spz_header(path: Path) -> FrameHeader:
-    """Count and SH degree, from the first bytes. Raises SceneError."""
     with path.open("rb") as file:
         return _spz_header(path, file.read(1 << 12))[0]
 
 
 def _spz_header(path: Path, data: bytes) -> tuple[FrameHeader, int]:
-    """The header of a file of which at least the beginning is there, and the version."""
     head = _unpack(path, data, _HEAD.size) if data[:2] == _GZIP else data[: _HEAD.size]
     if len(head) < _HEAD.size or head[:4] != b"NGSP":
         raise SceneError(f"{path}: expected an .spz file, got {data[:8]!r}")
@@ -159,7 +156,6 @@ def _unpack(path: Path, data: bytes, most: int) -> bytes:
 
 
 def _table_size(path: Path, data: bytes) -> int:
-    """Return what the streams of version 4 unpack to, as their table says."""
     streams, start = data[15], int.from_bytes(data[16:20], "little")
     end = start + streams * _STREAM.size
     if len(data) < end:
@@ -226,7 +222,6 @@ def read_compressed_header(path: Path) -> FrameHeader:
 
 
 def read_compressed(path: Path) -> Gaussians:
-    """Reads one frame. Raises SceneError."""
     header = read_compressed_header(path)
     return read_with_library(path, "compressed.ply", path.read_bytes(), header)
 

@@ -101,7 +101,6 @@ def read_header(path: Path) -> Header:
 
 
 def _parse(lines: Sequence[str], size: int) -> Header:
-    """The header of its lines after the first. Raises ValueError."""
     form, elements = "", dict[str, Element]()
     properties: dict[str, Any] = {}  # of the last element
     rows = [line.split() for line in lines]
@@ -164,7 +163,6 @@ def read_columns(path: Path, header: Header, element: Element, groups: Sequence[
 
 
 def _binary_rows(path: Path, header: Header, element: Element, row: np.dtype) -> NDArray[np.void]:
-    """The rows of an element, which are mapped. Raises ValueError."""
     with path.open("rb") as file:
         file.seek(header.size)
         for before in _before(header, element):
@@ -185,15 +183,15 @@ def _skip_rows(file: BinaryIO, element: Element) -> None:
         return
     for _ in range(element.count):
         for kind in element.properties.values():
-            length, size = 1, kind
-            if isinstance(kind, tuple):
-                data = file.read(kind[0].itemsize)
-                if len(data) < kind[0].itemsize:
-                    raise ValueError("the file ends early")
-                length, size = int(np.frombuffer(data, kind[0])[0]), kind[1]
-            if length < 0:
+            if isinstance(kind, np.dtype):
+                file.seek(kind.itemsize, os.SEEK_CUR)
+                continue
+            data = file.read(kind[0].itemsize)
+            if len(data) < kind[0].itemsize:
+                raise ValueError("the file ends early")
+            if (length := int(np.frombuffer(data, kind[0])[0])) < 0:
                 raise ValueError(f"a list of {length} values in {element.name}")
-            file.seek(length * size.itemsize, os.SEEK_CUR)
+            file.seek(length * kind[1].itemsize, os.SEEK_CUR)
 
 
 def _expect_bytes(file: BinaryIO | TextIO, size: int, start: int | None = None) -> None:
@@ -264,7 +262,6 @@ def _with_vertex(path: Path, expected: str) -> tuple[Header, Element]:
 
 
 def _open(path: Path) -> tuple[Header, Element, int]:
-    """The header of a frame and its SH degree. Raises SceneError."""
     header, vertex = _with_vertex(path, "element vertex")
     names = vertex.properties
     if "log_duration" in names:
@@ -311,7 +308,6 @@ def write_ply(path: Path, gaussians: Gaussians) -> None:
 
 
 def _as_table(g: Gaussians) -> NDArray[np.floating]:
-    """(N, 17 + 3 K) the rows of a file."""
     rest = g.sh_rest.transpose(0, 2, 1).reshape(len(g), -1)
     parts = (g.means, np.zeros_like(g.means), g.sh_dc, rest, g.opacity_logits[:, None], g.log_scales, g.quaternions)
     return np.concatenate(parts, axis=1)

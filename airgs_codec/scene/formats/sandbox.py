@@ -61,7 +61,6 @@ def main(limit: str, program: str, *arguments: str) -> None:
 
 
 def _convert(source_form: str, target_form: str, target: str) -> None:
-    """Convert a splat file on standard input to another format with gaussforge."""
     from gaussforge import GaussForge
 
     answer = GaussForge().convert(sys.stdin.buffer.read(), source_form, target_form)

@@ -61,7 +61,6 @@ def read_sog(path: Path) -> Gaussians:
 
 
 def write_sog(path: Path, gaussians: Gaussians) -> None:
-    """Writes one frame of unit quaternions as one archive. Raises SceneError."""
     write_with_library(path, "sog", gaussians)
 
 
@@ -108,7 +107,6 @@ def _check_meta(meta: Meta) -> list[str]:
 
 
 def _coded(meta: Meta) -> bool:
-    """Whether bytes are places in codebooks, as from version 2 on."""
     return meta.get("version") not in (None, 1)
 
 
@@ -117,7 +115,6 @@ def _count(meta: Meta) -> int:
 
 
 def _bands(meta: Meta, files: Mapping[str, bytes]) -> int:
-    """The SH degree, which of version 1 the width of the palette tells. Raises ValueError."""
     if "shN" not in meta:
         return 0
     if _coded(meta):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -161,7 +162,6 @@ def has_frames(folder: Path, *, apart_from: Collection[str]) -> bool:
 
 
 def natural_key(path: Path) -> list[tuple[int, str]]:
-    """Sort key that puts frame2 before frame10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]
 
 
@@ -170,17 +170,17 @@ def oddities_of(paths: Sequence[Path]) -> Iterator[str]:
 
     Names are of a kind that differ in one number alone; of several numbers the last one that varies counts frames.
     """
-    alike: dict[tuple[str, ...], list[list[str]]] = {}
+    alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
         parts = re.split(r"(\d+)", path.stem)
-        alike.setdefault(tuple(parts[::2]), []).append(parts)
-    kinds: dict[str, list[int]] = {}
+        alike[tuple(parts[::2])].append(parts)
+    kinds: dict[str, list[int]] = defaultdict(list)
     for same in alike.values():
         varying = [at for at in range(1, len(same[0]), 2) if len({parts[at] for parts in same}) > 1]
         counter = max(varying, default=len(same[0]) - 2)
         for parts in same:
             kind = "".join("#" if at == counter else part for at, part in enumerate(parts))
-            kinds.setdefault(kind, []).append(int(parts[counter]) if counter > 0 else 0)
+            kinds[kind].append(int(parts[counter]) if counter > 0 else 0)
     if len(kinds) > 1 and any("#" in kind for kind in kinds):
         named = ", ".join(f"{kind} ({len(numbers)})" for kind, numbers in kinds.items())
         short = named if len(named) < MOST_WORDS else f"{named[:MOST_WORDS]}…"
