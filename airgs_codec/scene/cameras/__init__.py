@@ -12,10 +12,8 @@ from typing import Any
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.cameras import colmap, forms
-from airgs_codec.scene.cameras.forms import Posed, distinct
+from airgs_codec.scene.cameras.forms import Posed, Reader, distinct
 from airgs_codec.scene.files import BOM, expecting, read_json
-
-Reader = Callable[[Path], list[Posed]]
 
 BY_MAGIC: tuple[tuple[bytes, Reader], ...] = (
     (forms.SPLATV_MAGIC, forms.read_splatv),

@@ -16,9 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from airgs_codec.errors import SceneError
 from airgs_codec.media.image import Lens
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.cameras.forms import Posed, as_path, expect_any, undistorted
+from airgs_codec.scene.cameras.forms import Posed, as_path, undistorted
 from airgs_codec.scene.files import Cursor, expecting
 
 WORDS = "a COLMAP reconstruction"
@@ -106,7 +107,9 @@ def read(folder: Path) -> list[Posed]:
         lines = listed.read_text(encoding="utf-8-sig").splitlines() if listed.is_file() else []
         held_out = {as_path(line.strip()) for line in lines}
         posed = [_posed(name, pose, *cameras[sensor], held_out) for name, sensor, pose in rows]
-    return expect_any(posed, folder, "images with poses")
+    if not posed:
+        raise SceneError(f"{folder}: expected images with poses, got none")
+    return posed
 
 
 def _at_origin(_: int, model: Model, width: int, height: int, given: tuple[float, ...]) -> tuple[Camera, Lens | None]:

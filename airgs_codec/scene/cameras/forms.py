@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import json
 from collections import ChainMap
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -79,18 +79,35 @@ class Posed:
                 raise ValueError(f"{path!r} is no name of a picture")
 
 
-def expect_any(posed: list[Posed], path: Path, what: str) -> list[Posed]:
-    """Return what was read, at least one. Raises SceneError."""
-    if not posed:
-        raise SceneError(f"{path}: expected {what}, got none")
-    return posed
+Reader = Callable[[Path], list[Posed]]
+
+
+def reader(words: str, least: str) -> Callable[[Callable[[Path], Iterable[Posed]]], Reader]:
+    """Makes a reader of a function that yields the cameras of a file, which is expected to be `words`.
+
+    The reader gives at least one, in the order of the file, and raises SceneError where that has none or is broken.
+    """
+
+    def made(parse: Callable[[Path], Iterable[Posed]]) -> Reader:
+        def read(path: Path) -> list[Posed]:
+            with expecting(path, words):
+                posed = list(parse(path))
+            if not posed:
+                raise SceneError(f"{path}: expected {least}, got none")
+            return posed
+
+        return read
+
+    return made
 
 
 def distinct(posed: Iterable[Posed]) -> list[Camera]:
     """The cameras, in the order in which they first appear: fixed ones once a name, others once a sight."""
     found: dict[object, Camera] = {}
     for p in posed:
-        found.setdefault(p.camera.name if p.fixed else _sight(p.camera), p.camera)
+        c = p.camera
+        sight = c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()
+        found.setdefault(c.name if p.fixed else sight, c)
     return list(found.values())
 
 
@@ -131,10 +148,6 @@ def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.linalg.inv(matrix).astype(np.float64)
 
 
-def _sight(c: Camera) -> tuple[object, ...]:
-    return c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()
-
-
 _Entry = ChainMap[str, Any]  # of a picture in transforms.json, over what all share
 
 
@@ -142,14 +155,12 @@ def is_transforms(data: Any) -> bool:
     return isinstance(data, dict) and "frames" in data
 
 
-def read_transforms(path: Path) -> list[Posed]:
-    """One for each entry, in the order of the file. Raises SceneError."""
+@reader(f"a nerfstudio {TRANSFORMS}", "at least one picture under 'frames'")
+def read_transforms(path: Path) -> Iterator[Posed]:
     data = read_object(path)
-    with expecting(path, f"a nerfstudio {TRANSFORMS}"):
-        entries = [ChainMap(entry, data) for entry in data["frames"]]
-        held_out = {*map(as_path, [*data.get("test_filenames", ()), *data.get("val_filenames", ())])}
-        posed = [_of_entry(name, e, held_out) for name, e in zip(_names(entries), entries, strict=True)]
-    return expect_any(posed, path, "at least one picture under 'frames'")
+    entries = [ChainMap(entry, data) for entry in data["frames"]]
+    held_out = {*map(as_path, [*data.get("test_filenames", ()), *data.get("val_filenames", ())])}
+    yield from (_of_entry(name, e, held_out) for name, e in zip(_names(entries), entries, strict=True))
 
 
 def _names(entries: Sequence[_Entry]) -> list[str]:
@@ -196,37 +207,33 @@ def is_inria(data: Any) -> bool:
     return isinstance(first, dict) and {"position", "rotation"} <= {*first}
 
 
-def read_inria(path: Path) -> list[Posed]:
-    return _inria_cameras(path, read_json(path))
+@reader("INRIA's cameras.json", "at least one camera")
+def read_inria(path: Path) -> Iterator[Posed]:
+    yield from _inria_cameras(read_json(path))
 
 
-def read_splatv(path: Path) -> list[Posed]:
-    with expecting(path, "a .splatv header with cameras"):
-        cursor = Cursor.open(path)
-        _, length = cursor.take("II")
-        chunks = json.loads(cursor.piece(length))
-        cameras = [camera for chunk in chunks for camera in chunk.get("cameras", ())]
-        if cameras and all(camera["position"] == PLACEHOLDER for camera in cameras):
-            raise SceneError(f"{path}: expected cameras of this scene, got the one that splaTV writes into every file")
-    return _inria_cameras(path, cameras)
+@reader("a .splatv header with cameras", "at least one camera")
+def read_splatv(path: Path) -> Iterator[Posed]:
+    cursor = Cursor.open(path)
+    _, length = cursor.take("II")
+    chunks = json.loads(cursor.piece(length))
+    cameras = [camera for chunk in chunks for camera in chunk.get("cameras", ())]
+    if cameras and all(camera["position"] == PLACEHOLDER for camera in cameras):
+        raise SceneError(f"{path}: expected cameras of this scene, got the one that splaTV writes into every file")
+    yield from _inria_cameras(cameras)
 
 
-def _inria_cameras(path: Path, data: Any) -> list[Posed]:
-    """The cameras of such a list, which the file at `path` holds. Raises SceneError."""
-    posed: list[Posed] = []
-    with expecting(path, "INRIA's cameras.json"):
-        for number, entry in enumerate(data):
-            picture = as_path(entry.get("img_name", f"view{number:03d}"))
-            width, height = int(entry["width"]), int(entry["height"])
-            shown = min(width, MOST_WIDE)
-            tall = int(height * shown / width)  # cut off, not rounded
-            to_world = np.eye(4)
-            to_world[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
-            to_world[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
-            fx, fy = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height
-            lens = fx, fy, shown / 2, tall / 2
-            posed.append(Posed(Camera(picture, shown, tall, *lens, _inverse(to_world), near=INRIA_NEAR), picture))
-    return expect_any(posed, path, "at least one camera")
+def _inria_cameras(data: Any) -> Iterator[Posed]:
+    for number, entry in enumerate(data):
+        picture = as_path(entry.get("img_name", f"view{number:03d}"))
+        width, height = int(entry["width"]), int(entry["height"])
+        shown = min(width, MOST_WIDE)
+        tall = int(height * shown / width)  # cut off, not rounded
+        to_world = np.eye(4)
+        to_world[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
+        to_world[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
+        lens = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height, shown / 2, tall / 2
+        yield Posed(Camera(picture, shown, tall, *lens, _inverse(to_world), near=INRIA_NEAR), picture)
 
 
 def is_panoptic(data: Any) -> bool:
@@ -239,42 +246,35 @@ def read_panoptic(path: Path) -> list[Posed]:
     Cameras of a test_meta.json are held out; that beside a train_meta.json is read with it. Raises SceneError.
     """
     test = path.with_name(PANOPTIC_TEST)
-    if path.name == PANOPTIC_TEST:
-        return _panoptic_cameras(path, "test")
-    return _panoptic_cameras(path, "train") + (_panoptic_cameras(test, "test") if test.is_file() else [])
+    if path == test:
+        return _panoptic_cameras(path)
+    return _panoptic_cameras(path) + (_panoptic_cameras(test) if test.is_file() else [])
 
 
-def _panoptic_cameras(path: Path, split: str) -> list[Posed]:
+@reader("fn, k, w2c and cam_id of frames and cameras", "at least one frame")
+def _panoptic_cameras(path: Path) -> Iterator[Posed]:
     data = read_object(path)
-    posed: list[Posed] = []
-    with expecting(path, "fn, k, w2c and cam_id of frames and cameras"):
-        size = (int(data["w"]), int(data["h"]))
-        moments = zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)
-        if not all(map(len, data["fn"])):
-            raise ValueError("a frame has no pictures")
-        for time, moment in enumerate(moments):
-            for file, k, w2c, number in zip(*moment, strict=True):
-                if not file:
-                    raise ValueError("a picture without a name")
-                m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
-                lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
-                camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
-                posed.append(Posed(camera, as_path(file), time=time, fixed=True))
-    return expect_any(posed, path, "at least one frame")
+    size, split = (int(data["w"]), int(data["h"])), "test" if path.name == PANOPTIC_TEST else "train"
+    if not all(map(len, data["fn"])):
+        raise ValueError("a frame has no pictures")
+    for time, moment in enumerate(zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)):
+        for file, k, w2c, number in zip(*moment, strict=True):
+            if not file:
+                raise ValueError("a picture without a name")
+            m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
+            lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
+            camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
+            yield Posed(camera, as_path(file), time=time, fixed=True)
 
 
-def read_llff(path: Path) -> list[Posed]:
-    with expecting(path, "rows of 17 numbers"):
-        rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
-        posed = [_of_row(row, number) for number, row in enumerate(rows)]
-    return expect_any(posed, path, "at least one row")
-
-
-def _of_row(row: NDArray[np.float64], number: int) -> Posed:
-    pose = row[:15].reshape(3, 5)
-    height, width, focal = pose[:, 4]
-    down, right, back = pose[:, 0], pose[:, 1], pose[:, 2]
-    view = np.eye(4)
-    view[:3, :3] = np.stack([right, down, -back])
-    view[:3, 3] = -view[:3, :3] @ pose[:, 3]
-    return Posed(Camera(f"view{number:03d}", int(width), int(height), focal, focal, width / 2, height / 2, view))
+@reader("rows of 17 numbers", "at least one row")
+def read_llff(path: Path) -> Iterator[Posed]:
+    rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
+    for number, row in enumerate(rows):
+        pose = row[:15].reshape(3, 5)
+        height, width, focal = pose[:, 4]
+        view = np.eye(4)
+        view[:3, :3] = np.stack([pose[:, 1], pose[:, 0], -pose[:, 2]])  # the rows are down, right and backwards
+        view[:3, 3] = -view[:3, :3] @ pose[:, 3]
+        middle = width / 2, height / 2
+        yield Posed(Camera(f"view{number:03d}", int(width), int(height), focal, focal, *middle, view))

@@ -180,31 +180,26 @@ def open_4dgs(path: Path, bake: Bake) -> Clip:
     expect_library(path, ".4dgs", "fourdgs")
     data = path.read_bytes()
     with tempfile.TemporaryDirectory() as folder:
-        target = Path(folder) / "rows"
-        words = [str(bake.fps or 0), str(target)]
-        seconds = SECONDS + _SECONDS_PER_BYTE * len(data)
+        words, seconds = [str(bake.fps or 0), folder], SECONDS + _SECONDS_PER_BYTE * len(data)
         if reason := run_limited("fourdgs", words, _CLIP_COPIES * len(data), data, seconds=seconds):
             raise SceneError(f"{path}: expected .4dgs, got what fourdgs cannot read: {reason}")
-        said = json.loads(target.with_name("rows.json").read_text())
+        fps, model = json.loads(Path(folder, "said.json").read_text())
         try:
-            clip = clip_of(_baked(target, said), exact_number(said["fps"]))
+            clip = clip_of(map(_baked, sorted(Path(folder).glob("*.npy"))), exact_number(fps))
         except SceneError as error:
             raise SceneError(f"{path}: {error}") from error
-    counts = said["counts"]
-    numbers = f"{min(counts)} to {max(counts)}" if len(set(counts)) > 1 else f"{counts[0]}"
+    counts = sorted({header.count for header in clip.headers})
+    numbers = f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0]}"
     rate = f"{float(clip.fps):g} a second"
-    return replace(clip, note=f".4dgs, {said['model']}: {numbers} Gaussians in {len(counts)} frames at {rate}")
+    return replace(clip, note=f".4dgs, {model}: {numbers} Gaussians in {len(clip.headers)} frames at {rate}")
 
 
-def _baked(rows: Path, said: dict[str, Any]) -> Iterator[Gaussians]:
-    width = said["width"]
-    with rows.open("rb") as file:
-        for count in said["counts"]:
-            table = np.fromfile(file, "<f4", count * width).reshape(count, width)
-            means, quaternions, sizes, alpha, rgb, sh = np.split(table, [3, 7, 10, 11, 14], axis=1)
-            dc = (rgb - np.float32(0.5)) / np.float32(SH_C0)
-            rest = sh.reshape(count, 3, -1 if width > 14 else 0).transpose(0, 2, 1)
-            yield Gaussians(means, quaternions, logs_of(sizes), logits_of(alpha[:, 0]), dc, rest)
+def _baked(rows: Path) -> Gaussians:
+    """A frame that the program of `sandbox` left."""
+    means, quaternions, sizes, alpha, rgb, sh = np.split(np.load(rows), [3, 7, 10, 11, 14], axis=1)
+    dc = (rgb - np.float32(0.5)) / np.float32(SH_C0)
+    rest = sh.reshape(len(sh), 3, sh.shape[1] // 3).transpose(0, 2, 1)
+    return Gaussians(means, quaternions, logs_of(sizes), logits_of(alpha[:, 0]), dc, rest)
 
 
 def open_splat4d(path: Path, bake: Bake) -> Clip:
