@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 
@@ -15,7 +15,8 @@ Rows = NDArray[np.integer] | NDArray[np.bool_] | slice
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """A frozen dataclass whose fields are columns: arrays whose first axis is rows, or other Columns of as many rows.
+    """A frozen dataclass whose fields are columns: arrays whose first axis is rows, other Columns of as many rows, or
+    lists of such.
 
     Fields declared as `field(metadata=SHARED)` belong to all rows; what is made of some rows has them unchanged.
     """
@@ -29,8 +30,7 @@ class Columns:
 
     def take(self, rows: Rows) -> Self:
         """The rows that an index array, a mask or a slice picks; a slice copies nothing."""
-        columns = self.columns().items()
-        return replace(self, **{name: c.take(rows) if isinstance(c, Columns) else c[rows] for name, c in columns})
+        return self.combined([self], lambda same: same[0][rows])
 
     def chunks(self, size: int) -> Iterator[Self]:
         """All rows in order, at most `size` at a time."""
@@ -38,11 +38,17 @@ class Columns:
 
     @classmethod
     def join(cls, parts: Sequence[Self]) -> Self:
-        """The rows of all parts, at least one, one after another; shared fields are those of the first part."""
+        """The rows of all parts, at least one, one after another."""
+        return cls.combined(parts, np.concatenate)
+
+    @classmethod
+    def combined(cls, parts: Sequence[Self], combine: Callable[[list[Any]], NDArray[Any]]) -> Self:
+        """Makes each column of the columns of that name of all parts, at least one; the first has what is shared."""
+
+        def one(same: list[Any]) -> Any:
+            if isinstance(same[0], Columns):
+                return type(same[0]).combined(same, combine)
+            return [one(list(of)) for of in zip(*same, strict=True)] if isinstance(same[0], list) else combine(same)
+
         every = [part.columns() for part in parts]
-        joined = {
-            name: column.join([c[name] for c in every]) if isinstance(column, Columns) else
-            np.concatenate([c[name] for c in every])
-            for name, column in every[0].items()
-        }  # fmt: skip
-        return replace(parts[0], **joined)
+        return replace(parts[0], **{name: one([columns[name] for columns in every]) for name in every[0]})

@@ -168,8 +168,7 @@ def remoteness_in(scene: Gaussians) -> Callable[[Gaussians], NDArray[np.float64]
 
 def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:
     """Rows of `a` where `choose` (N,) says so, else those of `b`."""
-    pairs = zip(a.columns().values(), b.columns().values(), strict=True)
-    return Gaussians(*(np.where(choose.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in pairs))
+    return Gaussians.combined([a, b], lambda ab: np.where(choose.reshape(-1, *[1] * (ab[0].ndim - 1)), *ab))
 
 
 def sigmoid(x: NDArray[np.floating]) -> NDArray:
