@@ -80,7 +80,6 @@ class HeldFrames:
         """`most`: bytes that all frames together may take."""
         self.most = most
         self._frames: dict[int, Gaussians] = {}  # the one that was asked for last stands last
-        self._bytes = 0
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[HeldFrames], tuple[int]]:
@@ -97,17 +96,15 @@ class HeldFrames:
                 return frame
         frame = read(number)
         with self._lock:
-            if number not in self._frames and _bytes_of(frame) <= self.most:
+            if _bytes_of(frame) <= self.most:
                 self._frames[number] = frame
-                self._bytes += _bytes_of(frame)
-            while self._bytes > self.most:
-                self._bytes -= _bytes_of(self._frames.pop(next(iter(self._frames))))
+            while sum(map(_bytes_of, self._frames.values())) > self.most:
+                del self._frames[next(iter(self._frames))]
         return frame
 
     def clear(self) -> None:
         with self._lock:
             self._frames.clear()
-            self._bytes = 0
 
 
 def _bytes_of(frame: Gaussians) -> int:
