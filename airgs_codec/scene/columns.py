@@ -15,10 +15,9 @@ Rows = NDArray[np.integer] | NDArray[np.bool_] | slice
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """A frozen dataclass whose fields are columns: arrays whose first axis is rows, other Columns of as many rows, or
-    lists of such.
+    """A frozen dataclass of columns: arrays whose first axis is rows, Columns of as many rows, or lists of either.
 
-    Fields declared as `field(metadata=SHARED)` belong to all rows; what is made of some rows has them unchanged.
+    The first column is no list. Fields declared as `field(metadata=SHARED)` belong to all rows; what is made of some rows has them unchanged.
     """
 
     def columns(self) -> dict[str, Any]:
