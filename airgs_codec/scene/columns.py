@@ -17,7 +17,8 @@ Rows = NDArray[np.integer] | NDArray[np.bool_] | slice
 class Columns:
     """A frozen dataclass of columns: arrays whose first axis is rows, Columns of as many rows, or lists of either.
 
-    The first column is no list. Fields declared as `field(metadata=SHARED)` belong to all rows; what is made of some rows has them unchanged.
+    The first column is no list. Fields declared as `field(metadata=SHARED)` belong to all rows; what is made of some
+    rows has them unchanged.
     """
 
     def columns(self) -> dict[str, Any]:
