@@ -61,10 +61,12 @@ def read_settings(folder: Path, frames: int) -> Settings:
             raise ValueError(f"an origin of {x}, {y}, {z}")
         if starts and not (starts[0] >= 0 and starts[-1] < frames):
             raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
-        r, g, b = colour = data.get("background", BLACK)
-        if not all(type(value) in (int, float) and 0 <= value <= 1 for value in colour):
+        colour = data.get("background", BLACK)
+        numbers = colour if isinstance(colour, list | tuple) and len(colour) == 3 else [np.nan]
+        if not all(type(value) in (int, float) and 0 <= value <= 1 for value in numbers):
             raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {colour}")
-    return Settings(frame_rate(str(path), fps), starts, (float(r), float(g), float(b)), notes, (x, y, z))
+        r, g, b = map(float, numbers)
+    return Settings(frame_rate(str(path), fps), starts, (r, g, b), notes, (x, y, z))
 
 
 def write_settings(folder: Path, settings: Settings) -> None:
