@@ -93,9 +93,8 @@ def as_gaussians(value: Frame) -> Gaussians:
 
 
 def _ours(columns: dict[str, NDArray[np.float32]], where: str) -> dict[str, NDArray[np.float32]]:
-    """The arrays under our names, where they have gsplat's. Raises SceneError where they may not be as it stores them.
-
-    Its trainer stores logarithms and logits, as we do; its rasteriser takes sizes and opacities by the same names.
+    """Renames gsplat's arrays. Raises SceneError for sizes and opacities, which its rasteriser takes by the same names
+    as its trainer stores logarithms and logits.
     """
     if not {*columns} <= {*GSPLAT} or {*columns} <= {*NAMES}:
         return columns

@@ -108,11 +108,7 @@ def _header(document: Document, primitives: list[_Placed]) -> FrameHeader:
 
 
 def _splats(document: Document) -> Iterator[_Placed]:
-    """The primitives of splats of all nodes of the scene, in their order.
-
-    Raises ValueError for nodes that are too many, or scale splats differently in different directions; KeyError,
-    IndexError and TypeError where the document is broken.
-    """
+    """The primitives of splats of all nodes of the scene, in their order. Raises what `expecting` knows."""
     nodes = document["nodes"]
     roots = document["scenes"][document.get("scene", 0)]["nodes"] if document.get("scenes") else range(len(nodes))
     waiting: list[tuple[dict[str, Any], NDArray[np.float64]]] = [({"children": roots}, np.eye(4))]  # the last is next

@@ -139,8 +139,7 @@ def _read_files(path: Path, names: list[str]) -> dict[str, bytes]:
 def _read_entries(path: Path, names: list[str]) -> dict[str, bytes]:
     """Files of an archive with a meta.json, by name without folders.
 
-    No more than the archive can hold is unpacked. Raises ValueError for an archive that would unpack to far more than
-    it is, lacks a name, or packs files in other ways than most do.
+    Raises ValueError, before memory is taken, for one that would unpack to far more than it is or lacks a name.
     """
     with zipfile.ZipFile(path) as archive:
         listed = archive.infolist()
