@@ -11,13 +11,13 @@ from airgs_codec.errors import (
 
 # Reading and writing: splats, cameras, pictures, places
 from airgs_codec.scene.gaussians import (
-    Gaussians, SH_C0, SH_REST, conjugate, from_rotation_vector, join_rows, mix_rows, morton_decode, morton_encode,
+    Gaussians, SH_C0, SH_REST, conjugate, from_rotation_vector, mix_rows, morton_decode, morton_encode,
     multiply, sigmoid, to_matrices, to_rotation_vector,
 )  # fmt: skip
 from airgs_codec.scene.camera import (
     Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, placed, training_views, with_pixels,
 )  # fmt: skip
-from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
+from airgs_codec.scene.cameras import find_cameras, read_cameras, read_posed
 from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, read_settings, save_usage
 from airgs_codec.scene.frames import HeldFrames, Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
@@ -152,3 +152,5 @@ from airgs_codec.cli.play import main as airgs_play
 from airgs_codec.cli.serve import main as airgs_serve
 from airgs_codec.cli.train import main as airgs_train
 from airgs_codec.cli.train import match_cameras
+
+join_rows = Gaussians.join

@@ -24,7 +24,7 @@ MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
     "av": {"media/h264.py", "media/movie.py", "media/sound.py"}, "starlette": {"serve/app.py", "serve/server.py"},
     "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},
     "gaussforge": {"scene/formats/sandbox.py"}, "fourdgs": {"scene/formats/sandbox.py"},
-    "gsply": {"scene/formats/spz.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),
+    "gsply": {"scene/formats/packed.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),
     "dask": {"jobs/dask_engine.py"}, "distributed": {"jobs/dask_engine.py"}, "obstore": {"places/place.py"},
     "aiohttp": {"play/http.py"}, "hypercorn": {"serve/server.py"},
 }  # fmt: skip

@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.analysis.importance import importance
-from airgs_codec.analysis.region import region_around
+from airgs_codec.analysis.region import DATAPARSER, SEEN, in_trained_frame, region_around, see, seeing
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
-from airgs_codec.analysis.sight import DATAPARSER, SEEN, in_trained_frame, see, seeing
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.coding.quantize import UncodableError
 from airgs_codec.encoder.settings import EncodeSettings

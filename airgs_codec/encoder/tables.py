@@ -40,7 +40,7 @@ from airgs_codec.package.tables import (
     SegmentLevel,
     file_entry,
 )
-from airgs_codec.scene.origin import ZERO, Origin
+from airgs_codec.scene.frames import ZERO, Origin
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,7 @@ from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
 from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, got_words, is_address, place_at, split_query
-from airgs_codec.scene.origin import ZERO, Origin
+from airgs_codec.scene.frames import ZERO, Origin
 
 if TYPE_CHECKING:  # decoding needs no cameras
     from airgs_codec.scene.camera import Camera

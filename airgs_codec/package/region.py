@@ -24,7 +24,7 @@ from airgs_codec.package.tables import Place, Region, World
 from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
-from airgs_codec.scene.origin import Origin
+from airgs_codec.scene.frames import Origin
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside

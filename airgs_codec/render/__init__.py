@@ -6,7 +6,7 @@ gradients; for tensors on a CUDA device it calls gsplat (`cuda`). `reference` is
 
 from airgs_codec.render.cpu import Contribution, Render, measure_contribution, render, render_views
 from airgs_codec.scene.camera import Camera, look_at
-from airgs_codec.scene.cameras.read import read_cameras
+from airgs_codec.scene.cameras import read_cameras
 
 __all__ = [
     "Camera",

@@ -17,8 +17,8 @@ from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
 from airgs_codec.render import cpu
 from airgs_codec.render.cpu import Contribution, Floats, RasterInputs, Render, Weights
-from airgs_codec.scene.arrays import as_gaussians
 from airgs_codec.scene.camera import Background, Camera, with_near_planes
+from airgs_codec.scene.formats.clips import as_gaussians
 from airgs_codec.scene.gaussians import Gaussians
 
 DEVICES = ("auto", "cpu", "cuda")

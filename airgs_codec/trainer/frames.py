@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.flow import carry, unmatched
 from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.gaussians import Gaussians, join_rows, mix_rows
+from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.active import find_active
@@ -177,7 +177,7 @@ def _given_key(capture: Capture, target: FrameViews, before: InMotion, progress:
     """The Gaussians of the frame before with what they lack, or those that are given where that does not show all."""
     trainer, given = capture.trainer, capture.given(target.frame)
     g = follow(trainer, before, given, target)
-    g = join_rows([g, given.take(missing(trainer, g, given, target))])
+    g = Gaussians.join([g, given.take(missing(trainer, g, given, target))])
     group = Group(math.inf, trainer.steps(g, target.views), None)
     g = trainer.fit_frame(replace(target, moving=None), InMotion(g), group, progress)
     if mean_psnr(g, target.views, trainer.renderer) >= KNOWN_DB:
@@ -205,8 +205,8 @@ def _given_first(capture: Capture, start: int, progress: Progress) -> Gaussians:
         if frame == start + 1:  # what is not in the first frame by chance
             given, (g,) = capture.given(frame), frames
             rows = missing(trainer, moved, given, target)
-            frames = [join_rows([g, carry(given, g).take(rows)])]
-            moved = join_rows([moved, given.take(rows)])
+            frames = [Gaussians.join([g, carry(given, g).take(rows)])]
+            moved = Gaussians.join([moved, given.take(rows)])
             at = replace(at, group=replace(at.group, steps=trainer.steps(frames[0], views[0])))
         frames.append(moved)
         views.append(seen)

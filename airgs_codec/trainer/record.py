@@ -27,8 +27,8 @@ from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, exact_number, 
 from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera, cameras_from
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.frames import ZERO, in_world, narrowed
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, in_world, narrowed
 from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.data.pictures import Exposure
 from airgs_codec.trainer.settings import BUDGET, TrainSettings

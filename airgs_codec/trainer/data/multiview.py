@@ -25,9 +25,9 @@ from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import Lens, check_picture, read_picture, to_bytes
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import BLACK, Background, Camera, at_scale, cameras_from, rig_scale
-from airgs_codec.scene.cameras.posed import Posed
+from airgs_codec.scene.cameras.forms import Posed
 from airgs_codec.scene.files import expecting
-from airgs_codec.scene.origin import MOVED, ZERO, Origin, rounded_middle
+from airgs_codec.scene.frames import MOVED, ZERO, Origin, rounded_middle
 from airgs_codec.scene.sequence import GaussianSequence
 
 if TYPE_CHECKING:

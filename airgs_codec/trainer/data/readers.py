@@ -29,7 +29,7 @@ from airgs_codec.media.image import is_turned
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import colmap, forms
-from airgs_codec.scene.cameras.posed import Posed, as_path
+from airgs_codec.scene.cameras.forms import Posed, as_path
 from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
 from airgs_codec.scene.formats.table import has_frames, natural_key

@@ -9,7 +9,7 @@ import numpy as np
 
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
-from airgs_codec.scene.gaussians import join_rows
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import Points
 from airgs_codec.trainer.fit.grow import Densifier
 from airgs_codec.trainer.fit.losses import ExposureModel
@@ -84,7 +84,7 @@ def fit_first(
     assert colours is not None
     unseen = from_points(places, colours, s.sh_degree, UNSEEN_OPACITY, largest)
     motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(unseen)), (0, 0)))
-    return replace(found, gaussians=join_rows([found.gaussians, unseen]), velocity=motion)
+    return replace(found, gaussians=Gaussians.join([found.gaussians, unseen]), velocity=motion)
 
 
 def usual_budget(cameras: Sequence[Camera]) -> int:

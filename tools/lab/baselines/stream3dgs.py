@@ -21,7 +21,7 @@ from airgs_codec.places.whole import write_bytes
 from airgs_codec.progress import Progress
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, to_matrices
 from airgs_codec.trainer.data.pictures import View
 from airgs_codec.trainer.fit.active import Resting
 from airgs_codec.trainer.fit.first import fit_first
@@ -221,7 +221,7 @@ def decode(before: Gaussians, data: bytes, cache: FieldSettings, region: Region)
     size = network.nbytes
     network.load_bytes(data[:size])
     moved = apply_cache(before, network, region)
-    return join_rows([moved, _added(data[size:], before.sh_degree)])
+    return Gaussians.join([moved, _added(data[size:], before.sh_degree)])
 
 
 def _added(data: bytes, sh_degree: int) -> Gaussians:
