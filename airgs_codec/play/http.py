@@ -414,7 +414,7 @@ class HttpDownloader:
 
     def _expected_bytes(self, request: Request) -> int:
         c = self._offers
-        return c.wire_bytes([c.file_bytes(path) for path in request.batch.files])
+        return c.wire_bytes(request.batch.files)
 
     async def _watch(
         self, tasks: list[asyncio.Task[None]], transfer: Transfer, expected: int, give_up: GiveUp | None

@@ -1,4 +1,4 @@
-"""The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined.
+"""The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined, and as printed.
 
 Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, the comment names
 the case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first level (6),
@@ -13,7 +13,7 @@ import itertools
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import PSNR_CAP
@@ -50,20 +50,13 @@ class Ladder:
     options: tuple[Option, ...]
 
     @staticmethod
-    def build(
-        options: Iterable[Option],
-        *,
-        beta: float = DEFAULT_BETA,
-        eps_db: float = EPS_DB,
-        cliff_db: float = CLIFF_DB,
-        min_quality: float | None = None,
-    ) -> Ladder:
+    def build(options: Iterable[Option], *, beta: float = DEFAULT_BETA, cliff_db: float = CLIFF_DB) -> Ladder:
         """Pareto filter, then the cliff test.
 
         The paper's levels are 10 % of the updates apart. Those of packages are not, and save by coarser steps as well;
         so drops are counted per 10 % of the bytes saved, over at least one such step from level to level. A level is
-        past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least `eps_db`), or, for
-        the first level, `cliff_db`; or when its quality is under `min_quality`. O(n log n).
+        past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least EPS_DB), or, for
+        the first level, `cliff_db`. O(n log n).
         Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
         """
         if not beta > 1:
@@ -74,9 +67,8 @@ class Ladder:
         for previous, option in itertools.pairwise(front):
             tenths = max(1.0, 10 * (option.saved - previous.saved))
             drop = (previous.quality - option.quality) / tenths
-            reference = max(eps_db, (front[0].quality - previous.quality) / steps) if steps else None
-            past = drop > cliff_db if reference is None else drop / reference > beta
-            if past or (min_quality is not None and option.quality < min_quality):
+            reference = max(EPS_DB, (front[0].quality - previous.quality) / steps) if steps else None
+            if drop > cliff_db if reference is None else drop / reference > beta:
                 break
             rungs.append(option)
             steps += tenths
@@ -86,7 +78,7 @@ class Ladder:
 def _checked(option: Option) -> Option:
     if math.isnan(option.quality) or option.size_bytes < 0:
         raise ConfigError(f"level {option.index}: expected a size and a quality, got {option}")
-    return Option(option.index, option.size_bytes, min(option.quality, PSNR_CAP), option.saved)
+    return replace(option, quality=min(option.quality, PSNR_CAP))
 
 
 def _pareto(options: list[Option]) -> list[Option]:
@@ -119,3 +111,47 @@ def saved_shares(sizes: Sequence[float]) -> list[float]:
     """Return what each level saves of the bytes of the first, the best; 0 where that has none or is no larger."""
     best = sizes[0]
     return [max(0.0, 1 - size / best) if best > 0 else 0.0 for size in sizes]
+
+
+def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
+    """Algorithm 1 as it is printed, over options in the order of their levels; None where it leaves p undefined.
+
+    A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
+    and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
+    cliff's level, whatever its size; `select` differs there. Raises ConfigError without options.
+    """
+    if not options:
+        raise ConfigError("Algorithm 1: expected at least one level, got none")
+    rungs, answer = [0], None
+    previous = options[1].quality - options[0].quality if len(options) > 1 else 0.0
+    for i in range(1, len(options)):
+        drop = options[i].quality - options[i - 1].quality
+        if _ratio(drop, previous) > beta:
+            answer = i
+            break
+        rungs.append(i)
+        previous = drop
+    low, high = 0, len(rungs) - 1
+    while low <= high:
+        middle = (low + high) // 2
+        if options[rungs[middle]].size_bytes <= budget_bytes:
+            answer, high = rungs[middle], middle - 1
+        else:
+            low = middle + 1
+    return answer
+
+
+def _ratio(a: float, b: float) -> float:
+    if b:
+        return a / b
+    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+
+
+def frame_budget(bandwidth_bps: float, fps: float) -> float:
+    """Bytes a frame may have: the paper's C = B / R with its units.
+
+    A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
+    """
+    if not fps > 0:
+        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
+    return bandwidth_bps / (8 * fps) if bandwidth_bps > 0 else 0.0

@@ -16,7 +16,7 @@ from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
-from airgs_codec.play.policies.named import DEFAULT_POLICY
+from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.session import SessionLog, session_bound
 
 LOOK = "Look at the files: airgs-manifest validate names those that are broken."

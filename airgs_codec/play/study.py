@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import listed, table
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.layout import FileKind
+from airgs_codec.package.layout import JSON_NAME, FileKind
 from airgs_codec.package.package import open_package
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.fetcher import TableStore
 from airgs_codec.play.metrics import FIGURES, headlines, meanings
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY, ORACLES
 from airgs_codec.play.session import SessionLog, session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
 
@@ -82,9 +82,9 @@ def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
 
 def is_feasible(c: Offers, link: Link, settings: SessionSettings, loops: int) -> bool:
     """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
-    at = link.arrival_s(c.wire_bytes([c.root_bytes]), 0.0)
+    at = link.arrival_s(c.wire_bytes([JSON_NAME]), 0.0)
     due = FEASIBLE_START_S
-    at = link.arrival_s(c.wire_bytes([c.file_bytes(path) for path in TableStore(c).missing(range(1))]), at)
+    at = link.arrival_s(c.wire_bytes(TableStore(c).missing(range(1))), at)
     for position in range(loops * c.segments):
         offer = c.offer(c.place(position)[1])
         room = due + offer.seconds - settings.buffer_s

@@ -101,7 +101,7 @@ def test_a_link_that_falls_silent_is_given_up():
     assert arrival.abandoned and not arrival.whole and not arrival.complete
     assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
     assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
-    assert looks[0].expected_bytes == offers.wire_bytes([offers.file_bytes(path)])
+    assert looks[0].expected_bytes == offers.wire_bytes([path])
 
 
 def opened(url, timeout_s=0.3, attempts=FAST.attempts):

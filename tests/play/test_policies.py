@@ -15,9 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.play.ladder import Ladder, Option, saved_shares, select
-from airgs_codec.play.policies.paper import frame_budget, select_literal
-from airgs_codec.play.policies.simple import upcoming_horizon
+from airgs_codec.play.ladder import Ladder, Option, frame_budget, saved_shares, select, select_literal
+from airgs_codec.play.policies import upcoming_horizon
 from tests.faces import NAMES, NONE, ConfigError, Decision, Download, Offers, PlayerState, make_policy
 from tests.support.manifests import keys, link, tiny_manifest
 
@@ -172,19 +171,18 @@ def test_undefined_cases_of_the_ladder(case):
     assert [p.index for p in Ladder.build(dense(*map(float, case["qualities"]))).options] == case["kept"]
 
 
-@pytest.mark.parametrize(("levels", "options", "left"), [
-    *((dense(34, 32, 30, 28, 26), {"min_quality": floor}, [0, 1, 2]) for floor in (29.0, 30.0)),  # 5: a slow slide
-    (dense(34, 32, 30, 28, 26), {"min_quality": 30.5}, [0, 1]),
+@pytest.mark.parametrize(("levels", "left"), [
+    (dense(34, 32, 30, 28, 26), [0, 1, 2, 3, 4]),  # 5: a slow slide
     # From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %: a cliff; the same levels 10 % apart have none.
-    (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), {}, [0, 1]),
-    (dense(40.0, 38.0, 36.8), {}, [0, 1, 2]),
+    (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), [0, 1]),
+    (dense(40.0, 38.0, 36.8), [0, 1, 2]),
     # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff and 2.5 is one.
-    (dense(40, 36, 34, 31.7, saved=[0, 0.4, 0.5, 0.6]), {}, [0, 1, 2, 3]),
-    (dense(40, 36, 34, 31.5, saved=[0, 0.4, 0.5, 0.6]), {}, [0, 1, 2]),
-    (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), {}, [0, 1, 3]),  # 9: sizes that do not fall
+    (dense(40, 36, 34, 31.7, saved=[0, 0.4, 0.5, 0.6]), [0, 1, 2, 3]),
+    (dense(40, 36, 34, 31.5, saved=[0, 0.4, 0.5, 0.6]), [0, 1, 2]),
+    (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), [0, 1, 3]),  # 9: sizes that do not fall
 ])  # fmt: skip
-def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
-    assert [p.index for p in Ladder.build(levels, **options).options] == left
+def test_what_is_left_before_a_cliff(levels, left):
+    assert [p.index for p in Ladder.build(levels).options] == left
 
 
 @pytest.mark.parametrize(("qualities", "sizes", "budget", "expected"), [

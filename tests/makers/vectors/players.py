@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.play.policies.mpc import discounted_throughput
+from airgs_codec.play.policies import discounted_throughput
 from tests import faces
 from tests.faces import NONE, Arrived, Coming, Cut, Event, FormatError, GiveUp, PlayerState, SimulatedDownloader
 from tests.support.manifests import keys

@@ -22,8 +22,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, saved_shares, select
-from airgs_codec.play.policies.paper import frame_budget, select_literal
+from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, frame_budget, saved_shares, select, select_literal
 from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
