@@ -121,7 +121,7 @@ from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
     Arrival, Arrived, BatchKind, Cut, Event, GiveUp, Lost, Replaced, Request, Shown, SimulatedDownloader,
 )  # fmt: skip
-from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables, fetch_beside
+from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
 from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through

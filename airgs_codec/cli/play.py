@@ -27,7 +27,7 @@ from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.film import film
-from airgs_codec.play.http import HttpDownloader, HttpSettings, fetch_beside
+from airgs_codec.play.http import HttpDownloader, HttpSettings
 from airgs_codec.play.offers import Offers
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, make_policy
@@ -114,7 +114,7 @@ def _over_http(options: Play) -> int:
         downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep, _told))
         log = play_over(downloader.open(), downloader, options.policy, options.player)
         if options.video:
-            fetch_beside(log, downloader)
+            downloader.fetch_beside(log)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
     return 0
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,10 +96,8 @@ def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussi
 def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
     """Frames of a segment at the first rung whose files are whole, and what to call it."""
     for name, rung in zip(c.names, c.rungs, strict=True):
-        try:
+        with suppress(FormatError):
             return _segment(package, segment, rung), f"best rung: {name}"
-        except FormatError:
-            continue
     return [], "no rung can be had"
 
 
@@ -152,32 +151,32 @@ def _pictures(
     progress: Progress,
     renderer: Renderer,
 ) -> Iterator[NDArray[np.uint8]]:
-    c, ticks, cameras, draw = log.offers, log.screen_ticks, walk(log), renderer.render
-    best: dict[int, tuple[list[Gaussians], str]] = {}
+    c, ticks, cameras = log.offers, log.screen_ticks, walk(log)
+    best_of, best = -1, (list[Gaussians](), "")  # a segment, its frames and their name
     beside: Gaussians | None
-    seen = [0] * len(log.shown)
-    at = log.shown[0].start_s
+
+    def draw(gaussians: Gaussians | None, camera: Camera) -> NDArray[np.uint8]:
+        black = np.zeros((camera.height, camera.width, 3), np.uint8)
+        return black if gaussians is None else to_bytes(renderer.render(gaussians, camera).rgb)
+
     for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
         progress("rendering the screen", tick, len(ticks))
         s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
-        waits = seen[entry] == s.frames
-        seen[entry] += not waits
-        picture = _black(camera) if gaussians is None else to_bytes(draw(gaussians, camera).rgb)
+        waits = tick > 0 and ticks[tick] == ticks[tick - 1]
         words = "lost" if s.rung is None else c.names[s.rung]
-        picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
+        picture = label(draw(gaussians, camera), words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
         if waits:
             picture = label(picture, "waiting for data", 1)
-        picture = buffer_bar(picture, buffered_s(log, at), log.settings.buffer_s, waits)
+        at_s = log.shown[0].start_s + tick / c.fps
+        picture = buffer_bar(picture, buffered_s(log, at_s) / log.settings.buffer_s, waits)
         if original is not None:
             beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
         else:
-            if s.segment not in best:
-                best = {s.segment: _best(package, c, s.segment)}
-            frames, name = best[s.segment]
+            if s.segment != best_of:
+                best_of, best = s.segment, _best(package, c, s.segment)
+            frames, name = best
             beside = frames[frame] if frames else None
-        shown = np.zeros_like(picture) if beside is None else to_bytes(draw(beside, camera).rgb)
-        yield np.concatenate([picture, label(shown, name)], axis=1)
-        at += 1 / c.fps
+        yield np.concatenate([picture, label(draw(beside, camera), name)], axis=1)
 
 
 def buffered_s(log: SessionLog, at_s: float) -> float:
@@ -188,16 +187,13 @@ def buffered_s(log: SessionLog, at_s: float) -> float:
     return max(0.0, arrived - played)
 
 
-def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: bool) -> NDArray[np.uint8]:
-    """(H, W, 3) with a bar along the lower edge: green as long as the buffer is full, red while the viewer waits."""
+def buffer_bar(picture: NDArray[np.uint8], share: float, waits: bool) -> NDArray[np.uint8]:
+    """(H, W, 3) with a bar along the lower edge: the share of the buffer that is full in green; red while the viewer
+    waits.
+    """
     out = picture.copy()
     height, width = picture.shape[:2]
     thick = max(4, height // 60)
-    filled = round(width * min(1.0, seconds / limit))
     out[-thick:] = (150, 40, 30) if waits else (60, 60, 60)
-    out[-thick:, :filled] = (70, 170, 95)
+    out[-thick:, : round(width * min(1.0, share))] = (70, 170, 95)
     return out
-
-
-def _black(camera: Camera) -> NDArray[np.uint8]:
-    return np.zeros((camera.height, camera.width, 3), np.uint8)

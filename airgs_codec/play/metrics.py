@@ -20,7 +20,6 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec._arguments import brief
 from airgs_codec.errors import ConfigError
@@ -81,10 +80,7 @@ class SessionMetrics:
     replaced: int  # replacements that were fetched
     abandoned: int
     retries: int  # requests that got faulty answers, and were made again
-    infeasible: float  # share of choices for which no rung fitted
     lost_frames: int
-    frame_ms_mean: float  # ms that a frame was on its way, its share of the batch that brought it
-    frame_ms_p95: float
     rungs: Mapping[str, int]  # segments shown with each; "lost" counts the others
     gaussians: int  # most that a picture showed
     trace: str | None  # these are None over a real connection
@@ -196,18 +192,6 @@ class SessionLog:
         return ticks
 
     @property
-    def frame_times(self) -> NDArray[np.float64]:
-        """Seconds that every frame shown was on its way: its share of the batches that brought what was shown."""
-        spans: dict[int, tuple[float, float]] = {}
-        for f in self.fetches:
-            if f.shown:
-                first_s = f.request_s if f.kind is BatchKind.REPLACEMENT else spans.get(f.position, (f.request_s,))[0]
-                spans[f.position] = first_s, f.arrival_s
-        frames = [self.shown[position].frames for position in spans]
-        took_s = [(last_s - first_s) / n for (first_s, last_s), n in zip(spans.values(), frames, strict=True)]
-        return np.repeat(took_s, frames)
-
-    @property
     def mean_quality(self) -> float:
         """PSNR in dB, mean over media time, as `session_bound` counts it; segments without one are left out."""
         known = [(s.psnr, s.frames) for s in self.shown if s.psnr is not None]
@@ -259,13 +243,10 @@ def session_metrics(log: SessionLog) -> SessionMetrics:
     names = offers.names
     counts = Counter("lost" if rung is None else names[rung] for rung in rungs)
     wire, end_s = sum(f.bytes for f in fetches), max(f.arrival_s for f in fetches)
-    choices = [f for f in fetches if f.kind in NEXT]
-    took_ms = 1e3 * log.frame_times
-    took_ms = took_ms if len(took_ms) else np.zeros(1)
     trace = link.trace if link else None
-    position = next((f.position for f in choices if f.shown), None)  # of the first picture, up to its last batch
-    last = max((i for i, f in enumerate(fetches) if f.shown and f.kind in NEXT and f.position == position), default=-1)
-    first = fetches[: last + 1] or fetches
+    brought = [(f.position, i) for i, f in enumerate(fetches) if f.shown and f.kind in NEXT]
+    last = max((i for position, i in brought if position == brought[0][0]), default=len(fetches))
+    first = fetches[: last + 1]  # up to the last batch that the first picture needs
     return SessionMetrics(
         frames=frames,
         played_s=played,
@@ -290,10 +271,7 @@ def session_metrics(log: SessionLog) -> SessionMetrics:
         replaced=sum(f.kind is BatchKind.REPLACEMENT for f in fetches),
         abandoned=sum(f.abandoned for f in fetches),
         retries=sum(f.retries for f in fetches),
-        infeasible=sum(not f.fits for f in choices) / max(1, len(choices)),
         lost_frames=sum(s.frames for s in shown if s.rung is None),
-        frame_ms_mean=float(took_ms.mean()),
-        frame_ms_p95=float(np.percentile(took_ms, 95)),
         rungs=dict(counts.most_common()),
         gaussians=max((rung.gaussians for rung in found), default=0),
         trace=trace.name if trace else None,
@@ -335,9 +313,6 @@ FIGURES = (
     Figure("qoe", "QoE dB", "a segment: quality - changes - 20 dB for a second of waiting"),
     Figure("wasted", "wasted %", "bytes that served nothing, of those on the wire", 100, 1),
     Figure("utilisation", "used %", "bytes on the wire, of those that could have passed", 100, 0),
-    Figure("infeasible", "no fit %", "choices for which no rung fitted", 100, 1),
-    Figure("frame_ms_mean", "mean ms", "time a frame was on its way: its share of the batch that brought it", 1, 0),
-    Figure("frame_ms_p95", "95 % ms", "95th percentile over frames of the same time", 1, 0),
     *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in FileKind),
 )
 

@@ -130,8 +130,6 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
         ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers" + used),
         ("wasted", f"{100 * r['wasted']:.1f} %: {r['replaced']} replacements, {r['abandoned']} abandoned"),
-        ("frame on its way", f"mean {r['frame_ms_mean']:.0f} ms, 95 % under {r['frame_ms_p95']:.0f} ms"),
-        ("no rung fitted", f"{100 * r['infeasible']:.0f} %"),
     ]
     if r["delta_e_mean"] is not None:
         rows.append(("ΔE on screen", f"mean {r['delta_e_mean']:.2f} (CIEDE2000; about 1 is just noticeable)"))

@@ -33,7 +33,6 @@ from airgs_codec.progress import Progress, silent
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
 SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
-PERCENTILES = tuple(range(101))  # of the frame times that are recorded of a session
 Row = dict[str, Any]  # what is known of one session or run, by name
 
 
@@ -146,7 +145,6 @@ def _session_row(log: SessionLog) -> Row:
         log.metrics.as_dict()
         | {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
         | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in FileKind}
-        | {"frame_ms_percentiles": (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()}
     )
 
 

@@ -24,7 +24,6 @@ CONSTANT_S = 3600.0
 MARKOV_S, MARKOV_DWELL_S, MARKOV_OUTAGE_S, MARKOV_MEAN_BPS = 300.0, 3.0, 1.5, 8e6  # of synthetic traces
 MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something else
 
-
 DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 LONGEST_S = 86_400.0  # of one batch: a stall is counted in frames, and those of years fill the memory
 MOST_BPS = 1e19  # beyond, the bound of a session has numbers that HiGHS takes for infinite
@@ -67,11 +66,9 @@ class Trace:
 
     @staticmethod
     def open(source: str | Path) -> Trace:
-        """The bandwidth trace that `source` names.
-
-        A path: a file that `read_trace` reads. `const:MBPS`: a constant rate. `markov:SEED` or
-        `markov:SEED:MEAN_MBPS`: the synthetic trace of `markov_trace`. Raises TransportError for a file that cannot be
-        read and for anything else.
+        """The bandwidth trace that `source` names: a file for `read_trace`, `const:MBPS`, a constant rate, or
+        `markov:SEED[:MEAN_MBPS]`, a synthetic one. Raises TransportError for a file that cannot be read and for
+        anything else.
         """
         kind, _, rest = str(path_argument("trace", source)).partition(":")
         numbers = rest.split(":")
@@ -121,9 +118,8 @@ class Trace:
         return rounds * self._totals[-1] + self._totals[i] + float(self.rates_bps[i]) * (rest - self._starts[i])
 
     def arrival_s(self, size_bytes: float, at_s: float) -> float:
-        """When `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral.
-
-        Infinity where the trace would repeat more often than float64 counts (2^53 times).
+        """When `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral. Infinity where the trace
+        would repeat more often than float64 counts (2^53 times).
 
         Raises TransportError when the trace ends before, or holds a rate of zero for ever.
         """
@@ -132,10 +128,8 @@ class Trace:
         if target > totals[-1] and self.end != "loop":
             rate = self.rate_at(math.inf)
             if rate <= 0:
-                raise TransportError(
-                    f"{self.name}: ends after {self.duration_s:g} s ({self.end}) with {(target - totals[-1]) / 8:.0f} "
-                    "bytes still to come"
-                )
+                left = f"{(target - totals[-1]) / 8:.0f} bytes still to come"
+                raise TransportError(f"{self.name}: ends after {self.duration_s:g} s ({self.end}) with {left}")
             return max(at_s, self.duration_s + (target - totals[-1]) / rate)
         if target > 2.0**53 * totals[-1]:
             return math.inf
@@ -161,11 +155,9 @@ class Trace:
         later, earlier = self.starts_s[first:] - offset_s, self.starts_s[: first + 1] + self.duration_s - offset_s
         starts = np.concatenate([np.maximum(later, 0), earlier])
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
-        inside = starts < self.duration_s
-        begins = (self.offset_s + offset_s) % self.duration_s
-        return replace(
-            self, starts_s=starts[inside], rates_bps=rates[inside], scale=self.scale * scale, offset_s=begins
-        )
+        inside, begins = starts < self.duration_s, (self.offset_s + offset_s) % self.duration_s
+        cut = replace(self, starts_s=starts[inside], rates_bps=rates[inside])
+        return replace(cut, scale=self.scale * scale, offset_s=begins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +200,7 @@ class Link:
         return max(0.0, self.trace.bits_until(stop_s) - self.trace.bits_until(start_s)) / 8
 
 
-def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float = MARKOV_S) -> Trace:
+def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS) -> Trace:
     """A seeded chain over rates a factor of two apart, with outages; a state lasts about MARKOV_DWELL_S.
 
     Neighbouring rates follow each other, one change in ten falls into an outage of about MARKOV_OUTAGE_S.
@@ -217,15 +209,15 @@ def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float
     starts: list[float] = []
     rates: list[float] = []
     at, state = 0.0, 2
-    while at < duration_s:
+    while at < MARKOV_S:
         out = bool(starts) and random.random() < 0.1
         starts.append(at)
         rates.append(0.0 if out else 2.0**state * random.uniform(0.8, 1.25))
         at += random.exponential(MARKOV_OUTAGE_S if out else MARKOV_DWELL_S) + 0.05
         state = int(np.clip(state + random.choice((-1, 0, 1)), 0, 4))
-    lengths = np.diff(np.array(starts), append=duration_s)
-    scaled = np.array(rates) * mean_bps * duration_s / float(np.dot(rates, lengths))
-    return Trace(f"markov:{seed}:{mean_bps / 1e6:g}", np.array(starts), scaled, duration_s)
+    lengths = np.diff(np.array(starts), append=MARKOV_S)
+    scaled = np.array(rates) * mean_bps * MARKOV_S / float(np.dot(rates, lengths))
+    return Trace(f"markov:{seed}:{mean_bps / 1e6:g}", np.array(starts), scaled, MARKOV_S)
 
 
 def read_trace(path: Path) -> Trace:

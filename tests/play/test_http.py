@@ -283,7 +283,7 @@ def test_what_pictures_show_beside_a_session_is_fetched_after_it():
     with plainly_serving(PACKAGE) as port, HttpDownloader(local(port), FAST, files.__setitem__) as downloader:
         log = play(downloader.open(), downloader, "fixed:Q1+L0", RULES)
         before = set(files)
-        faces.fetch_beside(log, downloader)
+        downloader.fetch_beside(log)
     assert {path.split("/")[-2] for path in set(files) - before} == {"Q0"}
 
 
