@@ -183,15 +183,11 @@ class Fetcher:
         """Every rung of the segment at a position that is allowed, with the bytes that it still needs."""
         return self.offer(position).options(self.decoded(self.loop(position)))
 
-    def usable(self, batch: Batch) -> bool:
-        """Whether no file of a batch was found missing or corrupt."""
-        return self.unusable.isdisjoint(batch.files)
-
     def choices(self, position: int) -> tuple[Option, ...]:
         """The rungs of the segment at a position that can be had and are smaller than what was given up."""
         options = self.options(position)
         if self.unusable:
-            options = tuple(p for p in options if self.usable(self.missing(position, p.index)))
+            options = tuple(p for p in options if self.unusable.isdisjoint(self.missing(position, p.index).files))
         return tuple(p for p in options if self.given_up[0] != position or p.size_bytes < self.given_up[1])
 
     def give_up(self, deadline_s: float, size: int, smallest: int) -> GiveUp | None:

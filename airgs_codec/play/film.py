@@ -115,8 +115,35 @@ def film(
 
     Raises CodecError.
     """
-    pictures = _pictures(package, log, original, progress, renderer)
-    write_movie(path, pictures, log.offers.manifest.fps, sound_of(package, log))
+    c, ticks, cameras = log.offers, log.screen_ticks, walk(log)
+
+    def draw(gaussians: Gaussians | None, camera: Camera) -> NDArray[np.uint8]:
+        black = np.zeros((camera.height, camera.width, 3), np.uint8)
+        return black if gaussians is None else to_bytes(renderer.render(gaussians, camera).rgb)
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        best_of, best = -1, (list[Gaussians](), "")  # a segment, its frames and their name
+        beside: Gaussians | None
+        for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
+            progress("rendering the screen", tick, len(ticks))
+            s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
+            waits = tick > 0 and ticks[tick] == ticks[tick - 1]
+            words = "lost" if s.rung is None else c.names[s.rung]
+            picture = label(draw(gaussians, camera), words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
+            if waits:
+                picture = label(picture, "waiting for data", 1)
+            at_s = log.shown[0].start_s + tick / c.fps
+            picture = buffer_bar(picture, buffered_s(log, at_s) / log.settings.buffer_s, waits)
+            if original is not None:
+                beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
+            else:
+                if s.segment != best_of:
+                    best_of, best = s.segment, _best(package, c, s.segment)
+                frames, name = best
+                beside = frames[frame] if frames else None
+            yield np.concatenate([picture, label(draw(beside, camera), name)], axis=1)
+
+    write_movie(path, pictures(), c.manifest.fps, sound_of(package, log))
 
 
 def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
@@ -142,41 +169,6 @@ def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
         part = samples[at + ends[tick] : at + ends[tick + 1]]
         heard[ends[tick] : ends[tick] + len(part)] = part
     return heard
-
-
-def _pictures(
-    package: Package,
-    log: SessionLog,
-    original: GaussianSequence | None,
-    progress: Progress,
-    renderer: Renderer,
-) -> Iterator[NDArray[np.uint8]]:
-    c, ticks, cameras = log.offers, log.screen_ticks, walk(log)
-    best_of, best = -1, (list[Gaussians](), "")  # a segment, its frames and their name
-    beside: Gaussians | None
-
-    def draw(gaussians: Gaussians | None, camera: Camera) -> NDArray[np.uint8]:
-        black = np.zeros((camera.height, camera.width, 3), np.uint8)
-        return black if gaussians is None else to_bytes(renderer.render(gaussians, camera).rgb)
-
-    for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
-        progress("rendering the screen", tick, len(ticks))
-        s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
-        waits = tick > 0 and ticks[tick] == ticks[tick - 1]
-        words = "lost" if s.rung is None else c.names[s.rung]
-        picture = label(draw(gaussians, camera), words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
-        if waits:
-            picture = label(picture, "waiting for data", 1)
-        at_s = log.shown[0].start_s + tick / c.fps
-        picture = buffer_bar(picture, buffered_s(log, at_s) / log.settings.buffer_s, waits)
-        if original is not None:
-            beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
-        else:
-            if s.segment != best_of:
-                best_of, best = s.segment, _best(package, c, s.segment)
-            frames, name = best
-            beside = frames[frame] if frames else None
-        yield np.concatenate([picture, label(draw(beside, camera), name)], axis=1)
 
 
 def buffered_s(log: SessionLog, at_s: float) -> float:

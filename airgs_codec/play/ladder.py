@@ -43,36 +43,31 @@ class Decision:
     size_bytes: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Ladder:
-    """Options whose size and quality both fall strictly, from the best down to the last before the cliff."""
+def build_ladder(options: Iterable[Option], beta: float = DEFAULT_BETA) -> tuple[Option, ...]:
+    """Options whose size and quality both fall strictly, from the best down to the last before the cliff.
 
-    options: tuple[Option, ...]
-
-    @staticmethod
-    def build(options: Iterable[Option], *, beta: float = DEFAULT_BETA, cliff_db: float = CLIFF_DB) -> Ladder:
-        """Pareto filter, then the cliff test.
-
-        The paper's levels are 10 % of the updates apart. Those of packages are not, and save by coarser steps as well;
-        so drops are counted per 10 % of the bytes saved, over at least one such step from level to level. A level is
-        past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least EPS_DB), or, for
-        the first level, `cliff_db`. O(n log n).
-        Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
-        """
-        if not beta > 1:
-            raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
-        front = _pareto([_checked(p) for p in options])
-        rungs = front[:1]
-        steps = 0.0  # of 10 %, from the best level to the last one chosen
-        for previous, option in itertools.pairwise(front):
-            tenths = max(1.0, 10 * (option.saved - previous.saved))
-            drop = (previous.quality - option.quality) / tenths
-            reference = max(EPS_DB, (front[0].quality - previous.quality) / steps) if steps else None
-            if drop > cliff_db if reference is None else drop / reference > beta:
-                break
-            rungs.append(option)
-            steps += tenths
-        return Ladder(tuple(rungs))
+    Pareto filter, then the cliff test. The paper's levels are 10 % of the updates apart. Those of packages are not, and
+    save by coarser steps as well; so drops are counted per 10 % of the bytes saved, over at least one such step from
+    level to level. A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
+    EPS_DB), or, for the first level, CLIFF_DB; no drop is a cliff where beta is inf. O(n log n).
+    Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
+    """
+    if not beta > 1:
+        raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
+    front = _pareto([_checked(p) for p in options])
+    if beta == math.inf:
+        return tuple(front)
+    ladder = front[:1]
+    steps = 0.0  # of 10 %, from the best level to the last one chosen
+    for previous, option in itertools.pairwise(front):
+        tenths = max(1.0, 10 * (option.saved - previous.saved))
+        drop = (previous.quality - option.quality) / tenths
+        mean = max(EPS_DB, (front[0].quality - previous.quality) / steps) if steps else None
+        if drop > CLIFF_DB if mean is None else drop / mean > beta:
+            break
+        ladder.append(option)
+        steps += tenths
+    return tuple(ladder)
 
 
 def _checked(option: Option) -> Option:
@@ -92,18 +87,17 @@ def _pareto(options: list[Option]) -> list[Option]:
     return front[::-1]
 
 
-def select(ladder: Ladder, budget_bytes: float) -> Decision:
-    """The best level that fits; when none does, the smallest with fits=False (7, 8). O(log n).
+def select(ladder: Sequence[Option], budget_bytes: float) -> Decision:
+    """The best level of a ladder that fits; when none does, the smallest with fits=False (7, 8). O(log n).
 
     A budget that is negative or no number counts as 0 (12).
     """
     budget = budget_bytes if budget_bytes > 0 else 0.0
-    options = ladder.options
-    at = bisect_left(options, -budget, key=lambda p: -p.size_bytes)
-    if at == len(options):
-        last = options[-1]
+    at = bisect_left(ladder, -budget, key=lambda p: -p.size_bytes)
+    if at == len(ladder):
+        last = ladder[-1]
         return Decision(last.index, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
-    chosen = options[at]
+    chosen = ladder[at]
     return Decision(chosen.index, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
 
 

@@ -284,44 +284,26 @@ def session_metrics(log: SessionLog) -> SessionMetrics:
     )
 
 
-TICK_PSNR = "mean over display ticks of the dB of what was on the screen; frozen pictures count"
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    name: str  # in rows and records
-    heading: str  # with the unit
-    meaning: str
-    factor: float = 1.0  # from the row's unit to the heading's
-    digits: int = 2
-    headline: bool = False  # one of those that pages and terminals show; CSV has all
-
-    def text(self, value: float) -> str:
-        """A value of a row in the heading's unit."""
-        return f"{self.factor * value:.{self.digits}f}"
-
-
-FIGURES = (
-    Figure("psnr_mean", "PSNR dB", TICK_PSNR, headline=True),
-    Figure("psnr_p5", "5th %ile dB", "5th percentile over display ticks of the same dB", headline=True),
-    Figure("stall_ratio", "stalled %", "waiting after the first picture, of the time since", 100, headline=True),
-    Figure("startup_s", "start-up s", "from the first request to the first picture", headline=True),
-    Figure("switches", "switches", "changes of the rung from one segment to the next", 1, 1, headline=True),
-    Figure("bytes_per_frame", "kB/frame", "files that were of use, without headers", 1e-3, headline=True),
-    Figure("regret", "regret dB", "PSNR under the bound for the same moments, mean over media time", headline=True),
-    Figure("change_db", "change dB", "mean change of PSNR from one segment to the next"),
-    Figure("qoe", "QoE dB", "a segment: quality - changes - 20 dB for a second of waiting"),
-    Figure("wasted", "wasted %", "bytes that served nothing, of those on the wire", 100, 1),
-    Figure("utilisation", "used %", "bytes on the wire, of those that could have passed", 100, 0),
-    *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in FileKind),
-)
-
-
-def headlines(figures: tuple[Figure, ...]) -> list[Figure]:
-    """The figures that pages and terminals show."""
-    return [figure for figure in figures if figure.headline]
-
-
-def meanings(figures: tuple[Figure, ...]) -> dict[str, str]:
-    """Name of every figure -> what it means."""
-    return {figure.name: figure.meaning for figure in figures}
+FIGURES = {  # of a session, in rows and records -> what it means
+    "psnr_mean": "mean over display ticks of the dB of what was on the screen; frozen pictures count",
+    "psnr_p5": "5th percentile over display ticks of the same dB",
+    "stall_ratio": "waiting after the first picture, of the time since",
+    "startup_s": "from the first request to the first picture",
+    "switches": "changes of the rung from one segment to the next",
+    "bytes_per_frame": "files that were of use, without headers",
+    "regret": "PSNR under the bound for the same moments, mean over media time",
+    "change_db": "mean change of PSNR from one segment to the next",
+    "qoe": "a segment: quality - changes - 20 dB for a second of waiting",
+    "wasted": "bytes that served nothing, of those on the wire",
+    "utilisation": "bytes on the wire, of those that could have passed",
+    **{f"{kind}_kb_frame": f"kB a frame of {kind} files, without headers" for kind in FileKind},
+}
+HEADLINES = {  # those that are shown in a terminal -> heading, factor from the row's unit to the heading's, format
+    "psnr_mean": ("PSNR dB", 1, ".2f"),
+    "psnr_p5": ("5th %ile dB", 1, ".2f"),
+    "stall_ratio": ("stalled %", 100, ".2f"),
+    "startup_s": ("start-up s", 1, ".2f"),
+    "switches": ("switches", 1, ".1f"),
+    "bytes_per_frame": ("kB/frame", 1e-3, ".2f"),
+    "regret": ("regret dB", 1, ".2f"),
+}

@@ -226,7 +226,7 @@ class Player:
                 size -= here.state_bytes if offer.rungs[option.index].level == here.level else 0
                 if free_s + 8 * size / rate_bps + f.settings.decode_frame_s > slot.start_s:
                     continue
-                if not f.unusable or f.usable(self._replacing(slot, option.index)):
+                if not f.unusable or f.unusable.isdisjoint(self._replacing(slot, option.index).files):
                     yield gain * slot.seconds / max(1, size), slot, option
 
     def _replacing(self, slot: Slot, rung: int) -> Batch:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import argument, brief
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.ladder import DEFAULT_BETA, Decision, Ladder, Option, frame_budget, select, select_literal
+from airgs_codec.play.ladder import DEFAULT_BETA, Decision, Option, build_ladder, frame_budget, select, select_literal
 from airgs_codec.play.offers import Keys, Offers, SegmentOffer
 from airgs_codec.play.trace import Link
 
@@ -128,12 +128,12 @@ def budget_bytes(state: PlayerState) -> float:
     return SAFETY * state.throughput_bps * window / 8
 
 
-def full_ladder(state: PlayerState) -> Ladder:
+def full_ladder(state: PlayerState) -> tuple[Option, ...]:
     """The rungs worth having, without the cliff test.
 
     A rung that the cliff test removes can only be replaced by a larger one, and in the end by a stall.
     """
-    return Ladder.build(state.options, beta=math.inf, cliff_db=math.inf)
+    return build_ladder(state.options, math.inf)
 
 
 def choose_fixed(state: PlayerState, rung: int) -> Decision:
@@ -156,7 +156,7 @@ def choose_bola(state: PlayerState) -> Decision:
     smallest rung is left at RESERVE_S (a third of a smaller buffer) and the best one scores nothing when the buffer is
     full.
     """
-    rungs = full_ladder(state).options
+    rungs = full_ladder(state)
     if len(rungs) == 1:
         return Decision(rungs[0].index, True, "one rung", rungs[0].size_bytes)
     utility = [p.quality - rungs[-1].quality for p in rungs]
@@ -180,7 +180,7 @@ def choose_paper(state: PlayerState) -> Decision:
     10 % of the bytes saved; of one level, none. Key qualities have no cliff: they are not updates withheld.
     """
     rungs = state.offer.rungs
-    least = Ladder.build(state.offer.levels).options[-1].size_bytes
+    least = build_ladder(state.offer.levels)[-1].size_bytes
     enough = tuple(p for p in state.options if rungs[p.index].state_bytes >= least)
     return choose_paper_no_cliff(replace(state, options=enough or state.options))
 

@@ -15,7 +15,7 @@ from airgs_codec.package.manifest import on_ladder, pooled_quality
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
 from airgs_codec.play.fetcher import SHORTEST_S
-from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
+from airgs_codec.play.metrics import FIGURES, SessionMetrics
 from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.session import SessionLog, session_bound
 
@@ -43,7 +43,7 @@ def write_report(log: SessionLog, directory: Path) -> Path:
             "answer": answer(log),
             "region": region_record(log),
             "rungs": rung_record(log),
-            "meanings": meanings(FIGURES),
+            "meanings": FIGURES,
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }

@@ -22,7 +22,7 @@ from airgs_codec.package.layout import JSON_NAME, FileKind
 from airgs_codec.package.package import open_package
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.fetcher import TableStore
-from airgs_codec.play.metrics import FIGURES, headlines, meanings
+from airgs_codec.play.metrics import FIGURES, HEADLINES
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.policies import DEFAULT_POLICY, ORACLES
@@ -192,7 +192,7 @@ def summarise(study: Study, feasible: bool | None = None) -> list[PolicySummary]
     traces = [r["trace"] for r in study.rows if r["policy"] == first and feasible in (None, r["feasible"])]
     summaries = []
     for policy in study.settings.policies:
-        values = {figure.name: study.of(policy, figure.name, feasible) for figure in FIGURES}
+        values = {name: study.of(policy, name, feasible) for name in FIGURES}
         stalls, played = (study.of(policy, name, feasible).sum() for name in ("stall_s", "played_s"))
         summaries.append(
             PolicySummary(
@@ -211,7 +211,7 @@ def study_record(study: Study) -> dict[str, Any]:
     return {
         "package": study.package,
         "answer": study_answer(study),
-        "figures": meanings(FIGURES),
+        "figures": FIGURES,
         "all": [asdict(summary) for summary in summarise(study)],
         "feasible": [asdict(summary) for summary in summarise(study, True)],
     }
@@ -231,12 +231,11 @@ def format_study(study: Study, as_json: bool = False) -> str:
 
 
 def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
-    shown = headlines(FIGURES)
-    cells = [
-        [s.policy, *("-" if np.isnan(s.figures[f.name].mean) else f.text(s.figures[f.name].mean) for f in shown)]
-        for s in summaries
-    ]
-    return table(["policy", *(figure.heading for figure in shown)], cells)
+    cells = []
+    for s in summaries:
+        means = [(factor * s.figures[name].mean, digits) for name, (_, factor, digits) in HEADLINES.items()]
+        cells.append([s.policy, *("-" if np.isnan(mean) else format(mean, digits) for mean, digits in means)])
+    return table(["policy", *(heading for heading, _, _ in HEADLINES.values())], cells)
 
 
 def conditions(study: Study) -> str:

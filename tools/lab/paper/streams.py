@@ -22,7 +22,15 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, frame_budget, saved_shares, select, select_literal
+from airgs_codec.play.ladder import (
+    DEFAULT_BETA,
+    Option,
+    build_ladder,
+    frame_budget,
+    saved_shares,
+    select,
+    select_literal,
+)
 from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
@@ -49,8 +57,7 @@ def choose_top(levels: Levels, budget: float) -> tuple[int, bool]:
 
 def choose_best(levels: Levels, budget: float, beta: float = DEFAULT_BETA) -> tuple[int, bool]:
     """The best level before the cliff that fits, no level if none does; without a cliff where beta is inf."""
-    ladder = Ladder.build(levels) if beta < math.inf else Ladder.build(levels, beta=beta, cliff_db=math.inf)
-    decision = select(ladder, budget)
+    decision = select(build_ladder(levels, beta), budget)
     return (decision.index, True) if decision.fits else (SKIPPED, False)
 
 
