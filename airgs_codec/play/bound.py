@@ -70,7 +70,7 @@ class Schedule:
 
 
 def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
-    """The best schedule, by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
+    """Find the best schedule by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
 
     Raises ConfigError for a horizon without slots.
     """
@@ -123,17 +123,17 @@ class _Programme:
         self.width = self.rungs + kinds * len(own) + 1
 
     def _key(self, k: int, of: int, key: _Key) -> int:
-        """The share of a key that is decoded, of the slot's group (0) or its base (1)."""
+        """Return the column of a key's decoded share, for slot k's group (of = 0) or its base (of = 1)."""
         return k * self.width + self.rungs + of * len(self._column) + self._column[key]
 
     def _keys(self, k: int) -> Iterator[tuple[int, int, _Key]]:
-        """All keys that a slot may need: 0 of its group or 1 of its base, the group, and which."""
+        """Yield all keys that a slot may need: 0 for its group or 1 for its base, the group, and (quality, tier)."""
         for of, group in enumerate(self._groups[k]):
             if group is not None:
                 yield from ((of, group, key) for key in self._column)
 
     def _before(self, k: int, of: int, key: _Key) -> int | None:
-        """The share of the same key in the last slot before that may need it; None: it is not decoded before."""
+        """Return the column of the same key in the last slot before k that may need it; None if no earlier one does."""
         if of == 0:
             return self._key(k - 1, of, key) if k and not self._offers[k].starts_group else None
         group = self._groups[k][of]
@@ -145,7 +145,7 @@ class _Programme:
         return None
 
     def rows(self, k: int) -> Iterator[Row]:
-        """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
+        """Yield the constraints of slot k: one rung with its keys, whose bytes follow its release and slot k - 1."""
         slot, first, carried = self._horizon.slots[k], k * self.width, (k + 1) * self.width - 1
         yield [(first + rung, 1.0) for rung in range(self.rungs)], 1.0, 1.0
         users: dict[Key, Terms] = defaultdict(list)  # minus the share of every rung that needs a key
@@ -164,7 +164,7 @@ class _Programme:
             yield [*done, (first - 1, -1.0)], self._horizon.idle_bytes / self.unit, np.inf
 
     def fetched(self, k: int) -> Terms:
-        """Units of bytes that are fetched for slot k, for each share of a variable."""
+        """Return the bytes fetched for slot k, in units, as coefficients of the variables."""
         rungs = self._offers[k].rungs
         fetched = [(k * self.width + number, rung.state_bytes / self.unit) for number, rung in enumerate(rungs)]
         for of, group, key in self._keys(k):

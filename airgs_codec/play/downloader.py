@@ -67,7 +67,7 @@ class Arrival:
 
     @property
     def usable(self) -> tuple[str, ...]:
-        """The files that are of use: a state segment whose batch is not complete is dropped."""
+        """Return the files that can be used: a state segment is dropped unless its batch is complete."""
         return self.whole if self.complete else tuple(p for p in self.whole if p not in self.request.batch.state)
 
 
@@ -130,16 +130,6 @@ class Partial:
     bytes: float  # so far, headers included
     expected_bytes: int
 
-    @property
-    def rate(self) -> float:
-        """Bytes a second so far."""
-        return max(self.bytes, 1.0) / self.elapsed_s
-
-    @property
-    def left_s(self) -> float:
-        """Seconds to the last byte at that rate."""
-        return (self.expected_bytes - self.bytes) / self.rate
-
 
 GiveUp = Callable[[Partial], bool]
 
@@ -147,11 +137,11 @@ GiveUp = Callable[[Partial], bool]
 class Downloader(Protocol):
     @property
     def rtt_s(self) -> float:
-        """Seconds from a request to its first byte on an idle link."""
+        """Return the seconds from a request to its first byte on an idle link."""
 
     @property
     def pipelines(self) -> bool:
-        """Whether a request may be sent before the batch before it has arrived."""
+        """Return whether a request may be sent before the previous batch has arrived."""
 
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """Request a batch and wait for it. `give_up` is asked every CHECK_S whether to abandon it.
@@ -202,6 +192,6 @@ class SimulatedDownloader:
             yield Partial(at_s, at_s - first_s, self.link.bytes_between(first_s, at_s), expected)
 
     def _wire_size(self, path: str) -> int:
-        """Bytes of a file with its headers; of a missing one the headers alone."""
+        """Return the bytes of a file with its headers; only the headers of a missing one."""
         missing = path in self.faults and self.faults[path].reason == "missing_file"
         return self.offers.header_bytes if missing else self.offers.wire_bytes([path])

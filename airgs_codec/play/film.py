@@ -35,17 +35,17 @@ CIRCLE, CORNERS = 0.5, 8  # where there is but one place: the radius of a circle
 
 
 def walk(log: SessionLog) -> list[Camera]:
-    """The camera of every display tick of a session, on a walk through the package's region."""
+    """Return the camera of every display tick, on a walk through the package's viewing region."""
     m = log.offers.manifest
     views = walk_through(levelled(m.region, m.world), np.arange(len(log.screen_ticks)) / log.offers.fps)
     return [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in views]
 
 
 def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
-    """The view of a viewer after each of (T,) seconds.
+    """Return the camera of a walking viewer at each of (T,) times in seconds.
 
-    He goes from each place of the region on to the nearest that is left, and back the same way, as often as need be;
-    about a place that is alone in a circle. On his way he turns about what he looks at, and so never walks through it.
+    The walk leads from each place of the region to the nearest one left and back, again and again; about a single place
+    in a circle. It turns about what the viewer looks at, and so never passes through it.
     """
     tour, left = [region.places[0]], list(region.places[1:])
     while left:
@@ -70,7 +70,7 @@ def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
-    """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
+    """Yield (Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
     In a lost segment the last Gaussians stay; None before the first that could be shown.
     """
@@ -94,7 +94,7 @@ def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussi
 
 
 def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
-    """Frames of a segment at the first rung whose files are whole, and what to call it."""
+    """Decode a segment at the best rung whose files are intact; returns its frames and a label."""
     for name, rung in zip(c.names, c.rungs, strict=True):
         with suppress(FormatError):
             return _segment(package, segment, rung), f"best rung: {name}"
@@ -109,9 +109,8 @@ def film(
     progress: Progress = silent,
     renderer: Renderer = CPU,
 ) -> None:
-    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting; beside it
-    the same moment of the original, or of the best rung where there is no `original`. It has the sound of the package;
-    while the viewer waits, it is silent.
+    """Write an H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting, on
+    the right the same moment of the original, or of the best rung without one. Sound is silent during stalls.
 
     Raises CodecError.
     """
@@ -147,7 +146,7 @@ def film(
 
 
 def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
-    """(n, C) samples, 48,000 a second, that were heard during the display ticks of a session; None without sound."""
+    """Return (n, C) samples at 48 kHz as heard during the display ticks of a session; None without sound."""
     m = package.manifest
     numbers = [m.group_of(shown.segment) for shown in log.shown]
     groups = range(min(numbers), max(numbers) + 1)
@@ -172,7 +171,7 @@ def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
 
 
 def buffered_s(log: SessionLog, at_s: float) -> float:
-    """Seconds of media that have arrived and are not shown yet, at a moment."""
+    """Return the seconds of media that have arrived and are not shown yet at a moment."""
     fps = log.offers.fps
     arrived = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
     played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
@@ -180,9 +179,7 @@ def buffered_s(log: SessionLog, at_s: float) -> float:
 
 
 def buffer_bar(picture: NDArray[np.uint8], share: float, waits: bool) -> NDArray[np.uint8]:
-    """(H, W, 3) with a bar along the lower edge: the share of the buffer that is full in green; red while the viewer
-    waits.
-    """
+    """Return the (H, W, 3) picture with a bar along its lower edge: the filled share of the buffer; red in a stall."""
     out = picture.copy()
     height, width = picture.shape[:2]
     thick = max(4, height // 60)

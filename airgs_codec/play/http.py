@@ -107,7 +107,6 @@ class _Answer:
         self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
 
     def begin(self, response: aiohttp.ClientResponse) -> None:
-        """Count what has come: the head."""
         now, transfer = time.monotonic(), self._transfer
         self.count(STATUS_LINE_BYTES + sum(len(name) + len(value) + 4 for name, value in response.raw_headers))
         transfer.first_byte_at = now if transfer.first_byte_at is None else transfer.first_byte_at
@@ -148,11 +147,11 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         received: Callable[[str, bytes], object] | None = None,
         told: Callable[[str], object] | None = None,
     ) -> None:
-        """`told` hears a line where files of a batch have to be asked for again."""
+        """`told` is called with a line of text when files of a batch are requested again."""
         self._settings, self._received, self._told = settings or HttpSettings(), received, told
         self._url, self._query = _checked(url)
         self._tables = RemoteTables()
-        self._root: tuple[str, bytes] | None = None  # entity tag and bytes of airgs.json, as it came last
+        self._tag: str | None = None  # entity tag of airgs.json, once it was accepted, '' without one
         self._runner = asyncio.Runner()
         self._session = self._runner.run(self._connect())
         self._zero: float | None = None  # of the clock
@@ -166,7 +165,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
 
     @property
     def rtt_s(self) -> float:
-        """The shortest wait for a first byte so far, in seconds; 0 before there is any."""
+        """Return the shortest wait for a first byte so far in seconds, 0 before there is one."""
         return self._rtt_s if self._rtt_s < math.inf else 0.0
 
     def open(self) -> Offers:
@@ -201,9 +200,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         return self._runner.run(self._fetch(request, give_up))
 
     def fetch_beside(self, log: SessionLog) -> None:
-        """Fetch what a report or a film of a session shows beside what was played: all tables, and the best rungs. What
-        cannot be had is left out.
-        """
+        """Fetch all tables and the best rungs for a film of a session, as far as they can be had."""
         c, pages = log.offers, set[str]()
         places = c.manifest.groups.places
         with contextlib.suppress(FormatError):  # a page cannot be had
@@ -265,7 +262,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
     async def _watch(
         self, tasks: list[asyncio.Task[None]], transfer: Transfer, expected: int, give_up: GiveUp | None
     ) -> bool:
-        """Wait for all files, looking every CHECK_S from the first byte on; True: they are given up."""
+        """Wait for all files, asking `give_up` every CHECK_S after the first byte; returns whether it said yes."""
         waiting, look_s = set(tasks), CHECK_S
         while waiting:
             since_s = 0.0 if transfer.first_byte_at is None else time.monotonic() - transfer.first_byte_at
@@ -283,7 +280,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         return False
 
     async def _get(self, path: str, limit: int, transfer: Transfer) -> None:
-        """Fetch a file of at most `limit` bytes, and say in `transfer` what came of it.
+        """Fetch a file of at most `limit` bytes and record the outcome in `transfer`.
 
         Raises TransportError when the server is away for too long: before airgs.json has come, at once.
         """
@@ -301,7 +298,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
             except (FormatError, aiohttp.ClientError, OSError) as error:
                 fault = self._fault(path, error, away=transfer.answered_at < answer.asked_at)
             if path == JSON_NAME:
-                self._root = None
+                self._tag = None
             passing, now = fault if isinstance(fault, _PassingError) else None, time.monotonic()
             after_s = passing.after_s if passing else 0.0
             faults, away_since = (faults, away_since or now) if passing and passing.away else (faults + 1, None)
@@ -319,7 +316,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
             await asyncio.sleep(max(after_s, pause_s))
 
     def _fault(self, path: str, error: Exception, away: bool) -> FormatError:
-        """What an error means for a file; `away`: nothing came from the server since it was asked."""
+        """Return what an error means for a file; `away`: the server has sent nothing since the request."""
         match error:
             case FormatError():
                 return error
@@ -335,11 +332,10 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         return _PassingError(path, f"broken off: {_reason(error)}")
 
     async def _receive(self, path: str, limit: int, answer: _Answer, again: bool) -> bytes:
-        """The bytes of a file as they are listed. Raises FormatError and what aiohttp does."""
+        """Return the bytes of a file, unzipped if the server zipped it. Raises FormatError and errors of aiohttp."""
         headers = dict(FRESH) if again else {}
-        tag, last = "", b""
-        if path == JSON_NAME and self._root:  # the first, and one after a fault, is as it is listed
-            tag, last = self._root
+        tag = self._tag if path == JSON_NAME else None
+        if tag is not None:  # the first, and one after a fault, is as it is listed
             headers = {"Accept-Encoding": "gzip"} | ({"If-None-Match": tag} if tag else {})
         asking = self._session.get(
             URL(f"{self._url}/{path}{self._query}", encoded=True),
@@ -350,7 +346,7 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         async with answer.limit, asking as response:
             answer.begin(response)
             if response.status == 304 and tag:
-                return last
+                return self._tables.root_bytes
             if response.status != 200:
                 raise _refusal(path, response.status, response.headers.get("Retry-After", ""))
             body = bytearray()
@@ -365,13 +361,13 @@ class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
         if response.headers.get("Content-Encoding") == "gzip" and not path.endswith(".gz"):
             data = inflate(data, path)
         if path == JSON_NAME:
-            self._root = response.headers.get("ETag", ""), data
+            self._tag = response.headers.get("ETag", "")
         return data
 
     async def _stay(
         self, path: str, request: aiohttp.ClientRequest, pass_on: aiohttp.ClientHandlerType
     ) -> aiohttp.ClientResponse:
-        """Pass on a request to the server itself. Raises FormatError for one to another, after a redirect."""
+        """Pass on a request. Raises FormatError for a redirect to another server."""
         origin, asked = URL(self._url).origin(), request.url.origin()
         if asked != origin:
             raise FormatError("missing_file", path, f"expected a file of {origin}, got a redirect to {asked}")
@@ -411,7 +407,7 @@ def _reason(error: Exception) -> str:
 
 
 def _checked(url: str) -> tuple[str, str]:
-    """The URL of a package's folder without the slash at its end, and its query."""
+    """Return the URL of a package's folder, without the slash at its end, and its query. Raises ConfigError."""
     before, query = split_query(folder_of(url))
     try:
         parts = urlsplit(before)
@@ -429,17 +425,17 @@ class RemoteTables:
     def __init__(self) -> None:
         self.offers: Offers | None = None  # None: airgs.json has not come yet
         self._root: Root | None = None
-        self._root_text = b""
+        self.root_bytes = b""
         self._files: dict[str, tuple[FileEntry, bytes]] = {}  # pages and tables of groups
         self._keepers: dict[int, set[int]] = {}  # groups whose tables came, by the group whose rows they keep
 
     def limit(self, path: str) -> int:
-        """The most bytes that may come of a file. Raises FormatError for one that no table lists."""
+        """Return the most bytes that a file may have. Raises FormatError for a file that no table lists."""
         listed = self.offers.manifest.entry(path) if self.offers and path != JSON_NAME else None
         return listed.bytes if listed and not path.endswith(".gz") else MAX_TABLE_BYTES
 
     def accept(self, path: str, data: bytes) -> None:
-        """Take in a file that came. Raises FormatError for one that is not what the tables say."""
+        """Check a file against the tables, and store it if it is one. Raises FormatError."""
         if path == JSON_NAME:
             self._accept_root(data)
             return
@@ -453,7 +449,7 @@ class RemoteTables:
         self._read_table(self.offers, path, entry, data)
 
     def _accept_root(self, data: bytes) -> None:
-        if data == self._root_text:
+        if data == self.root_bytes:
             return
         root = parse_root(data)
         if self._root is not None:
@@ -463,7 +459,7 @@ class RemoteTables:
             self.offers = Offers(manifest, root_bytes=len(data), live=root.live)
         else:
             self.offers.grow(manifest, len(data))
-        self._root, self._root_text = root, data
+        self._root, self.root_bytes = root, data
 
     def _read_table(self, c: Offers, path: str, entry: FileEntry, data: bytes) -> None:
         what, numbers = locate(path)
@@ -480,7 +476,7 @@ class RemoteTables:
             raise
 
     def _check_base(self, m: Manifest, group: int) -> None:
-        """Read a table, and check it with those that came before: one may differ from the other. FormatError."""
+        """Parse a group's table and check it against its base, whichever came first. Raises FormatError."""
         keeps = m.groups[group].keeps
         for number in self._keepers.get(group, ()):
             m.base_of(number)
@@ -491,7 +487,7 @@ class RemoteTables:
 
 
 def _find(tables: Mapping[str, tuple[FileEntry, bytes]], path: str, entry: FileEntry) -> bytes:
-    """A table that came, if it is still what the root leads to."""
+    """Return a fetched table. Raises FormatError if it has not come, or if the root now lists another."""
     if path not in tables:
         raise FormatError("missing_file", path, "it has not been fetched")
     listed, data = tables[path]

@@ -44,7 +44,7 @@ class Decision:
 
 
 def build_ladder(options: Iterable[Option], beta: float = DEFAULT_BETA) -> tuple[Option, ...]:
-    """Options whose size and quality both fall strictly, from the best down to the last before the cliff.
+    """Return the options whose size and quality both fall strictly, from the best to the last before the cliff.
 
     Pareto filter, then the cliff test. The paper's levels are 10 % of the updates apart. Those of packages are not, and
     save by coarser steps as well; so drops are counted per 10 % of the bytes saved, over at least one such step from
@@ -77,7 +77,7 @@ def _checked(option: Option) -> Option:
 
 
 def _pareto(options: list[Option]) -> list[Option]:
-    """Options that no other beats or equals at fewer bytes, best first (4, 9)."""
+    """Return the options that no other beats or equals at fewer bytes, best first (4, 9)."""
     if not options:
         raise ConfigError("ladder: expected at least one level, got none")
     front: list[Option] = []
@@ -88,7 +88,7 @@ def _pareto(options: list[Option]) -> list[Option]:
 
 
 def select(ladder: Sequence[Option], budget_bytes: float) -> Decision:
-    """The best level of a ladder that fits; when none does, the smallest with fits=False (7, 8). O(log n).
+    """Choose the best level of a ladder that fits; if none does, the smallest, with fits=False (7, 8). O(log n).
 
     A budget that is negative or no number counts as 0 (12).
     """
@@ -102,13 +102,13 @@ def select(ladder: Sequence[Option], budget_bytes: float) -> Decision:
 
 
 def saved_shares(sizes: Sequence[float]) -> list[float]:
-    """Return what each level saves of the bytes of the first, the best; 0 where that has none or is no larger."""
+    """Return the share of the first level's bytes that each level saves; 0 where it saves none."""
     best = sizes[0]
     return [max(0.0, 1 - size / best) if best > 0 else 0.0 for size in sizes]
 
 
 def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
-    """Algorithm 1 as it is printed, over options in the order of their levels; None where it leaves p undefined.
+    """Run Algorithm 1 as printed, over options in the order of their levels; None where it leaves p undefined.
 
     A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
     and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
@@ -142,7 +142,7 @@ def _ratio(a: float, b: float) -> float:
 
 
 def frame_budget(bandwidth_bps: float, fps: float) -> float:
-    """Bytes a frame may have: the paper's C = B / R with its units.
+    """Return the bytes that a frame may have: the paper's C = B / R with its units.
 
     A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
     """

@@ -92,7 +92,7 @@ class SessionMetrics:
     rtt_s: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """All figures by name, as plain values."""
+        """Return all figures by name, as plain values."""
         return asdict(self)
 
 
@@ -116,7 +116,7 @@ class SessionLog:
     def of(
         events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
     ) -> SessionLog:
-        """A state that another takes the place of was fetched in vain; keys are not, they stay decoded."""
+        """Fold events into a log. The state of a replaced rung counts as wasted; its keys do not, they stay decoded."""
         arrived: list[Arrived] = []
         shown: list[Shown] = []
         lost: list[str] = []
@@ -163,7 +163,7 @@ class SessionLog:
 
     @property
     def events(self) -> list[dict[str, Any]]:
-        """Batches ("fetch") and segments that were on the screen ("show") as plain values, in the order of `at_s`."""
+        """Return batches ("fetch") and shown segments ("show") as plain values, in the order of `at_s`."""
         fetched = [{"event": "fetch", "at_s": fetch.arrival_s, **asdict(fetch)} for fetch in self.fetches]
         shown = [{"event": "show", "at_s": shown.start_s, **asdict(shown)} for shown in self.shown]
         return sorted([*fetched, *shown], key=lambda event: event["at_s"])
@@ -181,9 +181,7 @@ class SessionLog:
 
     @property
     def screen_ticks(self) -> list[tuple[int, int]]:
-        """For every display tick: which entry of `shown`, which frame of it. While the player waits, the last frame
-        stays.
-        """
+        """Return (entry of `shown`, frame of it) for every display tick; the last frame stays during a stall."""
         ticks: list[tuple[int, int]] = []
         for i, entry in enumerate(self.shown):
             if i:
@@ -193,15 +191,13 @@ class SessionLog:
 
     @property
     def mean_quality(self) -> float:
-        """PSNR in dB, mean over media time, as `session_bound` counts it; segments without one are left out."""
+        """Return the mean PSNR in dB over media time, as `session_bound` counts it, without lost segments."""
         known = [(s.psnr, s.frames) for s in self.shown if s.psnr is not None]
         return sum(p * n for p, n in known) / sum(n for _, n in known)
 
 
 def _fetch(offers: Offers, event: Arrived, shown: bool, replaced_bytes: int) -> Fetch:
-    """A batch, once all events are known. Of a replacement that was not put in place all bytes are wasted, of another
-    batch those that were not usable.
-    """
+    """Return the record of a batch. All bytes of a replacement that came too late are wasted, else unusable ones."""
     arrival, request = event.arrival, event.arrival.request
     if request.kind is BatchKind.REPLACEMENT:
         useless = 0 if shown else arrival.bytes

@@ -7,7 +7,7 @@ several times. Wire bytes are those of files with `header_bytes` for each.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -79,17 +79,16 @@ class SegmentOffer:
 
     @cached_property
     def psnr(self) -> NDArray[np.float64]:
-        """(R,) dB."""
         return np.array([rung.psnr for rung in self.rungs])
 
     @cached_property
     def levels(self) -> tuple[Option, ...]:
-        """The levels by the bytes of their states and their quality with the finest keys."""
+        """Return the levels with the bytes of their states and their quality with the finest keys."""
         finest = [rung for rung in self.rungs if rung.quality == 0]
         return tuple(Option(rung.level, rung.state_bytes, rung.psnr, rung.saved) for rung in finest)
 
     def sizes(self, decoded: Keys) -> list[int]:
-        """(R,) wire bytes of the state and of the keys that are not decoded; OVER_BUDGET where it is not allowed."""
+        """Return (R,) wire bytes of the state and of keys not yet decoded; OVER_BUDGET if the rung is not allowed."""
         return [
             rung.state_bytes + sum(offer.bytes for offer in rung.keys if offer.key not in decoded)
             if rung.allowed
@@ -98,18 +97,16 @@ class SegmentOffer:
         ]
 
     def options(self, decoded: Keys) -> tuple[Option, ...]:
-        """Every rung that is allowed, by number."""
         sizes = self.sizes(decoded)
         return tuple(Option(r, sizes[r], o.psnr, o.saved) for r, o in enumerate(self.rungs) if o.allowed)
 
     def missing(self, rung: int, decoded: Keys) -> Batch:
-        """The files that a rung needs beside what is decoded."""
         offer = self.rungs[rung]
         keys = tuple(path for of in offer.keys if of.key not in decoded for path in of.files)
         return Batch(keys, offer.state)
 
     def bytes_after(self, before: SegmentOffer, known: Keys) -> NDArray[np.int64]:
-        """(R or 1, R) wire bytes of every rung by the rung of the segment before; one row where that does not matter.
+        """Return (R or 1, R) wire bytes of every rung by the rung of the previous segment; one row if it is irrelevant.
 
         At the start of a group, keys that are `known` need not be fetched.
         """
@@ -158,13 +155,13 @@ class Offers:
         return Offers(package.manifest, root_bytes=package.root_bytes)
 
     def grow(self, manifest: Manifest, root_bytes: int) -> None:
-        """Go on with the tables of the same package, to which groups were added."""
+        """Take the tables of the same package after groups were added."""
         self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
         self.segments = len(manifest.segments)
         self.fps = float(manifest.fps)
 
     def offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
-        """The offer of a segment; no more Gaussians than the budget are allowed.
+        """Return the offer of a segment, whose rungs are allowed that show no more Gaussians than the budget.
 
         Raises FormatError where its tables cannot be had.
         """
@@ -205,17 +202,16 @@ class Offers:
 
     @property
     def names(self) -> list[str]:
-        """The name of every rung, such as Q1+L2."""
+        """Return the name of every rung, such as Q1+L2."""
         m = self.manifest
         return [f"{m.qualities[q].id}+{m.levels[j].id}" for q, j in self.rungs]
 
     @property
     def duration_s(self) -> float:
-        """Seconds of play of the whole sequence."""
         return self.manifest.frames / self.fps
 
     def span(self, segment: int) -> tuple[int, int]:
-        """Frames [start, stop) of a segment; where its table cannot be had, as if its neighbours were of one length."""
+        """Return the frames [start, stop) of a segment; a guess from its neighbours where its table is missing."""
         try:
             found = self.manifest.segments[segment]
         except FormatError:
@@ -223,31 +219,20 @@ class Offers:
         return found.start, found.stop
 
     def seconds_at(self, position: int) -> float:
-        """Seconds of play at a position."""
         start, stop = self.span(self.place(position)[1])
         return (stop - start) / self.fps
 
     def place(self, position: int) -> tuple[int, int]:
-        """(loop, segment) that a session plays at a position."""
+        """Return (loop, segment) that a session plays at a position."""
         return divmod(self.first + position, self.segments)
 
     def end(self, loops: int) -> int:
-        """How many positions a session has that plays the sequence so often, as far as is known."""
+        """Return the number of positions in a session of so many loops, as far as is known."""
         return loops * self.segments - self.first
 
     def loops(self, wanted: int | None = None) -> int:
-        """How often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
+        """Return how often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
         return 1 if self.live else wanted or max(1, round(SESSION_S / self.duration_s))
-
-    def upcoming(self, positions: range, budget: int | None = None) -> Iterator[tuple[int, SegmentOffer]]:
-        """(loop, offer) of positions, up to the first one whose tables cannot be had."""
-        for position in positions:
-            loop, segment = self.place(position)
-            try:
-                offer = self.offer(segment, budget)
-            except FormatError:
-                return
-            yield loop, offer
 
     def check_budget(self, segments: Iterable[int], budget: int | None) -> None:
         """Raise ConfigError where all rungs of one of these segments show more Gaussians than the budget has."""
@@ -261,9 +246,8 @@ class Offers:
             raise ConfigError(f"budget: expected {least} Gaussians or more, got {budget}")
 
     def file_bytes(self, path: str) -> int:
-        """Bytes of a file without headers."""
         return self.root_bytes if path == JSON_NAME else self._sizes(path)
 
     def wire_bytes(self, paths: Iterable[str]) -> int:
-        """Bytes of files with their headers."""
+        """Return the bytes of files with their headers."""
         return sum(self.header_bytes + self.file_bytes(path) for path in paths)

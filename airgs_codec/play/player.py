@@ -85,7 +85,7 @@ class Player:
         yield from self._shown(self.playout.started())
 
     def _grow(self, position: int) -> Steps[bool]:
-        """Wait until a growing package has a segment for a position; False: it has ended before."""
+        """Wait until a growing package has a segment for a position; returns False if it ends before."""
         f, offers, since_s, in_vain = self.fetcher, self.fetcher.offers, self.fetcher.now_s, 0
         while offers.live and offers.end(1) <= position:
             if f.now_s >= since_s + SILENCE_S:
@@ -109,7 +109,7 @@ class Player:
         return False
 
     def _fetch_root(self, position: int) -> Steps[None]:
-        """Fetch airgs.json, and, as a package grows, the pages that now say what the root said before."""
+        """Fetch airgs.json, and pages to which a growing package has moved entries of its root."""
         f = self.fetcher
         self.root_s = f.now_s
         yield from f.fetch_tables((JSON_NAME,), position)
@@ -137,7 +137,7 @@ class Player:
         self.playout.enqueue(slot, position == self.end - 1 and not f.offers.live)
 
     def _fetch(self, state: PlayerState, decision: Decision) -> Steps[bool]:
-        """Fetch what was decided; False: it was abandoned or broken."""
+        """Fetch the chosen rung; returns False if it was abandoned or files were refused."""
         f, position, rung = self.fetcher, state.position, decision.index
         ahead = f.wanted_tables(range(position + 1, self.end)) if position else ()  # nothing delays the first picture
         batch = replace(f.missing(position, rung), tables=ahead)
@@ -155,7 +155,6 @@ class Player:
         return arrival.complete
 
     def _state(self, position: int, latency_s: float) -> PlayerState:
-        """Return what is known before a segment is requested."""
         f, timeline = self.fetcher, self.playout.timeline
         return PlayerState(
             position=position,
@@ -189,9 +188,7 @@ class Player:
             )
 
     def _improve_buffered(self, until_s: float) -> Steps[None]:
-        """Spend the time until the next request, or all that is left, on better rungs of what is buffered: first on
-        the one that gains most for its bytes.
-        """
+        """Fetch better rungs of buffered segments until a moment, the largest gain for its bytes first."""
         f = self.fetcher
         while f.now_s < until_s and f.settings.replace and f.policy.may_replace:
             estimate_bps = estimate_throughput(f.history(f.now_s))
@@ -211,7 +208,7 @@ class Player:
                 slot.rung = option.index
 
     def _replacements(self, rate_bps: float) -> Iterator[tuple[float, Slot, Option]]:
-        """(dB seconds a byte, segment, rung) of everything that would be better and is expected in time."""
+        """Yield (dB seconds per byte, segment, rung) of every better rung that is expected in time."""
         f = self.fetcher
         free_s = f.now_s + f.downloader.rtt_s
         for slot, offer in self.playout.pending():
@@ -230,12 +227,12 @@ class Player:
                     yield gain * slot.seconds / max(1, size), slot, option
 
     def _replacing(self, slot: Slot, rung: int) -> Batch:
-        """Return what it takes to show another rung of a buffered segment: with the same level, only its keys."""
+        """Return the files for another rung of a buffered segment; only keys if its level stays."""
         offer, batch = self.fetcher.offer(slot.position), self.fetcher.missing(slot.position, rung)
         return Batch(batch.keys) if offer.rungs[rung].level == offer.rungs[slot.rung].level else batch
 
     def _use_keys(self, request: Request) -> None:
-        """Show what is buffered of a group with its best keys, where they are decoded in time."""
+        """Give buffered segments of the same group the quality of new keys, if decoded in time."""
         f = self.fetcher
         loop, here = f.loop(request.position), f.offer(request.position)
         quality, ready_s = here.rungs[request.rung].quality, f.now_s + f.settings.decode_frame_s

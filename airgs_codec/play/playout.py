@@ -64,7 +64,6 @@ class Slot:
 
     @property
     def psnr(self) -> float | None:
-        """dB, None of a lost segment."""
         return None if self.offer is None else self.offer.rungs[self.rung].psnr
 
 
@@ -77,22 +76,22 @@ class Playout:
 
     @property
     def scheduled_end_s(self) -> float:
-        """End of the last segment that has a start; -inf before playing begins."""
+        """Return the end of the last segment that has a start; -inf before playing begins."""
         return self.timeline[self._first_waiting - 1].end_s if self._first_waiting else -math.inf
 
     def deadline_s(self, now_s: float) -> float:
-        """When the next segment must have arrived to be shown without a stall, the time to decode it taken off.
+        """Return when the next segment must have arrived to be decoded and shown without a stall.
 
-        That is the end of all that is buffered; where playing waits, as if it went on now.
+        That is when the buffer runs dry; during a stall, assuming that playback resumes now.
         """
         waiting = self._waiting_s()
         resumes_s = now_s if waiting or not self._first_waiting else -math.inf
         return max(self.scheduled_end_s, resumes_s) + waiting - self.settings.decode_frame_s
 
     def make_room(self, seconds: float) -> float:
-        """Earliest request time at which a segment of some seconds fits the buffer; -inf if it fits now.
+        """Return the earliest time to request a segment of this length so that it fits the buffer; -inf for now.
 
-        Playing goes on if it waits for more media although the buffer is too full for that.
+        Playback resumes if it waits for more media than the buffer has room for.
         """
         ahead, most = seconds, self.settings.buffer_s
         for slot in reversed(self.timeline):
@@ -115,7 +114,7 @@ class Playout:
             self.resume()
 
     def forget(self, now_s: float) -> Slot | None:
-        """Drop segments that are over and were given by `started`, but for the last; gives the first that is left."""
+        """Drop segments that are over and were yielded by `started`, except the last; returns the first one left."""
         over = 0
         while over < self._first_unseen - 1 and self.timeline[over].end_s <= now_s:
             over += 1
@@ -135,11 +134,11 @@ class Playout:
         self._first_waiting = len(self.timeline)
 
     def pending(self) -> Iterator[tuple[Slot, SegmentOffer]]:
-        """Segments that were not given by `started` yet, but for the lost ones: what they show can still change."""
+        """Yield the segments that can still be changed: neither lost nor yielded by `started` yet."""
         return ((slot, slot.offer) for slot in self.timeline[self._first_unseen :] if slot.offer is not None)
 
     def started(self, before_s: float = math.inf) -> Iterator[Slot]:
-        """Segments that began before a moment and were not given yet: nothing can replace them any more."""
+        """Yield segments that have begun since the last call; they can no longer be replaced."""
         while self._first_unseen < self._first_waiting and self.timeline[self._first_unseen].start_s < before_s:
             self._first_unseen += 1
             yield self.timeline[self._first_unseen - 1]

@@ -72,17 +72,17 @@ class PlayerState:
 
     @property
     def throughput_bps(self) -> float:
-        """bit/s that `estimate_throughput` makes of the downloads so far."""
+        """Return the estimate of bit/s from the downloads so far."""
         return estimate_throughput(self.history)
 
     @property
     def segment_s(self) -> float:
-        """Seconds that the segment shows."""
+        """Return the length of the segment in seconds."""
         return self.offer.seconds
 
     @property
     def buffer_s(self) -> float:
-        """Seconds of media ahead of the playhead."""
+        """Return the seconds of media ahead of the playhead."""
         return max(0.0, self.deadline_s - self.now_s)
 
 
@@ -98,7 +98,7 @@ class Policy:
     horizon: int = 1  # segments whose sizes it looks at, the next one first; oracles know those of all
 
     def decide(self, state: PlayerState) -> Decision:
-        """Return what it chooses. Raises ConfigError where that is no Decision for one of `state.options`."""
+        """Return the choice. Raises ConfigError unless it is a Decision for one of `state.options`."""
         decision = argument(f"policy {self.name}", self.choose(state), Decision, "a Decision")
         known = [option.index for option in state.options]
         if decision.index not in known:
@@ -107,7 +107,7 @@ class Policy:
 
 
 def estimate_throughput(history: Sequence[Download]) -> float:
-    """bit/s: the smaller of two exponential averages weighted by download time; 0 before the first download."""
+    """Return bit/s: the smaller of two exponential averages weighted by download time; 0 without a download."""
     estimates = []
     for half_life in HALF_LIVES_S:
         value, weight = 0.0, 0.0
@@ -120,7 +120,7 @@ def estimate_throughput(history: Sequence[Download]) -> float:
 
 
 def budget_bytes(state: PlayerState) -> float:
-    """Bytes that can arrive in time: the paper's B / R over a segment, plus half of the time that is buffered.
+    """Return the bytes that can arrive in time: the paper's B / R over a segment, or over half of the buffered time.
 
     SAFETY * B * window / 8, window = max(segment, BUFFER_SHARE * (deadline - now)) - latency. Sizes include headers.
     """
@@ -129,7 +129,7 @@ def budget_bytes(state: PlayerState) -> float:
 
 
 def full_ladder(state: PlayerState) -> tuple[Option, ...]:
-    """The rungs worth having, without the cliff test.
+    """Return the rungs worth having, without the cliff test.
 
     A rung that the cliff test removes can only be replaced by a larger one, and in the end by a stall.
     """
@@ -137,14 +137,14 @@ def full_ladder(state: PlayerState) -> tuple[Option, ...]:
 
 
 def choose_fixed(state: PlayerState, rung: int) -> Decision:
-    """One rung for every segment; the smallest one where it cannot be had."""
+    """Choose one rung for every segment; the smallest one where it cannot be had."""
     chosen = next((p for p in state.options if p.index == rung), None)
     chosen = chosen or min(state.options, key=lambda p: p.size_bytes)
     return Decision(chosen.index, True, "fixed", chosen.size_bytes)
 
 
 def choose_throughput(state: PlayerState) -> Decision:
-    """The best rung within SAFETY * B over the segment's own length, whatever is buffered."""
+    """Choose the best rung within SAFETY * B over the segment's own length, whatever is buffered."""
     return select(full_ladder(state), SAFETY * state.throughput_bps * state.segment_s / 8)
 
 
@@ -172,8 +172,7 @@ def choose_bola(state: PlayerState) -> Decision:
 
 
 def choose_paper(state: PlayerState) -> Decision:
-    """Algorithm 1 over the measured sizes and qualities of this very segment; with all rungs, if none are before the
-    cliff.
+    """Run Algorithm 1 over the sizes and qualities of this very segment; if no rung is before the cliff, over all.
 
     The dense level space of Algorithm 1 is here what a package has of it: the levels of the segment with the finest
     keys, by the bytes of their states. A segment of two levels has a cliff only where the second is 3 dB worse per
@@ -186,14 +185,15 @@ def choose_paper(state: PlayerState) -> Decision:
 
 
 def choose_paper_no_cliff(state: PlayerState) -> Decision:
-    """The search of Algorithm 1 alone: the best rung that fits."""
+    """Choose the best rung that fits: the search of Algorithm 1 alone."""
     return select(full_ladder(state), budget_bytes(state))
 
 
 def choose_paper_literal(state: PlayerState, beta: float = DEFAULT_BETA) -> Decision:
-    """Algorithm 1 as printed: C = B / R over the segment, no buffer, round trip or safety; undefined: the last level.
+    """Run Algorithm 1 as printed: C = B / R over the segment, without buffer, round trip or safety factor.
 
     Its levels are the rungs with the finest keys, whole group keys in the sizes. No drop is a cliff where beta is inf.
+    Where it leaves its answer undefined, the last level is chosen.
     """
     levels = [p for p in state.options if state.offer.rungs[p.index].quality == 0] or list(state.options)
     budget = frame_budget(state.throughput_bps, 1 / state.segment_s)
@@ -204,7 +204,7 @@ def choose_paper_literal(state: PlayerState, beta: float = DEFAULT_BETA) -> Deci
 
 
 def discounted_throughput(history: Sequence[Download]) -> float:
-    """bit/s: harmonic mean of the last downloads over 1 + the worst relative error of predicting them so."""
+    """Return bit/s: harmonic mean of the last downloads over 1 + the worst relative error of predicting them so."""
     rates = [8 * d.bytes / d.seconds for d in history[-2 * PAST_DOWNLOADS :]]
     if not rates:
         return 0.0
@@ -220,7 +220,7 @@ def _harmonic(rates: Sequence[float]) -> float:
 
 
 def choose_robust_mpc(state: PlayerState) -> Decision:
-    """The first of the rungs that maximise quality - changes - stalls - want of a reserve over the next segments.
+    """Choose the first of the rungs that maximise quality - changes - stalls - low buffer over the next segments.
 
     Model-predictive control with a discounted throughput estimate (Yin et al., SIGCOMM 2015), which knows the true
     sizes and qualities of what comes (as Puffer, NSDI 2020). Dynamic programming backwards over (rung before, buffer),
@@ -229,8 +229,11 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     rate = discounted_throughput(state.history)
     if rate <= 0:
         return select(full_ladder(state), 0.0)
-    grid_s = np.linspace(0.0, state.buffer_limit_s, GRID_POINTS)
-    model = _Model(rate, state.request_latency_s, state.buffer_limit_s, grid_s)
+    limit_s = state.buffer_limit_s
+
+    def download_s(sizes: NDArray[np.int64]) -> NDArray[np.float64]:
+        return np.asarray(state.request_latency_s * (sizes > 0) + 8 * sizes / rate)  # 0 bytes are not requested
+
     segments: list[Coming] = []
     total_s = 0.0
     for offer, known in islice(state.upcoming(), HORIZON_SEGMENTS):
@@ -240,14 +243,15 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
         total_s += offer.seconds
     value = np.zeros((len(state.offer.rungs), GRID_POINTS))
     for (before, _), (offer, known) in reversed(list(pairwise(segments))):
-        value = model.value_before(before, offer, offer.bytes_after(before, known), value)
+        value = _value_before(before, offer, download_s(offer.bytes_after(before, known)), limit_s, value)
     rungs = np.array([p.index for p in state.options])
     sizes = np.array([p.size_bytes for p in state.options])
     quality = np.array([p.quality for p in state.options])
-    download_s = model.download_s(sizes)
+    took_s = download_s(sizes)
     change = 0.0 if state.shown_quality is None else np.abs(quality - state.shown_quality)
-    stall = np.maximum(download_s - state.buffer_s, 0)
-    left = np.minimum(np.maximum(state.buffer_s - download_s, 0) + state.segment_s, state.buffer_limit_s)
+    stall = np.maximum(took_s - state.buffer_s, 0)
+    left = np.minimum(np.maximum(state.buffer_s - took_s, 0) + state.segment_s, limit_s)
+    grid_s = np.linspace(0.0, limit_s, GRID_POINTS)
     after = np.array([np.interp(b, grid_s, value[r]) for b, r in zip(left, rungs, strict=True)])
     low = LOW_BUFFER_DB * np.maximum(RESERVE_S - left, 0)
     total = state.segment_s * (quality - SWITCH_DB * change - low) - STALL_DB * stall + after
@@ -256,48 +260,39 @@ def choose_robust_mpc(state: PlayerState) -> Decision:
     return Decision(int(rungs[best]), bool(stall[best] <= 0), reason, int(sizes[best]))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Model:
-    """The link and the buffer as the model-predictive controller takes them to be."""
+def _value_before(
+    before: SegmentOffer,
+    offer: SegmentOffer,
+    download_s: NDArray[np.float64],
+    limit_s: float,
+    value: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return (R, B) the best total from a segment on, by the rung of the previous one and the buffer.
 
-    rate_bps: float
-    latency_s: float  # of every request
-    limit_s: float  # of the buffer
-    grid_s: NDArray[np.float64]  # (B,) buffers for which values are known
-
-    def download_s(self, sizes: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Seconds to fetch so many bytes; nothing is requested for none."""
-        return np.asarray(self.latency_s * (sizes > 0) + 8 * sizes / self.rate_bps)
-
-    def value_before(
-        self, before: SegmentOffer, offer: SegmentOffer, sizes: NDArray[np.int64], value: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """(R, B) best total from a segment on, by the rung of the one before it and the buffer.
-
-        sizes (P, R) bytes, value (R, B) of what follows.
-        """
-        buffer = self.grid_s[None, None] - self.download_s(sizes)[:, :, None]  # (P, R, B)
-        left = np.minimum(np.maximum(buffer, 0) + offer.seconds, self.limit_s)
-        place = left * ((GRID_POINTS - 1) / self.limit_s)
-        at = np.minimum(place.astype(np.intp), GRID_POINTS - 2)
-        part = place - at
-        rung = np.arange(len(offer.psnr))[None, :, None]
-        total = offer.seconds * offer.psnr[None, :, None] + STALL_DB * np.minimum(buffer, 0)
-        total = total - offer.seconds * LOW_BUFFER_DB * np.maximum(RESERVE_S - left, 0)
-        total = total + value[rung, at] * (1 - part) + value[rung, at + 1] * part
-        changes = offer.seconds * SWITCH_DB * np.abs(offer.psnr[None, :] - before.psnr[:, None])  # (R, R)
-        return np.asarray((total - changes[:, :, None]).max(axis=1))
+    download_s (P, R), the limit of the buffer, value (R, B) of what follows.
+    """
+    buffer = np.linspace(0.0, limit_s, GRID_POINTS) - download_s[:, :, None]  # (P, R, B)
+    left = np.minimum(np.maximum(buffer, 0) + offer.seconds, limit_s)
+    place = left * ((GRID_POINTS - 1) / limit_s)
+    at = np.minimum(place.astype(np.intp), GRID_POINTS - 2)
+    part = place - at
+    rung = np.arange(len(offer.psnr))[None, :, None]
+    total = offer.seconds * offer.psnr[None, :, None] + STALL_DB * np.minimum(buffer, 0)
+    total = total - offer.seconds * LOW_BUFFER_DB * np.maximum(RESERVE_S - left, 0)
+    total = total + value[rung, at] * (1 - part) + value[rung, at + 1] * part
+    changes = offer.seconds * SWITCH_DB * np.abs(offer.psnr[None, :] - before.psnr[:, None])  # (R, R)
+    return np.asarray((total - changes[:, :, None]).max(axis=1))
 
 
 def choose_oracle_frame(state: PlayerState, link: Link) -> Decision:
-    """The paper's integer programme with the true bandwidth: the best that fits the next segment's length of time."""
+    """Choose the best that the true bandwidth carries in the segment's length: the paper's integer programme."""
     first_s = state.now_s + state.request_latency_s
     budget = link.bytes_between(first_s, state.now_s + max(state.segment_s, state.request_latency_s))
     return select(full_ladder(state), budget)
 
 
 def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
-    """The rung that the linear programme over all that comes gives most of this segment to; it knows the trace."""
+    """Choose the rung with the largest share of this segment in the linear programme over all that comes."""
     horizon = upcoming_horizon(state, link)
     schedule = solve_horizon(horizon)
     if schedule is None:
@@ -310,7 +305,7 @@ def choose_oracle_lp(state: PlayerState, link: Link) -> Decision:
 
 
 def upcoming_horizon(state: PlayerState, link: Link) -> Horizon:
-    """Return what is to come: shown without a stall from the deadline of the next segment on, at most two buffers long.
+    """Return the segments to come, shown without a stall from the next deadline on, at most two buffers long.
 
     A pipelined player requests a segment one round trip before the link is free, so that only the wait for room in
     the buffer costs a round trip. Otherwise the link is idle for a round trip before every segment; the bytes that it
@@ -353,7 +348,7 @@ NAMES = (*ADAPTIVE, *ORACLES)
 
 
 def make_policy(policy: Policy | Choose | str, offers: Offers, link: Link | None = None) -> Policy:
-    """A policy by name, or fixed:J (level J with the finest keys) or fixed:RUNG (such as Q1+L3), or of a function.
+    """Make a policy of a name, fixed:J (level J with the finest keys), fixed:RUNG (such as Q1+L3) or a function.
 
     A value is returned as it is. The oracles need the link. Raises ConfigError for other names, and for an oracle
     without a link.

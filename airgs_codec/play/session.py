@@ -66,7 +66,7 @@ def _rules(settings: SessionSettings | None) -> SessionSettings:
 
 
 def session_bound(log: SessionLog, integer: bool = False) -> float | None:
-    """Upper bound on the mean PSNR (dB) of any player that shows each segment when this one did; see `bound`.
+    """Return the upper bound on the mean PSNR (dB) of any player that shows each segment when this one did.
 
     None when segments were lost, and over a real connection, whose capacity is not known.
     """
