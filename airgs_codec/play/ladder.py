@@ -13,7 +13,7 @@ import itertools
 import math
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.metrics import PSNR_CAP
@@ -73,7 +73,7 @@ def build_ladder(options: Iterable[Option], beta: float = DEFAULT_BETA) -> tuple
 def _checked(option: Option) -> Option:
     if math.isnan(option.quality) or option.size_bytes < 0:
         raise ConfigError(f"level {option.index}: expected a size and a quality, got {option}")
-    return replace(option, quality=min(option.quality, PSNR_CAP))
+    return Option(option.index, option.size_bytes, min(option.quality, PSNR_CAP), option.saved)
 
 
 def _pareto(options: list[Option]) -> list[Option]:

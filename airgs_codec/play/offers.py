@@ -145,7 +145,6 @@ class Offers:
         self.grow(manifest, root_bytes)
         self.live = live  # more groups may come in this session
         self._made = lru_cache(RETAINED)(self._make)
-        self._sizes = lru_cache(RETAINED)(lambda path: self.manifest.entry(path).bytes)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live, self.first)
@@ -246,7 +245,7 @@ class Offers:
             raise ConfigError(f"budget: expected {least} Gaussians or more, got {budget}")
 
     def file_bytes(self, path: str) -> int:
-        return self.root_bytes if path == JSON_NAME else self._sizes(path)
+        return self.root_bytes if path == JSON_NAME else self.manifest.entry(path).bytes
 
     def wire_bytes(self, paths: Iterable[str]) -> int:
         """Return the bytes of files with their headers."""
