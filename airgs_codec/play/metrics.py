@@ -169,7 +169,7 @@ class SessionLog:
         return sorted([*fetched, *shown], key=lambda event: event["at_s"])
 
     def to_pandas(self) -> Any:
-        """`events` as a pandas.DataFrame, a row each, with the figures of `metrics` in its `attrs`.
+        """Return `events` as a pandas.DataFrame, a row each, with the figures of `metrics` in its `attrs`.
 
         Raises ConfigError where pandas is not installed.
         """

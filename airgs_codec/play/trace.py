@@ -45,7 +45,9 @@ class Trace:
     offset_s: float = 0.0  # where in the measurement it begins
     end: str = "loop"  # of ENDS
     rtt_s: float | None = None  # round trip, where the measurement has one
+
     __repr__ = brief
+
     _starts: list[float] = field(init=False, repr=False)
     _totals: list[float] = field(init=False, repr=False)  # (K + 1,) bits delivered up to each start, and to the end
 
@@ -156,8 +158,8 @@ class Trace:
         starts = np.concatenate([np.maximum(later, 0), earlier])
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
         inside, begins = starts < self.duration_s, (self.offset_s + offset_s) % self.duration_s
-        cut = replace(self, starts_s=starts[inside], rates_bps=rates[inside])
-        return replace(cut, scale=self.scale * scale, offset_s=begins)
+        total = self.scale * scale
+        return replace(self, starts_s=starts[inside], rates_bps=rates[inside], scale=total, offset_s=begins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
