@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from airgs_codec.inspect.validate import validate
     from airgs_codec.package.package import Package, open_package
     from airgs_codec.play.ladder import Decision
-    from airgs_codec.play.policies.state import PlayerState
+    from airgs_codec.play.playout import SessionSettings
+    from airgs_codec.play.policies import PlayerState
     from airgs_codec.play.session import simulate
-    from airgs_codec.play.settings import SessionSettings
     from airgs_codec.play.trace import Trace
     from airgs_codec.render.backend import draw
     from airgs_codec.scene.camera import Camera
@@ -80,9 +80,9 @@ _HOMES = {
     "Gaussians": "scene.gaussians",
     "Goal": "encoder.search",
     "Package": "package.package",
-    "PlayerState": "play.policies.state",
+    "PlayerState": "play.policies",
     "Sequence": "scene.sequence",
-    "SessionSettings": "play.settings",
+    "SessionSettings": "play.playout",
     "Trace": "play.trace",
     "TrainSettings": "trainer.settings",
     "compare": "inspect.compare",

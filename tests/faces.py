@@ -114,23 +114,24 @@ from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_i
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
 
 # Playing
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.play.offers import Batch, NONE, Offers
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
     Arrival, Arrived, BatchKind, Cut, Event, GiveUp, Lost, Replaced, Request, Shown, SimulatedDownloader,
 )  # fmt: skip
-from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables, fetch_beside
+from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
 from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
 from airgs_codec.play.study import (
     Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer,
 )  # fmt: skip
-from airgs_codec.play.session import SessionLog, measure_decoding, play, session_bound, simulate
-from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
-from airgs_codec.play.policies.state import Coming, Download, PlayerState, Policy, STALL_DB, estimate_throughput
+from airgs_codec.play.session import SessionLog, play, session_bound, simulate
+from airgs_codec.play.policies import (
+    ADAPTIVE, Coming, Download, NAMES, PlayerState, Policy, STALL_DB, estimate_throughput, make_policy,
+)  # fmt: skip
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 
 # Serving

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import tempfile
 from collections.abc import Sequence
@@ -28,13 +27,13 @@ from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.film import film
-from airgs_codec.play.http import HttpDownloader, HttpSettings, fetch_beside
+from airgs_codec.play.http import HttpDownloader, HttpSettings
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report import format_metrics, region_record, some, write_report
-from airgs_codec.play.session import SessionLog, measure_decoding, simulate
+from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.session import play as play_over
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.study import StudySettings, format_study, run_study
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
@@ -54,9 +53,6 @@ class Play:
     scale: float = setting(1.0, "factor on the trace's rates", topic="link")
     end: str = setting("loop", "what follows the trace's last second", choices=ENDS, topic="link")
     player: SessionSettings = nested(SessionSettings, "player", ("buffer_s", "budget", "loops"))
-    measure_decoding: bool = setting(
-        False, "measure the time to decode a frame, instead of --player.decode-frame", topic="player"
-    )
     http: HttpSettings = nested(HttpSettings, "http, for a URL")
     compare: bool = setting(False, "compare policies with each other on --traces")
     traces: tuple[str, ...] = setting((), "folders of traces, or traces", metavar="PLACE")
@@ -104,8 +100,7 @@ def play(options: Play) -> int:
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
     trace = Trace.open(options.trace).cut(options.offset, options.scale).ending(options.end)
     link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
-    settings, faults = _settings(package, options), find_faults(package)
-    log = simulate(package, link, options.policy, settings, faults)
+    log = simulate(package, link, options.policy, options.player, find_faults(package))
     _present(package, log, options)
     return 0
 
@@ -117,25 +112,15 @@ def _over_http(options: Play) -> int:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
         keep = Folder(folder).write if options.video else None
         downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep, _told))
-        settings = _settings(None, options)
-        offers = downloader.open()
-        log = play_over(offers, downloader, options.policy, settings)
+        log = play_over(downloader.open(), downloader, options.policy, options.player)
         if options.video:
-            fetch_beside(log, downloader)
+            downloader.fetch_beside(log)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
     return 0
 
 
 def _told(line: str) -> None:
     warn(f"airgs-play: {line}")
-
-
-def _settings(package: Package | None, options: Play) -> SessionSettings:
-    if not options.measure_decoding:
-        return options.player
-    if package is None:
-        raise ConfigError("--measure-decoding: expected a folder, got a URL")
-    return dataclasses.replace(options.player, decode_frame_s=measure_decoding(package))
 
 
 def _present(package: Package, log: SessionLog, options: Play) -> None:
@@ -175,8 +160,8 @@ def _compare(package: Package, options: Play) -> int:
     for name in policies:
         make_policy(name, c, Link(Trace.open("const:1")))
     rtt_s = None if options.rtt is None else options.rtt / 1e3
-    link, rules = (options.offsets, options.scale, options.end, rtt_s), _settings(package, options)
-    settings = StudySettings(policies, tuple(traces), *link, options.seed, rules, options.jobs)
+    link = options.offsets, options.scale, options.end, rtt_s
+    settings = StudySettings(policies, tuple(traces), *link, options.seed, options.player, options.jobs)
     with contextlib.closing(Bar(options.json)) as bar:
         study = run_study(options.package, settings, bar)
     say(format_study(study, options.json))

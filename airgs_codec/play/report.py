@@ -15,8 +15,8 @@ from airgs_codec.package.manifest import on_ladder, pooled_quality
 from airgs_codec.package.region import RegionSummary
 from airgs_codec.places.whole import write_json
 from airgs_codec.play.fetcher import SHORTEST_S
-from airgs_codec.play.metrics import FIGURES, SessionMetrics, meanings
-from airgs_codec.play.policies.named import DEFAULT_POLICY
+from airgs_codec.play.metrics import FIGURES, SessionMetrics
+from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.session import SessionLog, session_bound
 
 LOOK = "Look at the files: airgs-manifest validate names those that are broken."
@@ -43,7 +43,7 @@ def write_report(log: SessionLog, directory: Path) -> Path:
             "answer": answer(log),
             "region": region_record(log),
             "rungs": rung_record(log),
-            "meanings": meanings(FIGURES),
+            "meanings": FIGURES,
             "fetches": [dataclasses.asdict(f) for f in log.fetches],
             "shown": [dataclasses.asdict(s) for s in log.shown],
         }
@@ -130,8 +130,6 @@ def _readable(log: SessionLog) -> list[tuple[str, str]]:
         ("fetched, kB", f"{wire}; {r['bytes_per_frame'] / 1e3:.2f} a frame"),
         ("wire", f"{r['wire_bytes'] / 1e3:.1f} kB with headers" + used),
         ("wasted", f"{100 * r['wasted']:.1f} %: {r['replaced']} replacements, {r['abandoned']} abandoned"),
-        ("frame on its way", f"mean {r['frame_ms_mean']:.0f} ms, 95 % under {r['frame_ms_p95']:.0f} ms"),
-        ("no rung fitted", f"{100 * r['infeasible']:.0f} %"),
     ]
     if r["delta_e_mean"] is not None:
         rows.append(("ΔE on screen", f"mean {r['delta_e_mean']:.2f} (CIEDE2000; about 1 is just noticeable)"))

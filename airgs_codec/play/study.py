@@ -18,22 +18,21 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import listed, table
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.layout import FileKind
+from airgs_codec.package.layout import JSON_NAME, FileKind
 from airgs_codec.package.package import open_package
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.fetcher import TableStore
-from airgs_codec.play.metrics import FIGURES, headlines, meanings
+from airgs_codec.play.metrics import FIGURES, HEADLINES
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY, ORACLES
 from airgs_codec.play.session import SessionLog, session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
 SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
-PERCENTILES = tuple(range(101))  # of the frame times that are recorded of a session
 Row = dict[str, Any]  # what is known of one session or run, by name
 
 
@@ -82,9 +81,9 @@ def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
 
 def is_feasible(c: Offers, link: Link, settings: SessionSettings, loops: int) -> bool:
     """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
-    at = link.arrival_s(c.wire_bytes([c.root_bytes]), 0.0)
+    at = link.arrival_s(c.wire_bytes([JSON_NAME]), 0.0)
     due = FEASIBLE_START_S
-    at = link.arrival_s(c.wire_bytes([c.file_bytes(path) for path in TableStore(c).missing(range(1))]), at)
+    at = link.arrival_s(c.wire_bytes(TableStore(c).missing(range(1))), at)
     for position in range(loops * c.segments):
         offer = c.offer(c.place(position)[1])
         room = due + offer.seconds - settings.buffer_s
@@ -146,7 +145,6 @@ def _session_row(log: SessionLog) -> Row:
         log.metrics.as_dict()
         | {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
         | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in FileKind}
-        | {"frame_ms_percentiles": (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()}
     )
 
 
@@ -194,7 +192,7 @@ def summarise(study: Study, feasible: bool | None = None) -> list[PolicySummary]
     traces = [r["trace"] for r in study.rows if r["policy"] == first and feasible in (None, r["feasible"])]
     summaries = []
     for policy in study.settings.policies:
-        values = {figure.name: study.of(policy, figure.name, feasible) for figure in FIGURES}
+        values = {name: study.of(policy, name, feasible) for name in FIGURES}
         stalls, played = (study.of(policy, name, feasible).sum() for name in ("stall_s", "played_s"))
         summaries.append(
             PolicySummary(
@@ -213,7 +211,7 @@ def study_record(study: Study) -> dict[str, Any]:
     return {
         "package": study.package,
         "answer": study_answer(study),
-        "figures": meanings(FIGURES),
+        "figures": FIGURES,
         "all": [asdict(summary) for summary in summarise(study)],
         "feasible": [asdict(summary) for summary in summarise(study, True)],
     }
@@ -233,12 +231,11 @@ def format_study(study: Study, as_json: bool = False) -> str:
 
 
 def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
-    shown = headlines(FIGURES)
-    cells = [
-        [s.policy, *("-" if np.isnan(s.figures[f.name].mean) else f.text(s.figures[f.name].mean) for f in shown)]
-        for s in summaries
-    ]
-    return table(["policy", *(figure.heading for figure in shown)], cells)
+    cells = []
+    for s in summaries:
+        means = [(factor * s.figures[name].mean, digits) for name, (_, factor, digits) in HEADLINES.items()]
+        cells.append([s.policy, *("-" if np.isnan(mean) else format(mean, digits) for mean, digits in means)])
+    return table(["policy", *(heading for heading, _, _ in HEADLINES.values())], cells)
 
 
 def conditions(study: Study) -> str:

@@ -99,7 +99,7 @@ MISTAKES = {  # words that follow those of the command, and what is said of them
     },
     "play http://127.0.0.1:1/x": {
         "": "cannot be reached", "--trace const:1": "no --trace", "--compare": "--compare",
-        "--http.timeout 0": "time-out", "--measure-decoding": "got a URL",
+        "--http.timeout 0": "time-out",
     },
     "play": {
         "none.airgs --trace const:5": "none.airgs", "folder.spz --trace TRACE": "folder.spz",

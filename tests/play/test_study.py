@@ -11,7 +11,6 @@ import pytest
 from tests import faces
 from tests.faces import Offers, SessionSettings, Study, StudySettings, airgs_play, answer, simulate, study_answer
 from tests.support.manifests import link, missing, play, rules, tiny_manifest
-from tests.support.paths import VALID
 
 TINY = tiny_manifest()  # its rungs take 50.4 to 18.4 kbit/s
 UNMEASURED = tiny_manifest(psnr=None)
@@ -206,7 +205,3 @@ def test_damaged_packages_play_on(demo_copy, tmp_path, capsys):
     assert "nothing can be shown" in capsys.readouterr().err
     assert airgs_play(play[:5]) == 0
     assert "no rung can be had" in capsys.readouterr().out
-
-
-def test_decoding_is_timed():
-    assert 0 < faces.measure_decoding(faces.open_package(VALID / "moving")) < 10

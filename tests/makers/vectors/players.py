@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.play.policies.mpc import discounted_throughput
+from airgs_codec.play.policies import discounted_throughput
 from tests import faces
 from tests.faces import NONE, Arrived, Coming, Cut, Event, FormatError, GiveUp, PlayerState, SimulatedDownloader
 from tests.support.manifests import keys
@@ -46,7 +46,8 @@ def player_state(offers: faces.Offers, state: Case) -> PlayerState:
     decoded = keys(*state["decoded"], group=offer.group)
 
     def upcoming() -> Iterator[Coming]:
-        yield from ((offer, decoded if at == loop else NONE) for at, offer in offers.upcoming(positions))
+        for at, number in map(offers.place, positions):
+            yield offers.offer(number), decoded if at == loop else NONE
 
     told = ("position", "now_s", "deadline_s", "buffer_limit_s", "request_latency_s", "shown_quality")
     return PlayerState(

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import open_package
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.study import Study, StudySettings, run_study, summarise
 from tools.lab import COLOURS, Lab, Page, Picture, Row, Section, Table, content, listed, required, setting
 from tools.lab.made import encoded, name_of

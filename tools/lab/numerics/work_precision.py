@@ -17,8 +17,7 @@ import torch
 
 from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS
-from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
+from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
