@@ -26,27 +26,26 @@ from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     Comparison,
-    claimed_quality,
-    compare_streams,
-    compare_two,
-    comparison_json,
-    format_comparison,
-    format_two,
-    pool_splits,
-    side_by_side,
-)
-from airgs_codec.inspect.sides import (
     Side,
     before_both,
+    claimed_quality,
     comparable,
+    compare_streams,
+    compare_two,
     compared_views,
+    comparison_json,
     described,
+    format_comparison,
+    format_two,
+    frames_of,
     is_package,
     left_out,
     open_side,
+    pool_splits,
     region_views,
     rung_streams,
     shared_views,
+    side_by_side,
     splits_of,
 )
 from airgs_codec.media.image import write_png
@@ -163,7 +162,8 @@ def rungs(options: Rungs) -> int:
     claimed = claimed_quality(package.manifest, streams)
     looked_at = [(number, camera) for number in numbers for camera in cameras]
     with closing(Bar(options.json)) as bar:
-        splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
+        found = compare_streams(streams, frames_of(original, numbers), looked_at, Difference.of, bar)
+    splits = pool_splits(found, looked_at)
     if options.json:
         quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
         say(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))

@@ -209,10 +209,10 @@ def test_broken_rows_are_repaired_on_both_sides(original, tmp_path):
 
 def test_a_rung_has_its_bytes_its_claim_and_its_gaussians_and_a_scene_the_bytes_of_its_files(original, tmp_path):
     package = faces.open_package(PACKAGE)
-    rungs = {f"{r.key}+{r.state}": r for r in faces.summarise(package.manifest, package.manifest_bytes).rungs}
+    rungs = {rung.name: rung for rung in package.rungs}
     for name in ("Q0+L0", "Q1+L1"):
         side = open_side(str(PACKAGE), name)
-        assert (side.rung, side.bytes_per_frame) == (name, rungs[name].bytes_per_frame)
+        assert (side.rung, side.bytes_per_frame) == (name, rungs[name].bytes / package.manifest.frames)
         assert side.claimed.psnr == rungs[name].psnr
         decoded = faces.decode_frames(package, 2, 3, key_quality=name[:2], level=name[3:])
         assert np.array_equal(next(side.read(range(2, 3))).means, next(decoded).gaussians.means, equal_nan=True)

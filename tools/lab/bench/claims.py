@@ -16,8 +16,8 @@ from dataclasses import asdict, dataclass
 from airgs_codec import encode, open_package, open_sequence
 from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.errors import AirgsError
-from airgs_codec.inspect.sides import rung_streams
-from airgs_codec.inspect.summary import RungSummary, summarise
+from airgs_codec.inspect.compare import rung_streams
+from airgs_codec.inspect.summary import rung_rows
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
@@ -122,17 +122,13 @@ def measure(
 
 
 def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured]) -> list[Row]:
-    rungs = summarise(package.manifest, package.manifest_bytes).rungs
+    rungs = rung_rows(package.manifest, package.manifest_bytes)
     manifests = package.manifest_bytes / package.manifest.frames / 1e3
     rows = []
-    for r in sorted(rungs, key=lambda rung: -rung.bytes_per_frame):
-        sizes = r.bytes_per_frame / 1e3, manifests
-        rows.append(Row(scene, target, _name(r), *sizes, r.psnr, r.worst, found[_name(r)], r.best))
+    for r in sorted(rungs, key=lambda rung: -rung["bytes_per_frame"]):
+        name, sizes = f"{r['key']}+{r['state']}", (r["bytes_per_frame"] / 1e3, manifests)
+        rows.append(Row(scene, target, name, *sizes, r["psnr"], r["worst"], found[name], r["best"]))
     return rows
-
-
-def _name(rung: RungSummary) -> str:
-    return f"{rung.key}+{rung.state}"
 
 
 def by_package(rows: Sequence[Row]) -> list[list[Row]]:
