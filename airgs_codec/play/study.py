@@ -217,8 +217,8 @@ def conditions(study: Study) -> str:
     trips = [1e3 * row["rtt_s"] for row in study.rows]
     return (
         f"{study.package}: {first['frames']} frames ({first['played_s']:.1f} s) over {len(rates)} traces, {s.offsets} "
-        f"offsets each (seed {s.seed}), {'unscaled' if s.scale == 1 else f'rates x{s.scale:g}'}, means {min(rates):.1f} "
-        f"to {max(rates):.1f} Mbit/s, after the end: {s.end}, round trip {min(trips):.0f} to {max(trips):.0f} ms, "
+        f"offsets each (seed {s.seed}), {'unscaled' if s.scale == 1 else f'rates x{s.scale:g}'}, means of "
+        f"{min(rates):.1f} to {max(rates):.1f} Mbit/s, after the end: {s.end}, round trip {min(trips):.0f} to {max(trips):.0f} ms, "
         f"buffer {s.session.buffer_s:g} s"
     )
 

@@ -259,7 +259,7 @@ def run(options: Options, lab: Lab) -> Page:
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
     rows.sort(key=lambda row: known.index(row["mechanism"]))
-    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS, once=2)])])
+    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS)])])
 
 
 Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held-out views, CPU seconds

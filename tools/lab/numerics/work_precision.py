@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
 from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS
 from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, plain_log_ticks, rows_of, setting
 from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
 from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
 
@@ -127,9 +126,7 @@ def page(rows: Sequence[Row]) -> Page:
         some = [row for row in rows if row.question == question.name]
         if some:
             size = WIDTH * len(by_scene(some)), HEIGHT
-            picture = Picture(
-                f"precision-{question.name}", question.text, partial(draw, question, some), size, grid=False
-            )
+            picture = Picture(f"precision-{question.name}", question.text, partial(draw, question, some), size)
             sections.append(Section(answer(question, judge(question, some)), question.text, [picture]))
     return Page(sections, HOW, data=[Table("work_precision", rows_of(rows))])
 
@@ -239,7 +236,6 @@ def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
         draw_curves(axis, question, some)
         axis.set_title(scene, fontsize=11, loc="left")
         axis.set_xlabel(question.time)
-        axis.grid(alpha=0.25)
         if len({row.curve for row in some}) > 1:
             axis.legend(loc="upper right", fontsize=8)
 
