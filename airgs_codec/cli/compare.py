@@ -98,11 +98,12 @@ def compare(options: Compare) -> int:
         result = compare_two(a, b, numbers, cameras, bar)
     written = _write_pictures(options.output, a, b, result) if options.output else []
     notes = left_out(a, b)
+    record = comparison_json(a, b, result)
     if options.json:
         more = {"views": words, "left_out": notes, "pictures": [str(path) for path in written]}
-        say(json.dumps(comparison_json(a, b, result) | more))
+        say(json.dumps(record | more))
     else:
-        say(format_two(a, b, result, words, notes))
+        say(format_two(record, words, notes))
         if written:
             say(f"pictures: {', '.join(map(str, written))}")
     return 0

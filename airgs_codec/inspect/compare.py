@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, brief
-from airgs_codec._report import Form, Table
+from airgs_codec._report import Table
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.summary import QUALITY
+from airgs_codec.inspect.summary import QUALITY, Columns
 from airgs_codec.media.image import contact_sheet, to_bytes
 from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
 from airgs_codec.package.layout import JSON_NAME
@@ -46,9 +46,13 @@ DRAWS = 8  # views of a region
 REGION = "region"  # the split of views that are drawn from the package's region
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
-MOST_LETTERS = 44  # of a line
 MOST_GAIN = 64
 SHOWN = 0.999  # of the differences are not cut off
+SIDES: Columns = {
+    "side": ("", ""), "name": ("", ""), "rung": ("rung", ""), "frames": ("frames", "d"), "fps": ("fps", "g"),
+    "sh_degree": ("SH degree", ""), "bytes_per_frame": ("bytes a frame", ",.0f"),
+    "gaussians": ("Gaussians", lambda rows: " to ".join(f"{count:,}" for count in dict.fromkeys(rows))),
+}  # fmt: skip
 
 Measure = TypeVar("Measure")
 Scene = Package | GaussianSequence
@@ -300,13 +304,10 @@ def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, Quality | No
 
 def format_comparison(splits: Mapping[str, Mapping[str, Quality | None]]) -> str:
     """Return a line for each stream, with columns for each split."""
-    heads = QUALITY | {"psnr": ("dB", ".2f")}
-    columns: dict[str, tuple[str, Form]] = {"decoded": ("decoded", "")}
+    columns: Columns = {"decoded": ("decoded", "")}
     rows = {name: {"decoded": name} for name in next(iter(splits.values()))}
     for split, qualities in splits.items():
-        columns |= {
-            split + key: (f"{split}: {head}" if key == "psnr" else head, form) for key, (head, form) in heads.items()
-        }
+        columns |= {split + key: column for key, column in QUALITY.items()} | {f"{split}psnr": (f"{split}: dB", ".2f")}
         for name, quality in qualities.items():
             rows[name] |= {split + key: value for key, value in dataclasses.asdict(quality).items()} if quality else {}
     return Table("", list(rows.values()), columns).to_text()
@@ -320,13 +321,9 @@ class Seen:
     camera: Camera
     psnr: float  # dB, of B against A
 
-    def __str__(self) -> str:
-        return f"{self.psnr:.2f} dB, frame {self.frame}, camera {self.camera.name}"
-
     def to_json(self) -> dict[str, Any]:
-        """The same as plain values, the camera by its name and position."""
-        place = self.camera.position.tolist()
-        return {"frame": self.frame, "camera": self.camera.name, "position": place, "psnr": self.psnr}
+        camera = {"camera": self.camera.name, "position": self.camera.position.tolist()}
+        return {"frame": self.frame} | camera | {"psnr": self.psnr}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -421,10 +418,16 @@ def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians
 
 
 def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
-    """The figures of both sides and of their comparison as plain values."""
+    """Return the figures of both sides and of their comparison as plain values."""
+    reference, compared = (
+        {"name": side.name, "rung": side.rung, "frames": side.frames, "fps": side.fps and float(side.fps)}
+        | {"sh_degree": side.sh_degree, "gaussians": list(rows), "bytes_per_frame": side.bytes_per_frame}
+        | {"claimed": side.claimed and dataclasses.asdict(side.claimed)}
+        for side, rows in zip((a, b), result.gaussians, strict=True)
+    )
     return {
-        "reference": _side(a, result.gaussians[0]),
-        "compared": _side(b, result.gaussians[1]),
+        "reference": reference,
+        "compared": compared,
         "frames": list(result.frames),
         "cameras": list(result.cameras),
         "blank": result.blank,
@@ -434,45 +437,27 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
     }
 
 
-def _side(side: Side, gaussians: tuple[int, int]) -> dict[str, Any]:
-    return {
-        "name": side.name,
-        "rung": side.rung,
-        "frames": side.frames,
-        "fps": side.fps and float(side.fps),
-        "sh_degree": side.sh_degree,
-        "gaussians": list(gaussians),
-        "bytes_per_frame": side.bytes_per_frame,
-        "claimed": side.claimed and dataclasses.asdict(side.claimed),
+def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ()) -> str:
+    """Return `comparison_json` for people; `views` says what the cameras are, `notes` what was left out."""
+    q, frames, compared = record["quality"], record["frames"], record["compared"]
+    sides = [{"side": "A, the reference"} | record["reference"], {"side": "B"} | compared]
+    claim = f" (B's tables claim {compared['claimed']['psnr']:.2f} dB)" if compared["claimed"] else ""
+    seen = {
+        name: "{psnr:.2f} dB, frame {frame}, camera {camera}".format(**record[name]) for name in ("worst", "typical")
     }
-
-
-def format_two(a: Side, b: Side, result: Comparison, views: str, notes: Iterable[str] = ()) -> str:
-    """The same for people; `views` says what the cameras are, `notes` what was left out."""
-    q, frames = result.quality, result.frames
-    claim = f" (B's tables claim {b.claimed.psnr:.2f} dB)" if b.claimed else ""
     return "\n".join(
         [
-            f"A, the reference: {_words(a, result.gaussians[0])}",
-            f"B: {_words(b, result.gaussians[1])}, {b.bytes_per_frame / a.bytes_per_frame:.3g} times those of A",
+            Table("", sides, SIDES).to_text(),
             f"{len(frames)} frame{'s' * (len(frames) > 1)} ({frames[0]} to {frames[-1]}) in {views}",
             *(f"left out: {note}" for note in notes),
-            *([f"not counted: {result.blank} pictures that show nothing"] if result.blank else []),
-            f"PSNR    {q.psnr:.2f} dB pooled over pictures{claim}",
-            f"SSIM    {q.ssim:.4f}",
-            f"ΔE2000  {q.delta_e:.2f}",
-            f"worst   {result.worst}",
-            f"typical {result.typical}",
+            *([f"not counted: {record['blank']} pictures that show nothing"] if record["blank"] else []),
+            f"PSNR    {q['psnr']:.2f} dB pooled over pictures{claim}",
+            f"SSIM    {q['ssim']:.4f}",
+            f"ΔE2000  {q['delta_e']:.2f}",
+            f"bytes   {compared['bytes_per_frame'] / record['reference']['bytes_per_frame']:.3g} times those of A",
+            *(f"{name:<7} {words}" for name, words in seen.items()),
         ]
     )
-
-
-def _words(side: Side, gaussians: tuple[int, int]) -> str:
-    rows = f"{gaussians[0]:,}" if gaussians[0] == gaussians[1] else f"{gaussians[0]:,} to {gaussians[1]:,}"
-    rate = f" at {float(side.fps):g} fps" if side.fps else ""
-    name = f"{side.name} {side.rung}" if side.rung else side.name
-    count = f"{side.frames} frame{'s' * (side.frames > 1)}{rate}"
-    return f"{name}: {count}, {rows} Gaussians of SH degree {side.sh_degree}, {side.bytes_per_frame:,.0f} bytes a frame"
 
 
 def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
@@ -487,7 +472,7 @@ def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
         f"difference x {gain}\nlargest {difference.max():.3f} of 1",
     ]
     pictures = [_with_room(to_bytes(picture)) for picture in (first, second, gain * difference)]
-    return contact_sheet(pictures, ["\n".join(map(_shortened, text.split("\n"))) for text in captions], columns=3)
+    return contact_sheet(pictures, captions, columns=3)
 
 
 def difference_gain(difference: NDArray[np.float32]) -> int:
@@ -500,7 +485,3 @@ def _with_room(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """A picture below a black band, its pixels as many times as wide as it needs."""
     times = math.ceil(LEAST_WIDTH / picture.shape[1])
     return np.pad(picture.repeat(times, axis=0).repeat(times, axis=1), ((LABEL, 0), (0, 0), (0, 0)))
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 12]}..{text[-10:]}"

@@ -122,7 +122,7 @@ def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
     for rung in rungs_of(m, manifest_bytes):
         quality = pooled_quality(m, m.level_index(rung.level), m.quality_index(rung.key_quality))
         row = {"key": rung.key_quality, "state": rung.level, "bytes_per_frame": rung.bytes / m.frames}
-        row |= {"mean_bps": _rate(m, rung.bytes)} | dict.fromkeys(QUALITY)
+        row |= {"mean_bps": 8 * row["bytes_per_frame"] * float(m.fps)} | dict.fromkeys(QUALITY)
         rows.append(row | (dataclasses.asdict(quality) if quality else {}) | {"best": rung.best})
     return rows
 
@@ -199,7 +199,10 @@ def format_summary(m: Manifest, manifest_bytes: int) -> str:
     """Return all tables of a package, and what was left out and repaired."""
     s = summarise(m, manifest_bytes)
     kinds = [f"{kind} {kilobytes(size / m.frames)}" for kind, size in s["top_rung_bytes"].items()]
-    groups = [g | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}"} for i, g in enumerate(s["groups"])]
+    groups = [
+        g | {"group": i, "frames": f"{g['frames'][0]}-{g['frames'][1] - 1}", "keeps": g["keeps"] or ""}
+        for i, g in enumerate(s["groups"])
+    ]
     if len(groups) > MOST_GROUPS:
         groups = [*groups[: MOST_GROUPS - 2], dict.fromkeys(GROUPS, "…"), groups[-1]]
     lines = [

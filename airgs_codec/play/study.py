@@ -214,11 +214,11 @@ def conditions(study: Study) -> str:
     """Return what was played over what, in a sentence."""
     s, first = study.settings, study.rows[0]
     rates = [bps / 1e6 for bps in {r["trace"]: r["mean_bps"] for r in study.rows}.values()]
-    trips = [1e3 * row["rtt_s"] for row in study.rows]
+    trips = sorted({f"{1e3 * row['rtt_s']:.0f}" for row in study.rows}, key=float)
     return (
         f"{study.package}: {first['frames']} frames ({first['played_s']:.1f} s) over {len(rates)} traces, {s.offsets} "
         f"offsets each (seed {s.seed}), {'unscaled' if s.scale == 1 else f'rates x{s.scale:g}'}, means of "
-        f"{min(rates):.1f} to {max(rates):.1f} Mbit/s, after the end: {s.end}, round trip {min(trips):.0f} to {max(trips):.0f} ms, "
+        f"{min(rates):.1f} to {max(rates):.1f} Mbit/s, after the end: {s.end}, round trip {' to '.join(trips)} ms, "
         f"buffer {s.session.buffer_s:g} s"
     )
 

@@ -174,8 +174,9 @@ def test_other_degrees_and_lengths_are_compared_and_what_one_side_lacks_is_said(
     lacking = [f"frames 4 to 5 of {long.name}, which {original.name} does not have"]
     assert left_out(original, long) == left_out(long, original) == lacking
     assert left_out(original, one_more)[0].startswith("frame 4 of") and left_out(original, original) == []
-    words = faces.format_two(original, long, compare_two(original, long, range(4), ring(1)), "1 view", lacking)
-    assert "A, the reference: " in words and "SH degree 2" in words and "left out: frames 4 to 5" in words
+    result = compare_two(original, long, range(4), ring(1))
+    words = faces.format_two(faces.comparison_json(original, long, result), "1 view", lacking)
+    assert "A, the reference" in words and "SH degree" in words and "left out: frames 4 to 5" in words
 
 
 def test_pictures_show_both_and_their_difference(original, broken):
