@@ -34,7 +34,7 @@ STYLE = (
     "background:#fff;overflow-wrap:break-word}h1{font-size:1.5rem}h2{font-size:1rem;margin:1rem 0 0}p{margin:0}"
     ".pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem;margin-top:1rem}"
     "figure{margin:0;overflow-x:auto}figcaption{font-size:14px;color:#555}img,video{width:100%;display:block}"
-    ".wide{grid-column:1/-1}.wide img{min-width:48rem}"
+    ".pictures:empty{display:none}.wide{grid-column:1/-1}.wide img{min-width:48rem}"
     "details{margin-top:1rem;overflow-x:auto}summary{cursor:pointer;font-weight:600}"
     "table{border-collapse:collapse;font-size:14px}tr:nth-child(even){background:#f4f4f6}"
     "td{padding:.15rem .8rem .15rem 0;vertical-align:top}tr:first-child,td:first-child{font-weight:600}"
@@ -114,14 +114,15 @@ class Picture:
                 raise ConfigError(f"{target}: cannot write the picture: {error}") from error
 
     def to_html(self) -> str:
-        caption, source, kind = html.escape(self.caption), html.escape(self.name), "wide"
+        caption, source = html.escape(self.caption), html.escape(self.name)
         if self.draw:
             self.write(drawn := io.BytesIO(), "svg")
-            source, kind = f"data:image/svg+xml;base64,{base64.b64encode(drawn.getvalue()).decode()}", "chart"
+            source = f"data:image/svg+xml;base64,{base64.b64encode(drawn.getvalue()).decode()}"
         seen = f'<img src="{source}" alt="{caption}">'
         if source.endswith(".mp4"):
             seen = f'<video src="{source}" controls loop muted></video>'
-        return f'<figure class="{kind}">{seen}<figcaption>{caption}</figcaption></figure>'
+        kind = ' class="wide"' if source.endswith(".png") else ""
+        return f"<figure{kind}>{seen}<figcaption>{caption}</figcaption></figure>"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -53,7 +53,7 @@ def write_report(
         "good": f"The top rung takes {top['bytes_per_frame'] / 1e3:.1f} kB a frame, {top['mean_bps'] / 1e6:.2f} Mbit/s"
         f"{claim}. It shows the frames that were given at {quality.psnr:.1f} dB in "
         f"{words.removesuffix(f' of {a.name}')}.",
-        "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB{far}. Most bytes, "
+        "wrong": f"Frame {worst.frame} is the worst with {worst.psnr:.1f} dB in one picture{far}. Most bytes, "
         f"{100 * sizes[largest] / sum(sizes.values()):.0f} %, are {largest}.",
         "useless": beaten_words({f"{r['key']}+{r['state']}": r["best"] for r in s["rungs"] if m.measured})
         or "Nothing.",
@@ -67,14 +67,14 @@ def write_report(
             lambda figure: plot_rungs(s["rungs"], figure.subplots()),
         ),
         Picture(
-            f"frame-{worst.frame:06d}.png",
-            "The worst picture.",
-            save=lambda path: write_png(path, side_by_side(a, b, worst)),
-        ),
-        Picture(
             "film.mp4",
             "All frames; left: as given, right: as encoded.",
             save=lambda path: write_movie(path, film(), m.fps),
+        ),
+        Picture(
+            f"frame-{worst.frame:06d}.png",
+            "The worst picture.",
+            save=lambda path: write_png(path, side_by_side(a, b, worst)),
         ),
     ]
     stages = {"name": ("part of the work", ""), "seconds": ("seconds", ".1f"), "bought": ("what came of it", "")}

@@ -121,7 +121,7 @@ def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
     rows = []
     for rung in rungs_of(m, manifest_bytes):
         quality = pooled_quality(m, m.level_index(rung.level), m.quality_index(rung.key_quality))
-        row = {"key": rung.key_quality, "state": rung.level, "bytes_per_frame": rung.bytes / m.frames}
+        row: Row = {"key": rung.key_quality, "state": rung.level, "bytes_per_frame": rung.bytes / m.frames}
         row |= {"mean_bps": 8 * row["bytes_per_frame"] * float(m.fps)} | dict.fromkeys(QUALITY)
         rows.append(row | (dataclasses.asdict(quality) if quality else {}) | {"best": rung.best})
     return rows

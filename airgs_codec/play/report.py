@@ -39,7 +39,7 @@ RUNGS = {
 def write_report(log: SessionLog, directory: Path) -> Path:
     """Write index.html into `directory`, and give its path. Raises ConfigError."""
     words = "The link and what was asked of it, PSNR on the screen; red: the viewer waits."
-    pictures = [Picture("", words, partial(_draw, log), (8, 4))]
+    pictures = [Picture("", words, partial(_draw, log), (5.5, 3.8))]
     figures = [{"figure": name, "value": value} for name, value in _readable(log).items()]
     tables = Table("All figures", figures), Table("What the package claims of its rungs", rung_record(log), RUNGS)
     return Page(answered(answer(log), pictures, *tables), f"A session of {log.policy}").write(directory)

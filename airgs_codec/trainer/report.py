@@ -37,7 +37,7 @@ def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Re
     record, camera = model.record, ""
     worst, first = min(record.frames, key=_shown_db).frame, record.frames[0].frame
     words = f"Each frame; red: keyframes. PSNR is the {PSNR_DEFINITION}."
-    shown = [Picture("", words, partial(_draw, record), (8, 2.7))]
+    shown = [Picture("", words, partial(_draw, record))]
     for frame in dict.fromkeys((worst, first)):
         views = pictures.held_out(frame) or pictures.train(frame)
         seen = {view.camera.name: (view, _rendered(model, frame, view, renderer)) for view in views}
