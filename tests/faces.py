@@ -118,7 +118,7 @@ from airgs_codec.play.downloader import (
 )  # fmt: skip
 from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables, fetch_beside
 from airgs_codec.play.player import run
-from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
+from airgs_codec.play.report import answer, beaten_words, find_waits, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
 from airgs_codec.play.study import (
     Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer, study_record,

@@ -270,11 +270,11 @@ def compare_streams(
     """
     found: dict[str, list[Measure]] = {name: [] for name in streams}
     frames = [list(seen) for _, seen in itertools.groupby(views, key=lambda view: view[0])]
-    for done, seen in enumerate(frames):
-        progress("comparing", done, len(frames))
+    for done, seen in enumerate(frames, 1):
         source = draw_once(draw_still(next(reference)))
         for name, stream in streams.items():
             found[name] += compare_views(source, draw_still(next(stream)), seen, measure)
+        progress("comparing", done, len(frames))
     return found
 
 

@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -142,15 +142,9 @@ def rung_record(log: SessionLog) -> list[dict[str, Any]]:
     return record
 
 
-class Stall(NamedTuple):
-    at_s: float
-    seconds: float
-    why: str
-
-
-def find_stalls(log: SessionLog) -> list[Stall]:
-    """Every wait after the first picture with its reason, the first of five that holds."""
-    rungs, stalls = rung_record(log), []
+def find_waits(log: SessionLog) -> dict[str, float]:
+    """Return the seconds that the viewer waited after the first picture, by the first of five reasons that holds."""
+    rungs, waits = rung_record(log), dict.fromkeys((FAULTS, BELOW, OVER, ASKED, SHORT), 0.0)
     for position, segment in enumerate(log.shown):
         if segment.stall_s <= SHORTEST_S:
             continue
@@ -165,15 +159,13 @@ def find_stalls(log: SessionLog) -> list[Stall]:
             ASKED: came_mbps < rungs[segment.rung or 0]["mbps"],
             SHORT: True,
         }
-        stalls.append(
-            Stall(segment.start_s - segment.stall_s, segment.stall_s, next(why for why in reasons if reasons[why]))
-        )
-    return stalls
+        waits[next(why for why in reasons if reasons[why])] += segment.stall_s
+    return waits
 
 
 def answer(log: SessionLog) -> dict[str, str]:
     """What a session comes to in whole sentences, by the keys of HEADS."""
-    m, stalls, record, bound = log.metrics, find_stalls(log), rung_record(log), _bound(log)
+    m, waits, record, bound = log.metrics, find_waits(log), rung_record(log), _bound(log)
     good, wrong = "The package was not measured: how good its pictures are is not known.", []
     if m.psnr_mean is not None:
         seen = sorted(p for p in (log.shown[i].psnr for i, _ in log.screen_ticks) if p is not None)
@@ -181,11 +173,9 @@ def answer(log: SessionLog) -> dict[str, str]:
         good = f"The screen showed {m.psnr_mean:.1f} dB on average, {worst:.1f} in its worst tenth."
     if bound is not None:
         good += f" No player could have shown more than {bound:.1f} dB at the same moments."
-    waits = {why: sum(s.seconds for s in stalls if s.why == why) for why in (FAULTS, BELOW, OVER, ASKED, SHORT)}
-    if stalls:
+    if m.stalls:
         why = "; ".join(f"{why} ({seconds:.1f} s)" for why, seconds in waits.items() if seconds)
-        share, first_s = f"{100 * m.stall_ratio:.1f} % of the time", stalls[0].at_s
-        wrong.append(f"The viewer waited for {m.stall_s:.1f} s, {share}, first after {first_s:.1f} s: {why}.")
+        wrong.append(f"The viewer waited for {m.stall_s:.1f} s, {100 * m.stall_ratio:.1f} % of the time: {why}.")
     if log.lost:
         wrong.append(f"{m.lost_frames} frames were lost.")
     if m.wasted > MUCH_WASTE:
@@ -197,7 +187,7 @@ def answer(log: SessionLog) -> dict[str, str]:
         "good": f"{good} The first picture came after {m.startup_s:.1f} s.",
         "wrong": " ".join(wrong) or "Nothing: the viewer never waited after the first picture.",
         "useless": " ".join(filter(None, useless)) or "Nothing: every rung was shown.",
-        "change": " ".join(_against(log, waits) if stalls else _to_show_more(log, bound)) or "Nothing.",
+        "change": " ".join(_against(log, waits) if m.stalls else _to_show_more(log, bound)) or "Nothing.",
     }
 
 
