@@ -27,14 +27,12 @@ from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     Comparison,
     Side,
-    before_both,
     claimed_quality,
     comparable,
     compare_streams,
     compare_two,
     compared_views,
     comparison_json,
-    described,
     format_comparison,
     format_two,
     frames_of,
@@ -87,13 +85,8 @@ def compare(options: Compare) -> int:
     _expect_least(every=(options.every, 1))
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
-    if options.views:
-        words, cameras = described(
-            compared_views(cameras_from(a.origin, read_cameras(options.views)), None), str(options.views)
-        )
-    else:
-        words, cameras = shared_views(a, b)
-    cameras = before_both(a, b, cameras)
+    given = cameras_from(a.origin, read_cameras(options.views)) if options.views else ()
+    words, cameras = shared_views(a, b, compared_views(given, None), str(options.views))
     with closing(Bar(options.json)) as bar:
         result = compare_two(a, b, numbers, cameras, bar)
     written = _write_pictures(options.output, a, b, result) if options.output else []

@@ -205,27 +205,28 @@ def left_out(a: Side, b: Side) -> list[str]:
     return [f"{which} of {long.name}, which {short.name} does not have"]
 
 
-def before_both(a: Side, b: Side, views: Sequence[Camera]) -> list[Camera]:
-    """Return the views before the background of A or, where that is black, of B, and with near planes for A's size."""
-    behind = b.background if a.background == BLACK else a.background
-    return [replace(view, background=behind) for view in with_near_planes(views, next(a.read(range(1))))]
-
-
-def shared_views(a: Side, b: Side) -> tuple[str, list[Camera]]:
-    """Return what both are looked at from, in words too: the held-out cameras of A or B, or all that it has.
+def shared_views(a: Side, b: Side, cameras: Sequence[Camera] = (), source: str = "") -> tuple[str, list[Camera]]:
+    """Return what both are looked at from, in words too: these cameras, or the held-out ones of A or B, or all.
 
     Without cameras they are drawn from the viewing region of B or A by the seed for checks, without a package they are
-    on an orbit around the first frame of A.
+    on an orbit around the first frame of A. Both are seen before the background of A or, where that is black, of B, and
+    behind near planes for the size of A.
     """
-    for side in (a, b):
-        if side.cameras:
-            return described(compared_views(side.cameras, None), side.name)
-    for side in (b, a):
-        if side.region:
-            views = region_views(side.region, DRAWS, CHECKING)
-            return f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}", views
-    views = orbit_views(next(a.read(range(1))), up=np.array(a.axes.up) if a.axes else UP)
-    return f"{len(views)} views on an orbit around frame 0 of {a.name}", views
+    first = next(a.read(range(1)))
+    sets = [(cameras, source), *((compared_views(side.cameras, None), side.name) for side in (a, b))]
+    views, name = next(((list(some), name) for some, name in sets if some), ([], ""))
+    if views:
+        held_out = "held-out " * (views[0].split == "test")
+        words = f"{len(views)} {held_out}camera{'s' * (len(views) > 1)} of {name}"
+    elif side := next((side for side in (b, a) if side.region), None):
+        assert side.region
+        views = region_views(side.region, DRAWS, CHECKING)
+        words = f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}"
+    else:
+        views = orbit_views(first, up=np.array(a.axes.up) if a.axes else UP)
+        words = f"{len(views)} views on an orbit around frame 0 of {a.name}"
+    behind = b.background if a.background == BLACK else a.background
+    return words, [replace(view, background=behind) for view in with_near_planes(views, first)]
 
 
 def splits_of(cameras: Sequence[Camera]) -> dict[str, int]:
@@ -248,12 +249,6 @@ def compared_views(cameras: Sequence[Camera], split: str | None) -> list[Camera]
         raise ConfigError(f"split: expected one of {', '.join(sorted(found))}, got {split!r}")
     wanted = {split} if split else {REGION, "test"} if "test" in found else set(found)
     return [camera for camera in cameras if camera.split in wanted]
-
-
-def described(views: Sequence[Camera], source: str) -> tuple[str, list[Camera]]:
-    """Return views that are the held-out cameras of some source, or all of them, after words that say so."""
-    kind = f"{'held-out ' * (views[0].split == 'test')}camera{'s' * (len(views) > 1)}"
-    return f"{len(views)} {kind} of {source}", list(views)
 
 
 def compare_streams(
@@ -377,8 +372,9 @@ def compare(
     numbers = both if frames is None else argument("frames", frames, range, "a range")
     if not numbers or numbers[0] not in both or numbers[-1] not in both:
         raise ConfigError(f"frames: expected some of {both}, got {numbers}")
-    views = shared_views(a, b)[1] if cameras is None else list(cameras)
-    return compare_two(a, b, numbers, before_both(a, b, views), told(progress))
+    if cameras is not None and not cameras:
+        raise ConfigError("cameras: expected at least one")
+    return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], told(progress))
 
 
 def _opened(name: str, scene: Scene | str | Path) -> Scene:

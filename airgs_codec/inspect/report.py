@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
-
-import numpy as np
-from numpy.typing import NDArray
 
 from airgs_codec._report import Page, Picture, Table, answered
 from airgs_codec.encoder.measure import uncertainty_db
 from airgs_codec.encoder.publish import EncodeReport, certainty_words
 from airgs_codec.encoder.search import DELTA_E
-from airgs_codec.inspect.compare import Side, before_both, compare_two, shared_views, side_by_side, side_of
+from airgs_codec.inspect.compare import compare_two, shared_views, side_by_side, side_of
 from airgs_codec.inspect.summary import plot_rungs, rung_table, summarise
-from airgs_codec.media.image import to_bytes, write_png
-from airgs_codec.media.movie import write_movie
+from airgs_codec.media.image import write_png
 from airgs_codec.package.package import Package
-from airgs_codec.package.region import first_views
 from airgs_codec.play.report import beaten_words
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import Camera
-from airgs_codec.render.compare import draw_frames, in_order
 from airgs_codec.scene.camera import resized
 from airgs_codec.scene.sequence import GaussianSequence
 
@@ -37,14 +29,14 @@ DOUBT_DB = 0.5  # of a claim, from which more pictures should measure
 def write_report(
     folder: Path, given: GaussianSequence, package: Package, done: EncodeReport, progress: Progress = silent
 ) -> Path:
-    """Write index.html with the answer, a chart, the worst picture and a film, and give its path.
+    """Write index.html with the answer, a chart and the worst picture, and give its path.
 
     `given`: what was encoded, as it came. Raises ConfigError when they cannot be written, or without matplotlib.
     """
     a, b, m = side_of(given, "given"), side_of(package, "encoded"), package.manifest
     words, views = shared_views(a, b)
-    result = compare_two(a, b, range(a.frames), [_small(view) for view in before_both(a, b, views)[:VIEWS]], progress)
-    s, front = summarise(m, done.manifest_bytes), _small(first_views(m.region, m.world)[0])
+    result = compare_two(a, b, range(a.frames), [_small(view) for view in views[:VIEWS]], progress)
+    s = summarise(m, done.manifest_bytes)
     top, quality, worst, sizes = s["rungs"][0], result.quality, result.worst, s["top_rung_bytes"]
     claim = f", and is measured at {top['psnr']:.1f} dB, {certainty_words(done.uncertainty)}" if m.measured else ""
     far = ", far below the others" if worst.psnr < quality.psnr - UNEVEN_DB else ""
@@ -59,17 +51,11 @@ def write_report(
         or "Nothing.",
         "change": advice(done) or "Nothing.",
     }
-    film = partial(_film, a, b, before_both(a, b, [front])[0])
     pictures = [
         Picture(
             "",
             "What viewers fetch and see; grey: no player should.",
             lambda figure: plot_rungs(s["rungs"], figure.subplots()),
-        ),
-        Picture(
-            "film.mp4",
-            "All frames; left: as given, right: as encoded.",
-            save=lambda path: write_movie(path, film(), m.fps),
         ),
         Picture(
             f"frame-{worst.frame:06d}.png",
@@ -88,13 +74,6 @@ def write_report(
 
 def _small(camera: Camera) -> Camera:
     return resized(camera, min(1.0, (PIXELS / (camera.width * camera.height)) ** 0.5))
-
-
-def _film(a: Side, b: Side, camera: Camera) -> Iterator[NDArray[np.uint8]]:
-    span = range(a.frames)
-    first, second = (draw_frames(in_order(span, side.read(span))) for side in (a, b))
-    for frame in span:
-        yield np.concatenate([to_bytes(draw(frame, camera).rgb) for draw in (first, second)], axis=1)
 
 
 def advice(done: EncodeReport) -> str:
