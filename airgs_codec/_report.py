@@ -25,7 +25,6 @@ BLUE, ORANGE, GREEN, RED, GREY = "#2a6fbb", "#e08a1e", "#3a9a5b", "#c8453b", "#8
 HEADS = {
     "good": "How good it is",
     "wrong": "What went wrong",
-    "bought": "What each second bought",
     "useless": "What is of no use",
     "change": "What to change",
 }
@@ -33,8 +32,8 @@ STYLE = (
     "body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:1.5rem auto;padding:0 1rem;color:#222;"
     "background:#fff;overflow-wrap:break-word}h1{font-size:1.5rem}h2{font-size:1rem;margin:1rem 0 0}p{margin:0}"
     ".pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,24rem),1fr));gap:1rem;margin-top:1rem}"
-    "figure{margin:0;overflow-x:auto}figcaption{font-size:14px;color:#555}img,video{width:100%;display:block}"
-    ".pictures:empty{display:none}.wide{grid-column:1/-1}.wide img{min-width:48rem}"
+    "figure{margin:0;overflow-x:auto}figcaption{font-size:14px;color:#555}img{width:100%;display:block}"
+    ".pictures:empty{display:none}.file{grid-column:1/-1}.file img{min-width:48rem}"
     "details{margin-top:1rem;overflow-x:auto}summary{cursor:pointer;font-weight:600}"
     "table{border-collapse:collapse;font-size:14px}tr:nth-child(even){background:#f4f4f6}"
     "td{padding:.15rem .8rem .15rem 0;vertical-align:top}tr:first-child,td:first-child{font-weight:600}"
@@ -114,15 +113,12 @@ class Picture:
                 raise ConfigError(f"{target}: cannot write the picture: {error}") from error
 
     def to_html(self) -> str:
-        caption, source = html.escape(self.caption), html.escape(self.name)
+        kind, source, caption = "file", html.escape(self.name), html.escape(self.caption)
         if self.draw:
             self.write(drawn := io.BytesIO(), "svg")
-            source = f"data:image/svg+xml;base64,{base64.b64encode(drawn.getvalue()).decode()}"
+            kind, source = "chart", f"data:image/svg+xml;base64,{base64.b64encode(drawn.getvalue()).decode()}"
         seen = f'<img src="{source}" alt="{caption}">'
-        if source.endswith(".mp4"):
-            seen = f'<video src="{source}" controls loop muted></video>'
-        kind = ' class="wide"' if source.endswith(".png") else ""
-        return f"<figure{kind}>{seen}<figcaption>{caption}</figcaption></figure>"
+        return f'<figure class="{kind}">{seen}<figcaption>{caption}</figcaption></figure>'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,13 +140,13 @@ class Section:
 @dataclass(frozen=True, slots=True, eq=False)
 class Page:
     sections: Sequence[Section]
-    title: str = ""
+    title: str
     reload_s: int | None = None  # seconds after which a browser loads it again, where it changes
 
     def write(self, folder: Path) -> Path:
         """Write index.html and the files of its pictures, and give its path.
 
-        Raises ConfigError without matplotlib, or where files cannot be written.
+        Raises ConfigError without matplotlib, or where they cannot be written.
         """
         again = "" if self.reload_s is None else f'<meta http-equiv="refresh" content="{self.reload_s}">'
         title, body = html.escape(self.title), "".join(section.to_html() for section in self.sections)

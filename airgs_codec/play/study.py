@@ -24,7 +24,7 @@ from airgs_codec.play.fetcher import TableStore
 from airgs_codec.play.metrics import FIGURES, headlines, meanings
 from airgs_codec.play.offers import NONE, Offers
 from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
-from airgs_codec.play.session import SessionLog, session_bound, simulate
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
@@ -126,18 +126,14 @@ def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
         start = {"trace": trace.name, "offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps}
         for policy in settings.policies:
             log = simulate(c, link, policy, rules)
-            rows.append(start | {"policy": policy, "feasible": feasible} | _session_row(log))
+            bound, frames = session_bound(log) if c.manifest.measured else None, log.metrics.frames
+            rows.append(
+                start
+                | {"policy": policy, "feasible": feasible, **log.metrics.as_dict(), "bound": bound}
+                | {"regret": None if bound is None else bound - log.mean_quality}
+                | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / frames / 1e3 for kind in FileKind}
+            )
     return rows
-
-
-def _session_row(log: SessionLog) -> Row:
-    bound = session_bound(log) if log.offers.manifest.measured else None
-    frames = sum(s.frames for s in log.shown)
-    return (
-        log.metrics.as_dict()
-        | {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
-        | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / frames / 1e3 for kind in FileKind}
-    )
 
 
 class Interval(NamedTuple):
