@@ -74,7 +74,7 @@ from airgs_codec.package.region import (
 from airgs_codec.package.views import set_view
 from airgs_codec.package.dash_check import check_mpd, largest_picture
 from airgs_codec.package.index import GroupIndex, count_groups
-from airgs_codec.inspect.validate import Finding, exceeded, validate
+from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
 from airgs_codec.inspect.compare import (

@@ -95,31 +95,31 @@ class Side:
         )
 
 
-def is_package(place: str) -> bool:
-    """Whether a package is at a place. Raises ConfigError for an address that cannot be, TransportError."""
-    if is_address(place):
-        return place_at(place).exists(JSON_NAME)
-    return Path(place, JSON_NAME).is_file()
+def is_package(scene: Scene | str | Path) -> bool:
+    """Whether it is one, or one is there. Raises ConfigError for an address that cannot be, TransportError."""
+    if isinstance(scene, str | Path):
+        return place_at(scene).exists(JSON_NAME) if is_address(scene) else Path(scene, JSON_NAME).is_file()
+    return isinstance(scene, Package)
 
 
 def open_side(
-    place: str, rung: str | None = None, *, bake_fps: Fraction | None = None, duration: Fraction | None = None
+    scene: Scene | str | Path,
+    rung: str | None = None,
+    *,
+    name: str = "",
+    bake_fps: Fraction | None = None,
+    duration: Fraction | None = None,
 ) -> Side:
-    """Return the scene or package at a place, a package in one `rung`, such as Q0+L0 (default: its top).
+    """Return a scene or package, open or at a place, a package in one `rung`, such as Q0+L0 (default: its top).
 
-    `bake_fps` and `duration` are those of `open_sequence`, for a clip.
-
-    Raises ConfigError for a rung that it does not have, SceneError, FormatError and TransportError for what cannot be
-    opened.
+    `name`: for people, by default the place. `bake_fps` and `duration` are those of `open_sequence`, for a clip. Raises
+    ConfigError for a rung that it does not have, SceneError, FormatError and TransportError for what cannot be opened.
     """
-    scene = open_package(place) if is_package(place) else open_sequence(place, bake_fps=bake_fps, duration=duration)
-    return side_of(scene, place, rung)
-
-
-def side_of(scene: Scene, name: str, rung: str | None = None) -> Side:
-    """Return an open scene or package by a name for people. Raises ConfigError for a rung that it does not have."""
+    name = name or str(scene)
+    if isinstance(scene, str | Path):
+        scene = open_package(scene) if is_package(scene) else open_sequence(scene, bake_fps=bake_fps, duration=duration)
     if isinstance(scene, Package):
-        m = scene.manifest
+        package, m = scene, scene.manifest
         key_quality, _, level = (rung or "Q0+L0").partition("+")
         q, j = m.quality_index(key_quality), m.level_index(level)
         return Side(
@@ -128,13 +128,14 @@ def side_of(scene: Scene, name: str, rung: str | None = None) -> Side:
             frames=m.frames,
             fps=m.fps,
             sh_degree=m.sh_degree,
-            bytes_per_frame=(scene.manifest_bytes + m.bytes_of(m.rung_files(q, j))) / m.frames,
-            origin=scene.origin,
+            bytes_per_frame=(package.manifest_bytes + m.bytes_of(m.rung_files(q, j))) / m.frames,
+            origin=package.origin,
             background=background_of(m.region),
-            read=lambda frames: rung_frames(scene, frames, m.levels[j].id, m.qualities[q].id),
+            read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
             region=m.region,
             claimed=pooled_quality(m, j, q),
         )
+    scene = argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one")
     if rung is not None:
         raise ConfigError(f"{name}: expected a package for the rung {rung}, got a scene")
     stated = scene.clip or (scene.folder / SETTINGS_NAME).is_file() or scene.fps != DEFAULT_FPS
@@ -364,10 +365,9 @@ def compare(
     origin of the reference. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. Raises ConfigError for a
     rung or frames that are not there and for frame rates that differ, and what reading either raises.
     """
-    first, second = _opened("reference", reference), _opened("compared", compared)
-    rungs = (None, rung) if isinstance(second, Package) else (rung, None)
-    a, b = side_of(first, "reference", rungs[0]), side_of(second, "compared", rungs[1])
-    a, b = comparable(a, b)
+    rungs = (None, rung) if is_package(compared) else (rung, None)
+    a = open_side(reference, rungs[0], name="reference")
+    a, b = comparable(a, open_side(compared, rungs[1], name="compared"))
     both = range(min(a.frames, b.frames))
     numbers = both if frames is None else argument("frames", frames, range, "a range")
     if not numbers or numbers[0] not in both or numbers[-1] not in both:
@@ -375,14 +375,6 @@ def compare(
     if cameras is not None and not cameras:
         raise ConfigError("cameras: expected at least one")
     return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], told(progress))
-
-
-def _opened(name: str, scene: Scene | str | Path) -> Scene:
-    if isinstance(scene, Package):
-        return scene
-    if isinstance(scene, str | Path) and is_package(str(scene)):
-        return open_package(scene)
-    return argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one", open_sequence)
 
 
 def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], progress: Progress = silent) -> Comparison:

@@ -9,7 +9,7 @@ from airgs_codec._report import Page, Picture, Table, answered
 from airgs_codec.encoder.measure import uncertainty_db
 from airgs_codec.encoder.publish import EncodeReport, certainty_words
 from airgs_codec.encoder.search import DELTA_E
-from airgs_codec.inspect.compare import compare_two, shared_views, side_by_side, side_of
+from airgs_codec.inspect.compare import compare_two, open_side, shared_views, side_by_side
 from airgs_codec.inspect.summary import plot_rungs, rung_table, summarise
 from airgs_codec.media.image import write_png
 from airgs_codec.package.package import Package
@@ -33,7 +33,7 @@ def write_report(
 
     `given`: what was encoded, as it came. Raises ConfigError when they cannot be written, or without matplotlib.
     """
-    a, b, m = side_of(given, "given"), side_of(package, "encoded"), package.manifest
+    a, b, m = open_side(given, name="given"), open_side(package, name="encoded"), package.manifest
     words, views = shared_views(a, b)
     result = compare_two(a, b, range(a.frames), [_small(view) for view in views[:VIEWS]], progress)
     s = summarise(m, done.manifest_bytes)

@@ -39,14 +39,17 @@ class Finding:
         return f"{self.where}: {self.detail} [{self.reason}]"
 
 
-def validate(path: str | Path | Place) -> list[Finding]:
-    """Return everything that is wrong with the package at a path, an address or a place: an empty list for a good one.
+def validate(path: str | Path) -> list[Finding]:
+    """Return everything that is wrong with the package at a path or an address: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
     key tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
-    files = place_at(path) if isinstance(path, (str, Path)) else path
+    return validate_files(place_at(path))
+
+
+def validate_files(files: Place) -> list[Finding]:
     try:
         package = open_files(files)
     except FormatError as error:

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tests.faces import Finding, Memory, validate
+from tests.faces import Finding, Memory, validate, validate_files
 from tests.support.mutations import Files, Link, read_files, write_files
 from tests.support.paths import INVALID, VALID
 
@@ -70,4 +70,4 @@ def findings(files: Files) -> list[Finding]:
     if any(isinstance(data, Link) for data in files.values()):
         with tempfile.TemporaryDirectory() as folder:
             return validate(write_files(Path(folder), files))
-    return validate(Memory("package", files))
+    return validate_files(Memory("package", files))
