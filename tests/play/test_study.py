@@ -115,7 +115,7 @@ def study(values, traces=8, feasible=True, rungs=("Q0+L0",), measured=True):
      ["fixed:1 does best on 8 links: what it shows was not measured, and it waits 10.0 %",
       "It waits 10.0 % less than robust-mpc, the next", "Play with --policy fixed:1."], ["nan", "dB", "chance"]),
     (study(WAITING, 2, measured=False), ["may be chance", "10.0 % less than robust-mpc"], ["nan", "dB"]),
-    (study({"fixed:1": 0.0}, measured=False), ["Nothing: nobody waits."], ["nan"]),
+    (study({"fixed:1": 0.0}, measured=False), ["The smallest rungs play on all links."], ["nan"]),
     (study({"robust-mpc": 38.0, "oracle-lp": 50.0}), ["robust-mpc does best"], ["oracle"]),  # no player
     (study({"robust-mpc": 38.0}, feasible=False), ["On 1 of 8 links no policy helps", "waits 50.0 %", "--levels"], []),
     (study({"robust-mpc": 38.0}), [], ["--levels", "no policy helps", "No policy showed"]),
