@@ -76,15 +76,10 @@ from airgs_codec.package.dash_check import check_mpd, largest_picture
 from airgs_codec.package.index import GroupIndex, count_groups
 from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import (
-    bytes_by_kind, describe_left_out, format_ladder, format_summary, segment_rates, summarise,
-)  # fmt: skip
-from airgs_codec.inspect.sides import (
-    comparable, compared_views, left_out, open_side, region_views, rung_streams, shared_views,
-)  # fmt: skip
+from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
 from airgs_codec.inspect.compare import (
-    LABEL, compare_streams, compare_two, comparison_json, difference_gain, format_two, side_by_side,
+    LABEL, comparable, compare_streams, compare_two, compared_views, comparison_json, difference_gain, format_two,
+    left_out, open_side, region_views, rung_streams, shared_views, side_by_side,
 )  # fmt: skip
 
 # Decoding
@@ -123,10 +118,10 @@ from airgs_codec.play.downloader import (
 )  # fmt: skip
 from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
-from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
+from airgs_codec.play.report import answer, beaten_words, find_waits, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
 from airgs_codec.play.study import (
-    Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer,
+    Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer, study_record,
 )  # fmt: skip
 from airgs_codec.play.session import SessionLog, play, session_bound, simulate
 from airgs_codec.play.policies import (

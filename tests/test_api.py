@@ -155,9 +155,9 @@ def test_what_is_returned_can_be_pickled_and_is_shown_in_a_line(public, kind):
 
 def test_the_rungs_of_a_package_have_names_bytes_and_psnr(public):
     package = public["Package"]
-    summary, frames = summarise(package.manifest, package.manifest_bytes).rungs, package.manifest.frames
+    summary, frames = summarise(package.manifest, package.manifest_bytes)["rungs"], package.manifest.frames
     assert [rung.name for rung in package.rungs] == ["Q0+L0", "Q0+L1", "Q1+L0", "Q1+L1"]
-    expected = [(round(r.bytes_per_frame * frames), r.psnr, r.best) for r in summary]
+    expected = [(round(r["bytes_per_frame"] * frames), r["psnr"], r["best"]) for r in summary]
     assert [(r.bytes, r.psnr, r.best) for r in package.rungs] == expected
 
 

@@ -26,27 +26,24 @@ from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     Comparison,
+    Side,
     claimed_quality,
+    comparable,
     compare_streams,
     compare_two,
+    compared_views,
     comparison_json,
     format_comparison,
     format_two,
-    pool_splits,
-    side_by_side,
-)
-from airgs_codec.inspect.sides import (
-    Side,
-    before_both,
-    comparable,
-    compared_views,
-    described,
+    frames_of,
     is_package,
     left_out,
     open_side,
+    pool_splits,
     region_views,
     rung_streams,
     shared_views,
+    side_by_side,
     splits_of,
 )
 from airgs_codec.media.image import write_png
@@ -88,22 +85,18 @@ def compare(options: Compare) -> int:
     _expect_least(every=(options.every, 1))
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
-    if options.views:
-        words, cameras = described(
-            compared_views(cameras_from(a.origin, read_cameras(options.views)), None), str(options.views)
-        )
-    else:
-        words, cameras = shared_views(a, b)
-    cameras = before_both(a, b, cameras)
+    given = cameras_from(a.origin, read_cameras(options.views)) if options.views else ()
+    words, cameras = shared_views(a, b, compared_views(given, None), str(options.views))
     with closing(Bar(options.json)) as bar:
         result = compare_two(a, b, numbers, cameras, bar)
     written = _write_pictures(options.output, a, b, result) if options.output else []
     notes = left_out(a, b)
+    record = comparison_json(a, b, result)
     if options.json:
         more = {"views": words, "left_out": notes, "pictures": [str(path) for path in written]}
-        say(json.dumps(comparison_json(a, b, result) | more))
+        say(json.dumps(record | more))
     else:
-        say(format_two(a, b, result, words, notes))
+        say(format_two(record, words, notes))
         if written:
             say(f"pictures: {', '.join(map(str, written))}")
     return 0
@@ -163,7 +156,8 @@ def rungs(options: Rungs) -> int:
     claimed = claimed_quality(package.manifest, streams)
     looked_at = [(number, camera) for number in numbers for camera in cameras]
     with closing(Bar(options.json)) as bar:
-        splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
+        found = compare_streams(streams, frames_of(original, numbers), looked_at, Difference.of, bar)
+    splits = pool_splits(found, looked_at)
     if options.json:
         quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
         say(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))

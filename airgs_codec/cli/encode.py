@@ -39,7 +39,7 @@ from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in
 from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.report import write_report
-from airgs_codec.inspect.summary import format_ladder, format_summary, summarise
+from airgs_codec.inspect.summary import format_ladder, format_summary
 from airgs_codec.media.sound import encode_sound
 from airgs_codec.package.package import open_package
 from airgs_codec.places.place import is_address
@@ -241,11 +241,11 @@ def _as_words(report: EncodeReport, target: str, verbose: bool) -> str:
     stages = report.stages()
     parts = ", ".join(f"{stage.name} {stage.seconds:.1f}" for stage in stages if stage.seconds >= 0.05)
     stored = "; calibration stored before" if report.cached else ""
-    s = summarise(m, report.manifest_bytes)
-    size = f"{m.frames} frames, {s.duration_s:.2f} s, {s.package_bytes / 1e6:.2f} MB with all rungs"
+    package_bytes = m.media_bytes() + report.manifest_bytes
+    size = f"{m.frames} frames, {float(m.frames / m.fps):.2f} s, {package_bytes / 1e6:.2f} MB with all rungs"
     return "\n".join(
         [
-            format_summary(s) if verbose else format_ladder(s),
+            (format_summary if verbose else format_ladder)(m, report.manifest_bytes),
             "",
             f"{target}: {size}; {sum(stage.seconds for stage in stages):.0f} s ({parts}{stored})",
             f"play it: airgs-serve {target}; all tables: airgs-manifest inspect {target}",

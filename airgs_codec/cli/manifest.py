@@ -30,22 +30,21 @@ class Inspect:
 @takes(Inspect)
 def inspect(options: Inspect) -> int:
     """Show groups, tiers, levels, rungs, bytes and what was left out."""
-    from airgs_codec.inspect.summary import format_summary, summarise
+    from airgs_codec.inspect.summary import format_summary, plot_ladder, summarise
 
     if options.plot:
         require_matplotlib("--plot")
         expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
-    summary = summarise(package.manifest, package.manifest_bytes)
+    tables = package.manifest, package.manifest_bytes
     if options.plot:
-        from airgs_codec.inspect.plot import plot_ladder
-
-        plot_ladder(package.manifest, package.manifest_bytes, options.plot)
+        plot_ladder(*tables, options.plot)
     if options.json:
-        say(json.dumps(summary.to_json()))
+        say(json.dumps(summarise(*tables)))
         return 0
-    picture = [f"picture: {options.plot}"] if options.plot else []
-    say("\n".join([format_summary(summary), *picture]))
+    say(format_summary(*tables))
+    if options.plot:
+        say(f"picture: {options.plot}")
     return 0
 
 

@@ -34,7 +34,7 @@ from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report import format_metrics, region_record, some, write_report
 from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.session import play as play_over
-from airgs_codec.play.study import StudySettings, format_study, run_study
+from airgs_codec.play.study import StudySettings, format_study, run_study, study_record
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
@@ -164,5 +164,5 @@ def _compare(package: Package, options: Play) -> int:
     settings = StudySettings(policies, tuple(traces), *link, options.seed, options.player, options.jobs)
     with contextlib.closing(Bar(options.json)) as bar:
         study = run_study(options.package, settings, bar)
-    say(format_study(study, options.json))
+    say(to_json(study_record(study)) if options.json else format_study(study))
     return 0

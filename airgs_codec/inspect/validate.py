@@ -40,20 +40,16 @@ class Finding:
 
 
 def validate(path: str | Path) -> list[Finding]:
-    """Everything that is wrong with the package at `path`, a folder or an address, as `validate_files` finds it.
-
-    Raises TransportError where a store does not answer.
-    """
-    return validate_files(place_at(path))
-
-
-def validate_files(files: Place) -> list[Finding]:
-    """Everything that is wrong with the package of these files: an empty list for a good one.
+    """Return everything that is wrong with the package at a path or an address: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
     key tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
+    return validate_files(place_at(path))
+
+
+def validate_files(files: Place) -> list[Finding]:
     try:
         package = open_files(files)
     except FormatError as error:

@@ -204,9 +204,9 @@ def ladder(tmp_path_factory):
     names = [f"{m.qualities[level.quality].id}+{level.id}" for level in m.levels]
     streams = {name: faces.rung_streams(package, frames)[name] for name in names}
     views = [(i // VIEWS, camera) for i, camera in enumerate(faces.draw_views(m.region, VIEWS * len(frames), SEED))]
-    errors = faces.compare_streams(streams, sequence, views, faces.Picture.mse)
-    rungs = {f"{rung.key}+{rung.state}": rung for rung in faces.summarise(m, package.manifest_bytes).rungs}
-    return np.array([[rungs[name].bytes_per_frame, rungs[name].psnr, psnr(np.mean(errors[name]))] for name in names])
+    errors = faces.compare_streams(streams, iter(sequence.load(frames).frames), views, faces.Picture.mse)
+    rungs = {rung.name: rung for rung in package.rungs}
+    return np.array([[rungs[name].bytes / m.frames, rungs[name].psnr, psnr(np.mean(errors[name]))] for name in names])
 
 
 def test_a_target_is_reached_where_no_decision_looked_and_fewer_bytes_are_lower_quality(ladder):
@@ -228,7 +228,7 @@ def test_rows_that_frames_lack_cost_little_and_are_not_drawn(tmp_path):
             write_sequence(tmp_path / f"{name} frames", frames, keyframes=keyframes), tmp_path / name, settings
         )
         package = open_package(tmp_path / name)
-        size[name] = faces.summarise(package.manifest, package.manifest_bytes).rungs[0].bytes_per_frame
+        size[name] = package.rungs[0].bytes
     assert size["matched"] < size["alone"] / 2
     package = open_package(tmp_path / "matched")
     assert [(g.start, g.stop) for g in package.manifest.groups] == [(0, 5)]

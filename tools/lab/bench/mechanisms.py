@@ -33,7 +33,6 @@ from airgs_codec import EncodeSettings, decode, encode, open_package, open_seque
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder import batch, level, omit, pipeline, plan, repair, sample
 from airgs_codec.encoder.plan import WrittenRows
-from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.tables import pack_matrix
@@ -260,7 +259,7 @@ def run(options: Options, lab: Lab) -> Page:
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
     rows.sort(key=lambda row: known.index(row["mechanism"]))
-    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS, once=2)])])
+    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS)])])
 
 
 Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held-out views, CPU seconds
@@ -359,7 +358,7 @@ def _trained(rig: Rig, one: Mechanism | None, first: TrainedFrame | None) -> tup
 
 def _top_bytes(package: Package) -> float:
     """Bytes a frame of the top rung with all tables."""
-    return rung_bytes(package.manifest, 0, 0, package.manifest_bytes) / package.manifest.frames
+    return package.rungs[0].bytes / package.manifest.frames
 
 
 def answer(rows: Sequence[Row]) -> str:

@@ -74,14 +74,15 @@ def rows_of(scene: str, package: Path, study: Study) -> list[Row]:
     known |= {"slowest_mbps": min(means), "fastest_mbps": max(means)}
     rows = []
     for everywhere, here in zip(summarise(study), summarise(study, True), strict=True):
-        psnr, stalled = here.figures["psnr_mean"], here.figures["stall_ratio"]
+        figures = here["figures"]
+        psnr, stalled = figures["psnr_mean"], figures["stall_ratio"]
         rows.append(
             known
-            | {"policy": here.policy, "sessions": here.sessions, "of": everywhere.sessions}
+            | {"policy": here["policy"], "sessions": here["sessions"], "of": everywhere["sessions"]}
             | {"psnr": psnr.mean, "psnr_from": psnr.low, "psnr_to": psnr.high}
             | {"stalled": stalled.mean, "stalled_from": stalled.low, "stalled_to": stalled.high}
-            | {"low": here.figures["psnr_p5"].mean, "regret": here.figures["regret"].mean}
-            | {"stalled_all": everywhere.figures["stall_ratio"].mean}
+            | {"low": figures["psnr_p5"].mean, "regret": figures["regret"].mean}
+            | {"stalled_all": everywhere["figures"]["stall_ratio"].mean}
         )
     return rows
 
