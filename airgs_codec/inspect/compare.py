@@ -78,7 +78,6 @@ class Side:
 
     @property
     def label(self) -> str:
-        """The last part of its name, and the rung."""
         last = Path(self.name).name or self.name
         return f"{last} {self.rung}" if self.rung else last
 
@@ -96,7 +95,7 @@ class Side:
 
 
 def is_package(scene: Scene | str | Path) -> bool:
-    """Whether it is one, or one is there. Raises ConfigError for an address that cannot be, TransportError."""
+    """Return whether it is one, or one is there. Raises ConfigError for an address that cannot be, TransportError."""
     if isinstance(scene, str | Path):
         return place_at(scene).exists(JSON_NAME) if is_address(scene) else Path(scene, JSON_NAME).is_file()
     return isinstance(scene, Package)
@@ -156,12 +155,11 @@ def open_side(
 
 
 def _size(path: Path) -> int:
-    """Bytes of a file, or of all files of a frame that is a folder."""
     return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
 
 
 def frames_of(sequence: GaussianSequence, numbers: Iterable[int]) -> Iterator[Gaussians]:
-    """Frames of a sequence after repairs, each read when it is asked for."""
+    """Return frames of a sequence after repairs, each read when it is asked for."""
     return (sequence.load([number]).frames[0] for number in numbers)
 
 
@@ -179,7 +177,7 @@ def rung_streams(
 
 
 def rung_frames(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
-    """These frames of one rung, at least one, decoded as they are asked for; `decode_frames` says what is raised."""
+    """Yield these frames of one rung, at least one, each when it is asked for; `decode_frames` says what is raised."""
     for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, key_quality=key_quality):
         if frame.number in frames:
             yield frame.gaussians
@@ -285,7 +283,7 @@ def pool_splits(found: Mapping[str, Sequence[Difference]], views: Sequence[View]
 
 
 def _count_blank(differences: Sequence[Difference]) -> int:
-    """How many of some pictures show nothing. Raises ConfigError where none shows anything."""
+    """Return how many pictures show nothing. Raises ConfigError where none shows anything."""
     blank = sum(difference.blank for difference in differences)
     if blank == len(differences):
         raise ConfigError(f"views: expected some that show something, got {blank} pictures of nothing")
@@ -345,7 +343,7 @@ class Comparison:
 
     @property
     def typical(self) -> Seen:
-        """The picture whose error is the median."""
+        """Return the picture whose error is the median."""
         return self.ranked[(len(self.pictures) - 1) // 2]
 
 
@@ -358,7 +356,7 @@ def compare(
     cameras: Sequence[Camera] | None = None,
     progress: Progress | type = silent,
 ) -> Comparison:
-    """How near a scene or package is to another, each open or at a path: what `airgs-manifest compare` tells.
+    """Return how near a scene or package is to another, each open or at a path, as `airgs-manifest compare` does.
 
     `rung`: key quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
     `frames` are by default all that both have; `cameras` those that `shared_views` finds, from the
@@ -399,7 +397,6 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
 
 
 def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians]:
-    """The frames, whose numbers of rows are added to `rows` as they are read."""
     for frame in frames:
         rows.append(len(frame))
         yield frame
@@ -449,7 +446,7 @@ def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ())
 
 
 def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
-    """(LABEL + H, 3 W, 3): A, B and their difference as one camera sees them, with labels above."""
+    """Return A, B and their difference as one camera sees them, with labels above, (LABEL + H, 3 W, 3)."""
     frames = range(seen.frame, seen.frame + 1)
     first, second = (draw_still(next(side.read(frames)))(seen.frame, seen.camera).rgb for side in (a, b))
     difference = np.abs(first - second)
@@ -464,12 +461,12 @@ def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
 
 
 def difference_gain(difference: NDArray[np.float32]) -> int:
-    """The power of 2, at most MOST_GAIN, that differences of [0, 1] are multiplied by to be seen."""
+    """Return the power of 2, at most MOST_GAIN, that differences of [0, 1] are multiplied by to be seen."""
     large = float(np.quantile(difference, SHOWN))
     return MOST_GAIN if large * MOST_GAIN <= 1 else 2 ** max(0, math.floor(-math.log2(large)))
 
 
 def _with_room(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture below a black band, its pixels as many times as wide as it needs."""
+    """Return a picture below a black band, its pixels repeated until it is LEAST_WIDTH wide."""
     times = math.ceil(LEAST_WIDTH / picture.shape[1])
     return np.pad(picture.repeat(times, axis=0).repeat(times, axis=1), ((LABEL, 0), (0, 0), (0, 0)))

@@ -77,7 +77,7 @@ def _small(camera: Camera) -> Camera:
 
 
 def advice(done: EncodeReport) -> str:
-    """What would make the next encode better or quicker; empty where that is nothing."""
+    """Return what would make the next encode better or quicker; empty where that is nothing."""
     seconds = {stage.name: stage.seconds for stage in done.stages()}
     share, told = {name: s / max(1e-9, sum(seconds.values())) for name, s in seconds.items()}, []
     if not uncertainty_db(done.uncertainty) <= DOUBT_DB:  # also where it is not known

@@ -157,7 +157,6 @@ def describe_left_out(m: Manifest) -> list[str]:
 
 
 def _decisions(m: Manifest) -> Iterator[str]:
-    """The entries of `left_out`, by what they are."""
     entries: dict[str, list[tuple[int, LeftOut]]] = {}
     for number, group in enumerate(m.groups):
         for entry in group.left_out:
@@ -174,7 +173,7 @@ def _decisions(m: Manifest) -> Iterator[str]:
 
 
 def _constant(m: Manifest) -> Iterator[str]:
-    """Tiers without rows, and channels without a plane in the top rung."""
+    """Yield tiers without rows, and channels without a plane in the top rung."""
     groups: dict[str, list[int]] = {}
     for i, group in enumerate(m.groups):
         for t, tier in enumerate(group.tiers):
@@ -189,7 +188,7 @@ def _constant(m: Manifest) -> Iterator[str]:
 
 
 def _without_plane(atlas: Atlas, layout: Layout) -> str:
-    """How many channels of which attribute have no plane; empty when all have one."""
+    """Return how many channels of which attribute have no plane; empty when all have one."""
     missing = set(range(len(atlas.centres) if atlas.rows else 0)) - set(atlas.planes)
     counts = Counter(layout.attribute_of(channel) for channel in sorted(missing))
     return ", ".join(f"{count} {attribute}" for attribute, count in counts.items())
@@ -259,7 +258,7 @@ def _head(m: Manifest, s: Row) -> list[str]:
 
 
 def _table(rows: Sequence[Row], columns: Columns, name: str = "") -> Table:
-    """A table without the columns after the first in which no row has anything."""
+    """Return a table without the columns after the first in which no row has anything."""
     cells = zip(*Table("", rows, columns).lines()[1:], strict=True)
     used = [any(cell not in NOTHING for cell in column) for column in cells]
     shown = {key: column for i, (key, column) in enumerate(columns.items()) if not i or used[i]}
@@ -324,7 +323,7 @@ def _plot_bytes(axes: Any, m: Manifest) -> None:
 
 
 def _picture_bytes(m: Manifest, level: int) -> NDArray[np.float64]:
-    """(F,) H.264 bytes of each frame of a level; 0 where a segment has no files."""
+    """Return the H.264 bytes of each frame of a level, (F,); 0 where a segment has no files."""
     sizes = np.zeros(m.frames)
     for segment in m.segments:
         if pictures := segment.levels[level].frame_bytes:

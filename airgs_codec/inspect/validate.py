@@ -67,7 +67,7 @@ def validate_files(files: Place) -> list[Finding]:
 
 
 def exceeded(measured: Iterable[Measured]) -> list[Finding]:
-    """Every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
+    """Return every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
     return [
         Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
         for m in measured
@@ -80,7 +80,6 @@ def _finding(error: FormatError) -> Finding:
 
 
 def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
-    """The finding of a step that raises, or nothing."""
     try:
         work()
     except FormatError as error:
@@ -98,7 +97,7 @@ def _check_mpd(package: Package) -> None:
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
-    """Every page and the table of every group can be read, and the group that its keys are differences to fits."""
+    """Check that every page and group table can be read, and that the group its keys are differences to fits."""
     m = package.manifest
     for number in m.groups.places.sweep():
         if isinstance(number, FormatError):
@@ -124,7 +123,7 @@ def _check_files(package: Package) -> Iterator[Finding]:
 
 
 def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
-    """A file that is not listed, or a link, or what is neither; but not what a run that was killed may leave."""
+    """Find a file that is not listed, a link or neither; but not what a run that was killed may leave."""
     try:
         found = package.files.open(relative)
     except FormatError as error:
@@ -137,7 +136,7 @@ def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:
-    """The H.264 bytes of the frames of a segment are no more than the file that holds them."""
+    """Check that the H.264 bytes of the frames of a segment are no more than the file that holds them."""
     for s, segment in enumerate(package.manifest.segments):
         for j, level in enumerate(segment.levels):
             if (total := sum(level.frame_bytes)) > level.file.bytes:

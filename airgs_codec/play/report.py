@@ -114,7 +114,7 @@ def _bound(log: SessionLog) -> float | None:
 
 
 def some(lines: Sequence[str]) -> str:
-    """The first of some lines, and how many more there are."""
+    """Return the first of some lines, and how many more there are."""
     more = len(lines) - MOST_LINES
     return "; ".join(lines[:MOST_LINES]) + (f"; and {more} more" if more > 0 else "")
 
@@ -131,9 +131,7 @@ def _trace_words(log: SessionLog) -> str:
 
 
 def rung_record(log: SessionLog) -> list[dict[str, Any]]:
-    """Every rung with its rate, the quality that the package claims for it (None where it was not measured), and how
-    many segments showed it.
-    """
+    """Return every rung with its rate, claimed quality, None where not measured, and how many segments showed it."""
     m, record = log.offers.manifest, []
     for rung, (key_quality, level) in zip(rungs_of(m, 0), log.offers.rungs, strict=True):
         claim, mbps = pooled_quality(m, level, key_quality), 8e-6 * rung.bytes / log.offers.duration_s
@@ -164,7 +162,7 @@ def find_waits(log: SessionLog) -> dict[str, float]:
 
 
 def answer(log: SessionLog) -> dict[str, str]:
-    """What a session comes to in whole sentences, by the keys of HEADS."""
+    """Return what a session comes to in whole sentences, by the keys of HEADS."""
     m, waits, record, bound = log.metrics, find_waits(log), rung_record(log), _bound(log)
     good, wrong = "The package was not measured: how good its pictures are is not known.", []
     if m.psnr_mean is not None:
@@ -192,7 +190,7 @@ def answer(log: SessionLog) -> dict[str, str]:
 
 
 def beaten_words(on_ladder: Mapping[str, bool]) -> str:
-    """Which rungs no player should fetch, of those that were measured, and what of them only takes room.
+    """Return which rungs no player should fetch, of those that were measured, and what of them only takes room.
 
     `on_ladder`: of rungs by names such as Q1+L2. Empty where all are worth their bytes.
     """
@@ -215,7 +213,7 @@ def _to_show_more(log: SessionLog, bound: float | None) -> list[str]:
 
 
 def _against(log: SessionLog, waits: Mapping[str, float]) -> list[str]:
-    """What would help against waits, the longest kind first; kinds of under MUCH_WAIT of the waiting are left out."""
+    """Return what would help against waits, the longest kind first, without kinds under MUCH_WAIT of the waiting."""
     buffer = f"--player.buffer {2 * log.settings.buffer_s:g}"
     cautious = f"Be more cautious: {buffer if log.policy == DEFAULT_POLICY else f'--policy {DEFAULT_POLICY}'}."
     lowest_bps = 1e6 * min(rung["mbps"] for rung in rung_record(log))

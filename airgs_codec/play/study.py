@@ -67,19 +67,19 @@ class Study:
     rungs: tuple[str, ...] = ()  # of the package, by their names
 
     def of(self, policy: str, figure: str, feasible: bool | None = None) -> NDArray[np.float64]:
-        """(n,) a figure of every session of a policy, NaN where it has none, on links that are `feasible` or not."""
+        """Return a figure of all sessions of a policy, (n,), NaN where there is none, on links `feasible` or not."""
         rows = [r for r in self.rows if r["policy"] == policy and (feasible is None or r["feasible"] == feasible)]
         return np.array([math.nan if r[figure] is None else float(r[figure]) for r in rows])
 
 
 def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
-    """Where sessions begin in a trace: drawn from the seed and the trace's name, to the millisecond."""
+    """Return where sessions begin in a trace: drawn from the seed and the trace's name, to the millisecond."""
     random = np.random.default_rng([seed, *trace.name.encode()])
     return [round(float(v), 3) for v in random.uniform(0, trace.duration_s, count)]
 
 
 def is_feasible(c: Offers, link: Link, settings: SessionSettings, loops: int) -> bool:
-    """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
+    """Return whether a player of the smallest rungs alone shows all without a stall from FEASIBLE_START_S on."""
     at = link.arrival_s(c.wire_bytes([JSON_NAME]), 0.0)
     due = FEASIBLE_START_S
     at = link.arrival_s(c.wire_bytes(TableStore(c).missing(range(1))), at)

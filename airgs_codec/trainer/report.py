@@ -54,7 +54,7 @@ def write_report(model: Model, pictures: Pictures, directory: Path, renderer: Re
 
 
 def _rendered(model: Model, frame: int, view: View, renderer: Renderer) -> NDArray[np.float32]:
-    """(H, W, 3) of [0, 1], what a view shows of a frame when it was taken."""
+    """Return (H, W, 3) of [0, 1], what a view shows of a frame when it was taken."""
     g = frame_before(model, frame + 1).at(view.after) if view.after else model.read(frame)
     return np.clip(renderer.render(g, view.camera).rgb, 0, 1)
 
