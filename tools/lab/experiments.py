@@ -47,6 +47,7 @@ EXPERIMENTS = (
     Experiment(
         "work-precision", "What buys quality, and what only time?", "tools.lab.numerics.work_precision", "20 minutes"
     ),
+    Experiment("stiff", "Where do numbers at their ends lead?", "tools.lab.numerics.stiff", "2 minutes"),
     Experiment(
         "extremes", "What becomes of sequences at the ends of numbers?", "tools.lab.numerics.extremes", "1 minute"
     ),
@@ -114,6 +115,7 @@ MEASUREMENTS = (
         "work-precision", "work_precision",
         "work-precision --spinach spinach_4.splatv --traces raca2018_4g_car/",
     ),
+    Measurement("stiff", "stiff", "stiff"),
     Measurement("extremes", "numerics", "extremes"),
     Measurement("streaming", "streaming", "streaming raca2018_4g_car/ fox/ spinach_4.splatv=spinach_views.json"),
     Measurement(
@@ -146,7 +148,7 @@ MEASUREMENTS = (
 )  # fmt: skip
 
 # Measurements whose experiments are gone: their pages stay as published, with the commit that has the code.
-NO_LONGER_MEASURED = ("dense", "crowd", "keyframe", "soak-live", "million", "mechanisms-cut", "stiff")
+NO_LONGER_MEASURED = ("dense", "crowd", "keyframe", "soak-live", "million", "mechanisms-cut")
 
 
 @dataclass(frozen=True, slots=True)

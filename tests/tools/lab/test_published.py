@@ -106,10 +106,10 @@ def test_a_page_is_published_with_its_pictures_and_its_figures(tmp_path, monkeyp
 
 
 def test_only_the_command_that_documents_show_is_published():
-    for words in (["jobs", "--quick"], ["work-precision"], ["jobs", "--publish", "jobs", "--quick"]):
-        with pytest.raises(ConfigError, match=r"expected the command that documents show, python -m tools\.lab jobs"):
-            measurement_of("jobs", words)
-    assert measurement_of("jobs", ["jobs", "--publish", "jobs", "-o", "a"]).name == "jobs"
+    for words in (["stiff", "--quick"], ["work-precision"], ["stiff", "--publish", "stiff", "--quick"]):
+        with pytest.raises(ConfigError, match=r"expected the command that documents show, python -m tools\.lab stiff"):
+            measurement_of("stiff", words)
+    assert measurement_of("stiff", ["stiff", "--publish", "stiff", "-o", "a"]).name == "stiff"
 
 
 def test_every_picture_of_the_documents_is_of_a_measurement_or_of_the_table_of_figures():

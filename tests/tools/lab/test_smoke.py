@@ -18,7 +18,7 @@ from tests.support.training import write_blobs
 from tests.support.views import coloured_cloud
 from tools.lab import main, seconds_of
 from tools.lab.experiments import EXPERIMENTS, NO_LONGER_MEASURED
-from tools.lab.numerics import extremes, sequences
+from tools.lab.numerics import extremes, sequences, stiff
 from tools.lab.published import read_figures
 from tools.lab.rd.coders import layout_trials
 from tools.lab.rd.written import written_trials
@@ -36,6 +36,7 @@ RUNS = {  # by the names of what is published: commands, in a folder with the sc
     "paper": "reproduce --scenes fox=views/fox,frames=0:4 --methods airgs naive3dgs --traces traces --show fox --quick",
     "splits-fox": "splits views/fox --splits 1 --hold 2 --frames 0:2",
     "work-precision": "work-precision --fox fox --only decode --quick",
+    "stiff": "stiff --quick",
     "extremes": "extremes",
     "streaming": "streaming traces package --policies throughput paper paper-no-cliff --starts 2 --seconds 2 --jobs 1",
     "viewpoints": "viewpoints fox=fox/transforms.json",
@@ -102,6 +103,7 @@ INSTEAD = {
     "tools.lab.bench.static": {**ENCODE, "DRAWS": 2},
     "tools.lab.numerics.extremes": {"run": known_extremes},
     "tools.lab.numerics.rows.Bench": {"ladder": lambda *_: open_package(GOLDEN / "fox")},
+    "tools.lab.numerics.stiff": {"CASES": [case for case in stiff.CASES if case.name.startswith("codec-closed")]},
     "tools.lab.paper.reproduce": {"in_processes": lambda work, calls, *_: [work(*one) for one in calls]},
     "tools.lab.paper.training": {"QUICK_FIRST": 3},
     "tools.lab.rd.experiment": {"trials": lambda _: (*islice(layout_trials(), 2), *islice(written_trials(), 1))},

@@ -1,1 +1,1 @@
-"""What numbers do: error against run time (`work_precision`), and scenes at their ends (`extremes`)."""
+"""What numbers do: error against run time (`work_precision`), and stiff and extreme cases (`stiff`)."""

@@ -1,4 +1,4 @@
-"""The selector at the ends of its numbers: programmes over rates, sizes and qualities.
+"""The selector at the ends of its numbers: programmes over rates, sizes and qualities, and whole sessions.
 
 K slots, L levels.
 """
@@ -7,18 +7,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from unittest.mock import patch
 
 import numpy as np
 from numpy.typing import NDArray
 
+from airgs_codec.package.package import open_package
 from airgs_codec.play import bound
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
-from airgs_codec.play.offers import RungOffer, SegmentOffer
-from tools.lab.numerics.outcome import BOUNDED, DIVERGES, EXACT, NOT_FINITE, UNFIT, Judged
+from airgs_codec.play.offers import Offers, RungOffer, SegmentOffer
+from airgs_codec.play.session import session_bound, simulate
+from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.trace import Link, Trace
+from tools.lab.numerics.outcome import BOUNDED, DIVERGES, EXACT, NOT_FINITE, UNFIT, Case, Judged, grid
 
+PACKAGE = Path(__file__).parents[3] / "manifests" / "valid" / "moving"
 SLOTS, LEVELS = 8, 4
 GAP_DB = 0.01  # what docs/numerics.md says the relaxation is above the integers at most, in what was measured
+POLICIES = ("robust-mpc", "bola", "throughput", "paper", "oracle-lp")
 TOO_LATE = "the smallest rungs come too late"
 
 
@@ -103,3 +110,46 @@ def judge_margin(margin: float, scale: float, tries: int = 12) -> Judged:
     if lost:
         return DIVERGES, above, f"{lost} of {tries} sessions that took place are called impossible"
     return (EXACT if above <= GAP_DB else BOUNDED), above, f"at most {above:.2g} dB too much"
+
+
+def play_once(policy: str, rate_bps: float) -> Judged:
+    """A session of 30 loops over a link of a constant rate: seconds of stall. Raises TransportError."""
+    trace = Trace("const", np.zeros(1), np.array([rate_bps]), 1000.0)
+    log = simulate(Offers.of(open_package(PACKAGE)), Link(trace), policy, SessionSettings(loops=30))
+    m = log.metrics
+    limit = session_bound(log)
+    if not np.isfinite([log.mean_quality, m.stall_s]).all() or limit is None:
+        return NOT_FINITE, m.stall_s, ""
+    if log.mean_quality > limit + 1e-6:
+        return DIVERGES, m.stall_s, f"{log.mean_quality:.6f} dB, above the bound of {limit:.6f} dB"
+    if m.stall_s <= 0:
+        return EXACT, 0.0, ""
+    return BOUNDED, m.stall_s, f"waits {m.stall_s:.3g} s for {len(log.shown)} segments and shows all of them"
+
+
+MARGINS = (0.0, 1e-15, 1e-12, 1e-9, bound.ROUNDING, 1e-5, 1e-3, 1e-2)
+SCALES = ("1e2", "1e5", "1e8", "1e11")
+
+
+def cases() -> list[Case]:
+    return [
+        Case(
+            part="selector", name="selector-programmes", title="Programmes over rates", label="rate in bit/s",
+            value="gap in dB", own=("programme", ""),
+            points=grid(["programme"], KINDS, [10.0**e for e in (-3, 0, 2, 4, 5, 5.5, 6, 7, 9, 12, 15)]),
+            judge=lambda panel, kind, rate: solved(kind, rate), why="what whole rungs leave ({span} dB)",
+        ),
+        Case(
+            part="selector", name="selector-margin", title="Margin of capacities", label="ROUNDING",
+            value="dB too much", own=("as it is", ""),
+            points=grid(["as it is"], SCALES, [bound.ROUNDING]) + grid(["margins tried"], SCALES, MARGINS),
+            judge=lambda panel, scale, margin: judge_margin(margin, float(scale)),
+        ),
+        Case(
+            part="selector", name="selector-sessions", title="Sessions over rates", label="rate in bit/s",
+            value="s of stall", own=("session", ""),
+            points=grid(["session"], POLICIES, [10.0**e for e in (-30, -9, -3, 2, 3, 4, 5, 6, 9, 12, 15, 18, 30)]),
+            judge=lambda panel, policy, rate: play_once(policy, rate),
+            why="waiting for the smallest rungs ({span} s)", refused="rates over 1e19 bit/s, batches of over a day",
+        ),
+    ]  # fmt: skip
