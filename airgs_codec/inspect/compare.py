@@ -38,8 +38,8 @@ from airgs_codec.render.compare import compare as compare_views
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME
 from airgs_codec.scene.camera import BLACK, UP, Background, cameras_from, orbit_views, with_near_planes
 from airgs_codec.scene.formats.form import Axes
-from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.frames import ZERO, Origin
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
 DRAWS = 8  # views of a region
