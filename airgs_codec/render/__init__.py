@@ -4,7 +4,7 @@
 gradients; for tensors on a CUDA device it calls gsplat (`cuda`). `reference` is the definition: slow, plain, float64.
 """
 
-from airgs_codec.render.cpu import Contribution, Render, measure_contribution, render, render_views
+from airgs_codec.render.cpu import Contribution, Render, measure_contribution, render
 from airgs_codec.scene.camera import Camera, look_at
 from airgs_codec.scene.cameras.read import read_cameras
 
@@ -16,5 +16,4 @@ __all__ = [
     "measure_contribution",
     "read_cameras",
     "render",
-    "render_views",
 ]
