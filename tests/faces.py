@@ -134,9 +134,10 @@ from airgs_codec.play.policies.state import Coming, Download, PlayerState, Polic
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 
 # Serving
-from airgs_codec.serve.app import Packages, make_app, media_type
+from airgs_codec.serve.app import (
+    Certificate, Packages, ServerSettings, check_certificate, listen, make_app, media_type, serve,
+)  # fmt: skip
 from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen, serve
 from airgs_codec.serve.export import export_page
 
 # Work in jobs

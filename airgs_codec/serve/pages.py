@@ -18,7 +18,7 @@ from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
 
-from airgs_codec.errors import AirgsError, ConfigError, FormatError
+from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
 from airgs_codec.package.package import open_package
@@ -78,19 +78,6 @@ def player_address(name: str) -> str:
 def is_built() -> bool:
     """Return whether the page is there; only a clone of the repository in which it was deleted has none."""
     return all((PAGE / name).is_file() for name in PAGE_TYPES)
-
-
-def read_scripts() -> dict[str, bytes]:
-    """The scripts of the player by their names. Raises ConfigError where it is not built."""
-    if not is_built():
-        raise ConfigError(f"{PAGE}: {NOT_BUILT}")
-    return {name: (PAGE / name).read_bytes() for name in PLAYER_SCRIPTS}
-
-
-def addresses(name: str) -> dict[str, str]:
-    """Return where a package is, from the root of the server: its name, what plays it, and its tables."""
-    tables, mpd = (f"/{quote(name)}/{path}" for path in (JSON_NAME, MPD_NAME))
-    return {"name": name, "play": player_address(name), "tables": tables, "mpd": mpd}
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,16 +161,20 @@ def escape(text: str) -> str:
 def list_page(packages: Mapping[str, Path]) -> str:
     """The page at the root of the server."""
     rows = ((name, player_address(name), f"/{quote(name)}/", describe(packages[name])) for name in sorted(packages))
-    return page_of("Packages", [card(*row) for row in rows])
+    return page_of_cards("Packages", [card(*row) for row in rows])
 
 
-def page_of(title: str, cards: Sequence[str], head: str = "") -> str:
-    """An HTML page with cards; `head`: more elements of its head."""
+def page_of_cards(title: str, cards: Sequence[str], head: str = "") -> str:
     rows = "".join(f"<li>{one}</li>\n" for one in cards)
+    return page_of(title, head, STYLE, f"<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n")
+
+
+def page_of(title: str, head: str, style: str, body: str) -> str:
+    """An HTML page; `head`: more elements of its head, `body`: HTML."""
     return (
         f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{html.escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
-        f"{head}<style>{STYLE}</style>\n<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n</html>\n"
+        f"{head}<style>{style}</style>\n{body}</html>\n"
     )
 
 
