@@ -77,28 +77,23 @@ def atomic_path(path: Path, lasting: bool = True, alone: bool = False) -> Iterat
     """
     if not alone:
         remove_leftovers(path.parent, path.name)
-    with naming(path), _part_of(path) as temporary, naming(path, temporary):
-        yield temporary
-        _finish(temporary, lasting)
-        temporary.replace(path)
-
-
-@contextmanager
-def _part_of(path: Path) -> Iterator[Path]:
-    """Give a new file beside `path` that this process holds; it is gone when the block ends, unless it was renamed."""
-    while True:
-        temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
-        lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
-        if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
-            break
-        os.close(lock)
-    try:
-        yield temporary
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    finally:
-        os.close(lock)
+    with naming(path):
+        while True:
+            temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+            lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
+            if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
+                break
+            os.close(lock)
+        try:
+            with naming(path, temporary):
+                yield temporary
+                _finish(temporary, lasting)
+                temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        finally:
+            os.close(lock)
 
 
 def remove_leftovers(folder: Path, name: str | None = None) -> None:
