@@ -21,7 +21,7 @@ MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
     "numba": {
         "cli/kernels.py", "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
     },
-    "av": {"media/h264.py", "media/movie.py", "media/sound.py"}, "starlette": {"serve/app.py"},
+    "av": {"media/h264.py", "media/movie.py"}, "starlette": {"serve/app.py"},
     "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},
     "gaussforge": {"scene/formats/sandbox.py"}, "fourdgs": {"scene/formats/sandbox.py"},
     "gsply": {"scene/formats/spz.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),

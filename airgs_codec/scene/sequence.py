@@ -53,7 +53,7 @@ from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.origin import ZERO, Origin, choose_origin, narrowed, origin_notes
 
 if TYPE_CHECKING:
-    from airgs_codec.media.sound import SoundTrack  # and PyAV with it
+    from airgs_codec.media.movie import SoundTrack  # and PyAV with it
 
 BESIDE = (ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
 LONE = 2  # frames of a sequence that may be of another scene: where more are unlike, counts vary
