@@ -179,30 +179,26 @@ class VideoReader:
         Raises SceneError when the video ends before it, cannot be decoded, or has a picture of another size.
         """
         with self._reading:
-            return self._read(number)
-
-    def _read(self, number: int) -> NDArray[np.uint8]:
-        if number == self._next - 1 and self._last is not None:
+            if number == self._next - 1 and self._last is not None:
+                return self._last
+            if number < self._next:
+                self._container.close()
+                self._open()
+            try:
+                while self._next <= number:
+                    frame = next(self._decoded)
+                    if (found := (frame.width, frame.height)) != self._stored:
+                        expected, got = (f"{width}x{height}" for width, height in (self._stored, found))
+                        raise SceneError(f"{self._path}: expected frames of {expected}, got {got} at {self._next}")
+                    self._next += 1
+            except StopIteration:
+                raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
+            except av.FFmpegError as error:
+                raise SceneError(f"{self._path}: cannot decode frame {self._next}: {error}") from error
+            if self._stamps and frame.pts != self._stamps[number]:
+                raise SceneError(f"{self._path}: expected frame {number}, it or one before cannot be decoded")
+            self._last = self._upright(frame)
             return self._last
-        if number < self._next:
-            self._container.close()
-            self._open()
-        try:
-            while True:
-                frame = next(self._decoded)
-                if (found := (frame.width, frame.height)) != self._stored:
-                    expected, got = (f"{width}x{height}" for width, height in (self._stored, found))
-                    raise SceneError(f"{self._path}: expected frames of {expected}, got {got} at {self._next}")
-                self._next += 1
-                if self._next > number:
-                    if self._stamps and frame.pts != self._stamps[number]:
-                        raise SceneError(f"{self._path}: expected frame {number}, it or one before cannot be decoded")
-                    self._last = self._upright(frame)
-                    return self._last
-        except StopIteration:
-            raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
-        except av.FFmpegError as error:
-            raise SceneError(f"{self._path}: cannot decode frame {self._next}: {error}") from error
 
     def close(self) -> None:
         self._container.close()
