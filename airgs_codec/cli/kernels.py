@@ -36,8 +36,8 @@ Kernels = tuple[tuple[Dispatcher, str], ...]
 FORWARD = (
     (cpu_kernels.project, f"({_SEEN}, b1[::1], f4[:,::1], u8[::1], i4[::1])"),
     (cpu_kernels.bin_tiles, "(f4[:,::1], i4[::1], i8[::1], b1[::1], i8, i8)"),
-    (cpu_kernels.blend_statistics, f"({_TILES}, i8, i8, f4[:,::1])"),
-    (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1])"),
+    (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1], f4[:,::1])"),
+    (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1], none)"),
 )
 BACKWARD = (
     (cpu_kernels.blend_gradient, f"({_GRADIENT}, b1, f4[:,::1])"),

@@ -209,8 +209,7 @@ class Loaded:
         """Measure how much each Gaussian gives to what `camera` sees."""
         p = project(self.inputs, camera)
         pairs = np.empty((len(p.slots), 3), np.float32)
-        with _LOCK:
-            kernels.blend_statistics(p.tiles(), *p.size, pairs)
+        _draw(p, camera.background, pairs=pairs)
         return _contribution(p, pairs)
 
     def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
@@ -259,8 +258,13 @@ def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool
     return Projected(size, shape, flat, start, ids, drawn, order, first_pair, slots)
 
 
-def _draw(p: Projected, background: Background, rest: Render | None = None) -> tuple[Render, Ints]:
-    """The picture, and (tiles,) how many pairs of each tile were visited; `rest`: what is not drawn shows this."""
+def _draw(
+    p: Projected, background: Background, rest: Render | None = None, pairs: Floats | None = None
+) -> tuple[Render, Ints]:
+    """The picture, and (tiles,) how many pairs of each tile were visited.
+
+    `rest`: what is not drawn shows this. `pairs` (M, 3): takes the statistics of `kernels.blend`, not the picture.
+    """
     width, height = p.size
     if rest is None:
         picture = Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
@@ -269,7 +273,7 @@ def _draw(p: Projected, background: Background, rest: Render | None = None) -> t
     visited = np.empty(len(p.start) - 1, np.int32)
     colour = np.asarray(background, np.float32)
     with _LOCK:
-        kernels.blend(p.tiles(), colour, picture.rgb, picture.transmittance, visited)
+        kernels.blend(p.tiles(), colour, picture.rgb, picture.transmittance, visited, pairs)
     return picture, visited
 
 
@@ -319,7 +323,7 @@ def _sum_gradients(
 
 
 def _contribution(p: Projected, pairs: Floats) -> Contribution:
-    """Sum what `kernels.blend_statistics` says of the pairs."""
+    """Sum what `kernels.blend` says of the pairs."""
     rows = len(p.flat)
     peak = np.zeros(rows, np.float32)
     np.maximum.at(peak, p.ids, pairs[:, 1])

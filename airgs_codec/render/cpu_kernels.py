@@ -505,11 +505,25 @@ def _all_finished(buf):
     return most <= f4(0.0)
 
 
+@njit
+def _bits(x):
+    """The bits of a float32; of numbers from 0 they are ordered as the numbers are, and their maximum vectorises."""
+    return np.float32(x).view(np.int32)
+
+
+@njit
+def _from_bits(x):
+    """Inverse of `_bits`."""
+    return np.int32(x).view(np.float32)
+
+
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend(tiles, background, rgb, transmittance, blended):
+def blend(tiles, background, rgb, transmittance, blended, statistics):
     """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited.
 
-    The pixels of all rows that a Gaussian touches are one loop without branches, which compiles to vectors.
+    With `statistics` (M, 3), not None, no picture is written, but per pair the sum and the maximum of its blending
+    weight alpha T, and pixels blended; it is compiled apart. The pixels of all rows that a Gaussian touches are one
+    loop without branches, which compiles to vectors.
     """
     flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     H, W = transmittance.shape
@@ -525,17 +539,29 @@ def blend(tiles, background, rgb, transmittance, blended):
             mx, my, A, be, ka, t = _ellipse(flat, i)
             hA, hk = f4(0.5) * A, f4(0.5) * ka
             r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
+            total = hits = f4(0.0)
+            peak = np.int32(0)
             ya, yb = _tile_rows(flat, i, y)
             row = buf[ya * TILE :]
             for q in range((yb - ya) * TILE):
                 _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
-                row[3 * TILE_PIXELS + q] += w * r
-                row[4 * TILE_PIXELS + q] += w * g
-                row[5 * TILE_PIXELS + q] += w * bl
+                if statistics is None:
+                    row[3 * TILE_PIXELS + q] += w * r
+                    row[4 * TILE_PIXELS + q] += w * g
+                    row[5 * TILE_PIXELS + q] += w * bl
+                else:
+                    total += w
+                    peak = max(peak, _bits(w))
+                    hits += f4(1.0) if w > f4(0.0) else f4(0.0)
+            if statistics is not None:
+                _put(statistics, j, (total, _from_bits(peak), hits))
             if (j - a) % 8 == 7 and _all_finished(buf):
                 visited = j - a + 1
                 break
         blended[tile] = visited
+        if statistics is not None:
+            statistics[a + visited : tile_start[tile + 1]] = f4(0.0)
+            continue
         for yy in range(hh):
             for xx in range(ww):
                 o = yy * TILE + xx
@@ -545,25 +571,13 @@ def blend(tiles, background, rgb, transmittance, blended):
                     rgb[y + yy, x + xx, c] = buf[(3 + c) * TILE_PIXELS + o] + T * background[c]
 
 
-@njit
-def _bits(x):
-    """The bits of a float32; of numbers from 0 they are ordered as the numbers are, and their maximum vectorises."""
-    return np.float32(x).view(np.int32)
-
-
-@njit
-def _from_bits(x):
-    """Inverse of `_bits`."""
-    return np.int32(x).view(np.float32)
-
-
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmittance, statistics, pairs):
     """Gradients of every pair, front to back with the arithmetic of the forward pass.
 
     S, what lies behind a pixel, starts as the finished sum and loses each pair's part: no division chain by
     1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded. With `statistics` True, not None,
-    columns 9 to 11 of a pair are those of `blend_statistics`; it is compiled apart.
+    columns 9 to 11 of a pair are those of `blend`; it is compiled apart.
     """
     flat, tile_start, ids, tile_order, tiles_x, _ = tiles
     H, W = transmittance.shape
@@ -727,32 +741,3 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
             by_place = gu * iz, gv * iz, -giz * iz * iz
             for c in range(3):
                 grad_means[i, c] = by_colour[c] + _dot(_column(view, c), by_place)
-
-
-@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend_statistics(tiles, W, H, pairs):
-    """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs (M, 3)."""
-    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
-    for tt in prange(tile_order.shape[0]):
-        tile = tile_order[tt]
-        x, y, _, _ = _bounds(tile, tiles_x, W, H)
-        buf = np.empty(3 * TILE_PIXELS, np.float32)  # T, x, y
-        _start_tile(x, y, W, H, buf)
-        a = tile_start[tile]
-        finished = False
-        for j in range(a, tile_start[tile + 1]):
-            total = hits = f4(0.0)
-            peak = np.int32(0)
-            if not finished:
-                i = ids[j]
-                mx, my, A, be, ka, t = _ellipse(flat, i)
-                hA, hk = f4(0.5) * A, f4(0.5) * ka
-                ya, yb = _tile_rows(flat, i, y)
-                row = buf[ya * TILE :]
-                for q in range((yb - ya) * TILE):
-                    _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
-                    total += w
-                    peak = max(peak, _bits(w))
-                    hits += f4(1.0) if w > f4(0.0) else f4(0.0)
-                finished = (j - a) % 8 == 7 and _all_finished(buf)
-            _put(pairs, j, (total, _from_bits(peak), hits))
