@@ -54,7 +54,6 @@ SH_C3 = C30, C31, C32, C33, C34, C35, C36 = (
 )
 
 # exp(e) / 255 on [0, ln 255] as p(e)^8 with p of degree 5: relative error below 2e-6 in float32.
-_x = np.cos(np.pi * (np.arange(64) + 0.5) / 64) * 0.35 + 0.35
 _c = (
     np.polynomial.chebyshev.Chebyshev.interpolate(lambda e: np.exp((e - np.log(255)) / 8), 5, domain=[0, 5.6])
     .convert(kind=np.polynomial.Polynomial)

@@ -16,19 +16,7 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.render import cpu
-from airgs_codec.render.cpu import (
-    DILATION,
-    FAR,
-    TILE,
-    Contribution,
-    Floats,
-    Loaded,
-    RasterInputs,
-    Redraw,
-    Render,
-    Weights,
-    Without,
-)
+from airgs_codec.render.cpu import DILATION, FAR, TILE, Contribution, Floats, Loaded, RasterInputs, Redraw, Render
 from airgs_codec.scene.camera import Background, Camera
 
 BAND_PAIRS = 1 << 17  # (Gaussian, tile) pairs whose pixels are listed at once: at most 256 each, of 70 bytes
@@ -323,16 +311,16 @@ class OnCuda(Loaded):
         gradients = torch.autograd.grad((drawn.rgb[0] * upload(pull, drawn.rgb.device)).sum(), leaves)
         return _contribution(drawn), RasterInputs(*(_array(g) for g in gradients))
 
-    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> cpu.Weights:
         shape = (-(-camera.height // TILE), -(-camera.width // TILE))
         with torch.no_grad():
             drawn = rasterize(self.tensors, [camera], [camera.background])
             ids, tiles, total, inside = measure_pairs(drawn, upload(mask, drawn.rgb.device))
         picture = Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
         pairs = (_array(ids.int()), _array(tiles.int()), _array(total.float()), _array(inside.float()))
-        return Weights(picture, shape, *pairs)
+        return cpu.Weights(picture, shape, *pairs)
 
-    def without(self, camera: Camera) -> Without:
+    def without(self, camera: Camera) -> cpu.Without:
         def draw(rows: NDArray[np.bool_] | None) -> Floats:
             if rows is None:
                 return self.draw(camera).rgb

@@ -13,7 +13,6 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
@@ -82,45 +81,37 @@ def is_built() -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """A package in a few figures. Those of bytes and PSNR are of its first groups where there are more than LOOKED_AT.
-
-    The best rung is the first.
-    """
+    """A package in a few figures: its length, its bytes, and its best rung, which is the first."""
 
     frames: int
-    fps: Fraction
-    live: bool
     bytes: int  # of all files; scaled up to all frames where only the first groups were looked at
     whole: bool  # whether all groups were looked at
-    bps: float  # bits a second of the best rung, without tables
     psnr: float | None  # dB of the best rung, None where it was not measured
+    words: str  # all of that, for people
     credit: str  # whom the scene is by
     has_poster: bool
 
-    @property
-    def words(self) -> str:
-        about = "" if self.whole else "about "
-        best = [f"{about}{self.bps / 1e6:.3g} Mbit/s", *([] if self.psnr is None else [f"{self.psnr:.1f} dB"])]
-        parts = [
-            f"{float(self.frames / self.fps):.1f} s",
-            "1 frame" if self.frames == 1 else f"{self.frames} frames",
-            f"{about}{_size(self.bytes)}",
-            f"{' and '.join(best)} at best",
-            *(["live"] if self.live else []),
-        ]
-        return " · ".join(parts)
-
 
 def look_at(m: Manifest, root_bytes: int) -> Glance:
-    """The figures of a package from the tables of a few groups. Raises FormatError where they are refused."""
+    """The figures of a package from the tables of at most LOOKED_AT groups. Raises FormatError where they are refused.
+
+    `root_bytes`: of its airgs.json and MPD.
+    """
     first, whole = m.groups[:LOOKED_AT], len(m.groups) <= LOOKED_AT
     part = m if whole else replace(m, frames=first[-1].stop, groups=Groups.of(first))
     listed = part.media_bytes() + part.bytes_of(part.table_files())
-    best = pooled_quality(part, 0, 0)
     size = root_bytes + listed * m.frames // part.frames
-    bps = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)
-    psnr = best.psnr if best else None
-    return Glance(m.frames, m.fps, m.live, size, whole, bps, psnr, m.attribution, m.poster is not None)
+    rate = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)  # bits a second, without tables
+    quality, about = pooled_quality(part, 0, 0), "" if whole else "about "
+    words = [
+        f"{float(m.frames / m.fps):.1f} s",
+        "1 frame" if m.frames == 1 else f"{m.frames} frames",
+        f"{about}{_size(size)}",
+        f"{about}{rate / 1e6:.3g} Mbit/s{f' and {quality.psnr:.1f} dB' if quality else ''} at best",
+        *(["live"] if m.live else []),
+    ]
+    psnr = quality.psnr if quality else None
+    return Glance(m.frames, size, whole, psnr, " · ".join(words), m.attribution, m.poster is not None)
 
 
 @lru_cache(256)
