@@ -282,11 +282,13 @@ def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
     """Remove work folders that nobody works in; returns whether somebody works in another one."""
     own, busy = re.compile(rf"{re.escape(prefix)}[0-9a-f]{{16}}"), False
     for work in [path for path in parent.iterdir() if own.fullmatch(path.name) and not path.is_symlink()]:
-        if not _is_marked(work):
+        mark = work / _MARK_NAME
+        # Whoever made it may have died before the mark was written.
+        if mark.is_symlink() or not mark.is_file() or not _MARK.startswith(mark.read_bytes()):
             with suppress(OSError):  # it is not empty, so it is not ours
                 work.rmdir()
             continue
-        lock = os.open(work / _MARK_NAME, os.O_RDWR | os.O_NOFOLLOW)
+        lock = os.open(mark, os.O_RDWR | os.O_NOFOLLOW)
         try:
             if held := _holds(lock):
                 _remove(work, target)
@@ -294,12 +296,6 @@ def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
         finally:
             os.close(lock)
     return busy
-
-
-def _is_marked(path: Path) -> bool:
-    """Return whether this is a work folder of ours; whoever made it may have died before the mark was written."""
-    mark = path / _MARK_NAME
-    return not mark.is_symlink() and mark.is_file() and _MARK.startswith(mark.read_bytes())
 
 
 def _remove(work: Path, target: Path | None) -> None:

@@ -77,13 +77,13 @@ class Packages:
         self._named: dict[str, Path] = {}
         self._holders: list[Path] = []
         known: dict[str, Path] = {}
-        for folder in map(Path.absolute, folders):
+        for folder in folders:
             if _is_package(folder):
-                found = {folder.resolve().name: folder}
+                found = {folder.resolve().name: folder.absolute()}
                 self._named |= found
             else:
-                found = _packages_in(folder)
-                self._holders.append(folder)
+                found = _packages_in(folder.absolute())
+                self._holders.append(folder.absolute())
             # without any files but hidden ones: packages may be on their way
             is_empty = folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
             if not found and not is_empty:

@@ -175,9 +175,8 @@ def expect_same(picture, alone):
 
 def test_views_drawn_together_are_those_drawn_alone_and_rows_taken_out_were_never_there():
     g, views, behind = random_gaussians(300, 1), [camera(), camera(3.0, 33, 47), camera(turn=0.0)], (0.1, 0.2, 0.3)
-    loaded = CPU.load(g)
     for view in views:
-        expect_same(loaded.draw(view, behind), render(g, view, behind))
+        expect_same(CPU.load(g).draw(view, behind), render(g, view, behind))
     for share in (0.0, 0.4, 1.0):
         kept = np.random.default_rng(0).random(300) < share
         expect_same(project(activate(g), camera()).draw(behind, kept), render(g.take(kept), camera(), behind))

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import cpu
-from airgs_codec.render.cuda import _Rasterize
+from airgs_codec.render import cpu, cuda
 from tests.faces import Camera, RasterInputs
 
 TILE = 16
@@ -33,7 +32,7 @@ def rasterization(
     for view, k, behind in zip(views.numpy(), lenses.numpy(), backgrounds.tolist(), strict=True):
         lens = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
         camera = Camera("", width, height, *lens, view.astype(np.float64), near=near_plane)
-        pictures.append(_Rasterize.apply(*inputs, camera, tuple(behind), None, None))
+        pictures.append(cuda._Rasterize.apply(*inputs, camera, tuple(behind), None, None))
         projected.append(cpu.project(host, camera))
     rgb, transmittance = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     return rgb, 1 - transmittance[..., None], _meta(projected, opacities, (width, height))
