@@ -1,7 +1,7 @@
 """Rendering Gaussians as cameras see them.
 
-`cpu` draws with numba kernels (`cpu_kernels`) and needs no torch. `cuda` is the same as a torch function with gradients,
-by gsplat for tensors on a CUDA device. `reference` is the definition: slow, plain, float64.
+`cpu` draws with numba kernels (`cpu_kernels`) and needs no torch. `cuda` does so as a torch function with gradients, by
+gsplat for tensors on a CUDA device. `reference` is the definition: slow, plain, float64.
 """
 
 from airgs_codec.render.cpu import Contribution, Render, Without, measure_contribution, render

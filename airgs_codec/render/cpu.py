@@ -156,6 +156,8 @@ class Projected:
 class Blended:
     """A picture and everything its gradient and statistics need."""
 
+    inputs: RasterInputs[Floats]
+    camera: Camera
     picture: Render
     projected: Projected
     visited: Ints  # (tiles,) pairs that were visited before every pixel was opaque
@@ -216,8 +218,7 @@ class Loaded:
         """Return the contribution and the derivatives by the inputs of sum(picture * pull), pull (H, W, 3)."""
         blended = blend(self.inputs, camera, camera.background)
         pairs = _pair_gradients(blended, pull, np.zeros(pull.shape[:2], np.float32), True)
-        out, _ = _sum_gradients(self.inputs, camera, blended, pairs)
-        return _contribution(blended.projected, pairs[:, 9:]), out
+        return _contribution(blended.projected, pairs[:, 9:]), _sum_gradients(blended, pairs)[0]
 
     def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
         """Draw the picture that `camera` sees; return what each Gaussian gives to it, in all and in a mask (H, W).
@@ -286,15 +287,13 @@ def blend(
     wanted = np.ones(len(inputs.means), np.bool_)
     if redraw is not None:
         wanted[: len(redraw.rows)] = redraw.rows
-    return Blended(picture, p, visited, wanted)
+    return Blended(inputs, camera, picture, p, visited, wanted)
 
 
-def gradients(
-    inputs: RasterInputs[Floats], camera: Camera, blended: Blended, grad_rgb: Floats, grad_transmittance: Floats
-) -> Gradients:
+def gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats) -> Gradients:
     """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
     pairs = _pair_gradients(blended, grad_rgb, grad_transmittance, None)
-    out, sums = _sum_gradients(inputs, camera, blended, pairs)
+    out, sums = _sum_gradients(blended, pairs)
     return Gradients(out, sums[:, 4:6], sums[:, 9:11])
 
 
@@ -308,17 +307,15 @@ def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floa
     return pairs
 
 
-def _sum_gradients(
-    inputs: RasterInputs[Floats], camera: Camera, blended: Blended, pairs: Floats
-) -> tuple[RasterInputs[Floats], Floats]:
+def _sum_gradients(blended: Blended, pairs: Floats) -> tuple[RasterInputs[Floats], Floats]:
     """Gradients of the inputs, and the (N, 12) sums of the pairs."""
-    p, wanted = blended.projected, blended.wanted
+    p, wanted, inputs = blended.projected, blended.wanted, blended.inputs
     sums = np.zeros((len(inputs.means), 12), np.float32)
     out = RasterInputs(*(np.zeros_like(column) for column in inputs))
     scene = (*inputs, inputs.sh_degree)
     with _LOCK:
         kernels.sum_pairs(p.order, p.first_pair, p.slots, wanted, pairs, sums)
-        kernels.project_gradient(scene, _seen_by(camera), p.flat, p.order, wanted, sums, tuple(out))
+        kernels.project_gradient(scene, _seen_by(blended.camera), p.flat, p.order, wanted, sums, tuple(out))
     return out, sums
 
 

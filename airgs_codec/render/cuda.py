@@ -93,20 +93,19 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Picture:
         *tensors, camera, background, absgrad, redraw = inputs
-        ctx.inputs = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
-        ctx.camera, ctx.absgrad = camera, absgrad
-        ctx.blended = cpu.blend(ctx.inputs, camera, background, redraw)
+        arrays = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
+        ctx.absgrad, ctx.blended = absgrad, cpu.blend(arrays, camera, background, redraw)
         picture = ctx.blended.picture
         return torch.from_numpy(picture.rgb), torch.from_numpy(picture.transmittance)
 
     @staticmethod
     def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
         rgb, transmittance = (np.ascontiguousarray(g.numpy(), np.float32) for g in grads)
-        gradients = cpu.gradients(ctx.inputs, ctx.camera, ctx.blended, rgb, transmittance)
+        gradients = cpu.gradients(ctx.blended, rgb, transmittance)
         if ctx.absgrad is not None:
             seen = torch.zeros(len(gradients.places), dtype=torch.bool)
             seen[torch.from_numpy(ctx.blended.projected.order)] = True
-            half = np.array([ctx.camera.width / 2, ctx.camera.height / 2], np.float32)
+            half = np.array(ctx.blended.projected.size, np.float32) / 2
             absolute, signed = (
                 torch.from_numpy(np.hypot(x, y)) for x, y in (gradients.absolute.T, (gradients.places * half).T)
             )

@@ -162,7 +162,7 @@ def test_contribution_and_gradients_of_one_pass_are_those_of_two(logit):
     alone, apart = measure_contribution(g, view), blend(active, view, behind)
     np.testing.assert_allclose(seen.total, alone.total, rtol=1e-6)
     assert np.array_equal(seen.peak, alone.peak) and np.array_equal(seen.hits, alone.hits)
-    expected = gradients(active, view, apart, pull, np.zeros((50, 70), np.float32)).inputs
+    expected = gradients(apart, pull, np.zeros((50, 70), np.float32)).inputs
     for name in NAMES:
         wanted = getattr(expected, name)
         np.testing.assert_allclose(getattr(derivatives, name), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
@@ -203,7 +203,7 @@ def test_only_some_tiles_are_drawn_again():
     rng = np.random.default_rng(4)
     grad = rng.normal(size=(50, 70, 3)).astype(np.float32) * pixels[..., None]
     none = np.zeros((50, 70), np.float32)
-    parts, wholes = (gradients(a, view, drawn, grad, none) for drawn in (part, whole))
+    parts, wholes = (gradients(drawn, grad, none) for drawn in (part, whole))
     for x, y in zip(parts.inputs, wholes.inputs, strict=True):
         assert np.abs(y[wanted]).max() > 0 and relative(x[wanted], y[wanted]) < 1e-6
         assert not x[~wanted].any()
