@@ -22,6 +22,8 @@ HEADER = 8  # bytes of size and type
 OWN = uuid.uuid5(uuid.NAMESPACE_URL, "urn:airgs:media").bytes  # of the uuid box with checksums and a column file
 # Flags of a trun box, 8.8.8: which fields it has; those from 0x100 on are repeated for every sample.
 DATA_OFFSET, FIRST_SAMPLE_FLAGS, DURATION, SIZE, COMPOSITION_OFFSET = 0x1, 0x4, 0x100, 0x200, 0x800
+# Flags of a tfhd box, 8.8.7, as the browser player reads it.
+BASE_DATA_OFFSET, DESCRIPTION_INDEX, DEFAULT_DURATION, DEFAULT_SIZE = 0x1, 0x2, 0x8, 0x10
 PROFILE, CONSTRAINTS, LEVEL = 100, 0, 51  # High at 5.1: the most that a picture of a package may ask for
 CODECS = f"avc3.{PROFILE:02X}{CONSTRAINTS:02X}{LEVEL:02X}"  # RFC 6381
 OPUS = "opus"  # RFC 6381
@@ -29,7 +31,7 @@ SOUND_RATE = 48_000  # samples, and ticks, a second
 PACKET_TICKS = 960  # 20 ms
 WARM_UP = 4  # packets that a decoder of Opus needs before the first one that is right
 _DEFAULT_BASE_IS_MOOF = 0x020000  # flags of tfhd
-_DURATION_AND_FLAGS = 0x8 | 0x20  # of tfhd: defaults of all samples
+_DURATION_AND_FLAGS = DEFAULT_DURATION | 0x20  # of tfhd: defaults of all samples
 _SYNC, _OTHER = 0x02000000, 0x01010000  # sample flags: depends on nothing; depends on others and is no sync sample
 _GREY = base64.b64decode(  # an IDR picture of 64x64 grey samples with its parameter sets: a sample of a track of H.264
     "AAAAF2dkAAqstCE02QAAAwABAAADADwPEiagAAAABWjvAzywAAAAGGWIhK/+9dnjxcMJ25ojZkJMaU8x1QMnGw=="
