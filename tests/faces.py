@@ -26,8 +26,7 @@ from airgs_codec.scene.formats.table import (
     COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame, read_frame_header,
 )  # fmt: skip
 from airgs_codec.media.image import box_mean, read_picture, resize, to_bytes, write_png
-from airgs_codec.media.movie import VideoReader, write_movie
-from airgs_codec.media.sound import decode_sound, encode_sound
+from airgs_codec.media.movie import VideoReader, decode_sound, encode_sound, write_movie
 from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
 from airgs_codec.places.results import Store, open_store, pack, seal, unpack, unseal
 
@@ -130,9 +129,10 @@ from airgs_codec.play.policies import (
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 
 # Serving
-from airgs_codec.serve.app import Packages, make_app, media_type
+from airgs_codec.serve.app import (
+    Certificate, Packages, ServerSettings, check_certificate, listen, make_app, media_type, serve,
+)  # fmt: skip
 from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen, serve
 from airgs_codec.serve.export import export_page
 
 # Work in jobs

@@ -40,7 +40,7 @@ from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import format_ladder, format_summary
-from airgs_codec.media.sound import encode_sound
+from airgs_codec.media.movie import encode_sound
 from airgs_codec.package.package import open_package
 from airgs_codec.places.place import is_address
 from airgs_codec.places.whole import expect_folder_name

@@ -25,10 +25,9 @@ from airgs_codec.coding import rangecoder
 from airgs_codec.render import cpu_kernels
 from airgs_codec.trainer.fit import kernels as loss_kernels
 
-_TILES = "Tuple((f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8))"  # `Tiles.argument`
+_TILES = "Tuple((f4[:,::1], i8[::1], i4[::1], i4[::1], i8, i8))"  # `Projected.tiles`
 _INPUTS = "f4[:,::1], f4[:,::1], f4[:,::1], f4[::1], f4[:,:,::1]"
 _SEEN = f"Tuple(({_INPUTS}, i8)), Tuple((f8[:,::1], f8[::1], i8, i8, f8, f8, f8))"  # a scene and a camera
-_PAIRS = "i4[::1], i8[::1], i4[::1]"  # `Projected.arguments`
 _GRADIENT = f"{_TILES}, f4[:,:,::1], f4[:,::1], i4[::1], f4[:,:,::1], f4[:,::1]"
 
 Kernels = tuple[tuple[Dispatcher, str], ...]
@@ -37,13 +36,12 @@ Kernels = tuple[tuple[Dispatcher, str], ...]
 FORWARD = (
     (cpu_kernels.project, f"({_SEEN}, b1[::1], f4[:,::1], u8[::1], i4[::1])"),
     (cpu_kernels.bin_tiles, "(f4[:,::1], i4[::1], i8[::1], b1[::1], i8, i8)"),
-    (cpu_kernels.blend_statistics, f"({_TILES}, i8, i8, f4[:,::1])"),
-    (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1])"),
-    (cpu_kernels.sum_statistics, f"({_PAIRS}, f4[:,::1], i8, f8[:,::1])"),
+    (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1], f4[:,::1])"),
+    (cpu_kernels.blend, f"({_TILES}, f4[::1], f4[:,:,::1], f4[:,::1], i4[::1], none)"),
 )
 BACKWARD = (
     (cpu_kernels.blend_gradient, f"({_GRADIENT}, b1, f4[:,::1])"),
-    (cpu_kernels.sum_pairs, f"({_PAIRS}, b1[::1], f4[:,::1], f4[:,::1])"),
+    (cpu_kernels.sum_pairs, "(i4[::1], i8[::1], i4[::1], b1[::1], f4[:,::1], f4[:,::1])"),
     (cpu_kernels.project_gradient, f"({_SEEN}, f4[:,::1], i4[::1], b1[::1], f4[:,::1], Tuple(({_INPUTS})))"),
 )
 TRAINING = (

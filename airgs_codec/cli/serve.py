@@ -15,10 +15,9 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
-from airgs_codec.serve.app import Packages, make_app
+from airgs_codec.serve.app import Certificate, Packages, ServerSettings, check_certificate, listen, make_app
+from airgs_codec.serve.app import serve as serve_app
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
-from airgs_codec.serve.server import serve as serve_app
 
 PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
 ANY_HOST = ("0.0.0.0", "::")

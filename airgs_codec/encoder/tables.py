@@ -14,8 +14,8 @@ from airgs_codec.encoder.representation import Clock, ErrorModel, Representation
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.states import CodedStates
 from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
+from airgs_codec.media.movie import SoundTrack
 from airgs_codec.media.mp4 import sound_segment
-from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package import tables
 from airgs_codec.package.layout import (
     INIT_NAME,

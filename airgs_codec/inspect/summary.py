@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from airgs_codec._report import BLUE, GREY, Form, Picture, Table
 from airgs_codec.media.metrics import psnr
-from airgs_codec.media.sound import LAYOUTS
+from airgs_codec.media.movie import LAYOUTS
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Manifest, pooled_quality, rungs_of
 from airgs_codec.package.region import RegionSummary, world_words

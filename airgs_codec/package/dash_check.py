@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from itertools import accumulate
 
 from airgs_codec.errors import CodecError, FormatError
-from airgs_codec.media.image import decode_jpeg
+from airgs_codec.media.image import decode_rgba
 from airgs_codec.media.mp4 import CODECS, OPUS, check_boxes, init_segment, read_samples, sound_init, sound_segment
 from airgs_codec.package.layout import INIT_NAME, MPD_NAME, POSTER_NAME, SOUND_INIT_NAME
 from airgs_codec.package.manifest import Manifest
@@ -212,7 +212,7 @@ def check_shared(package: Package, path: str) -> None:
     m, data = package.manifest, package.read(path)
     if path == POSTER_NAME:
         try:
-            decode_jpeg(data, MAX_POSTER_SIDE)
+            decode_rgba(data, "JPEG", MAX_POSTER_SIDE)
         except ValueError as error:
             raise FormatError("bad_picture", path, f"expected a JPEG: {error}") from error
         return

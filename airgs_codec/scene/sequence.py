@@ -41,7 +41,7 @@ from airgs_codec.scene.frames import (
 from airgs_codec.scene.gaussians import Gaussians
 
 if TYPE_CHECKING:
-    from airgs_codec.media.sound import SoundTrack  # and PyAV with it
+    from airgs_codec.media.movie import SoundTrack  # and PyAV with it
 
 BESIDE = (beside.ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
 IN_MEMORY = Path("frames in memory")  # in place of a file

@@ -179,7 +179,7 @@ def test_encoding_and_decoding_call_kernels_with_the_types_they_are_compiled_for
     g = coloured_cloud(40)
     (camera,) = faces.orbit_views(g, count=1, size=32)
     cpu.measure_contribution(g, camera)
-    cpu.contribution_and_gradients(cpu.activate(g), camera, np.ones((32, 32, 3), np.float32))
+    faces.CPU.load(g).contribution_and_gradients(camera, np.ones((32, 32, 3), np.float32))
     assert len(list(faces.decode_frames(faces.open_package(GOLDEN / "fox"), 0, 2))) == 2
     unused = [(k.py_func.__name__, t) for k, t in FORWARD + BACKWARD if normalize_signature(t)[0] not in k.signatures]
     assert [name for name, _ in unused if name != "read_planes"] == []

@@ -88,7 +88,7 @@ class _Writer:
         frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
         shown, groups = [], []
         for g in (frame.gaussians for frame in frames):
-            pictures = [self.blob.add(picture.rgb) for picture in cpu.render_views(g, cameras)]
+            pictures = [self.blob.add(cpu.render(g, camera).rgb) for camera in cameras]
             shown.append({"means": self.blob.add(g.means), "pictures": pictures})
         for number in range(len(m.groups)):
             segments = []

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import decode_webp
+from airgs_codec.media.image import decode_rgba
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds, check_count
 from airgs_codec.scene.formats.packed import LIBRARY, write_with_library
@@ -189,7 +189,7 @@ def unpack(name: str, data: bytes, count: int) -> Pixels:
     width, height = _picture_size(name, data)
     if width * height > 2 * count + _MOST_SPARE:
         raise ValueError(f"{name} for {count} Gaussians, got {width} x {height} pixels")
-    samples = decode_webp(data)
+    samples = decode_rgba(data, "WEBP")
     if samples.shape[:2] != (height, width):
         raise ValueError(f"{name} of {width} x {height} pixels, got {samples.shape[1]} x {samples.shape[0]}")
     return samples.reshape(-1, 4)

@@ -20,7 +20,7 @@ from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render.cpu import TILE, Redraw, Render
 from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.render.differentiable import Picture as Drawn
+from airgs_codec.render.cuda import Picture as Drawn
 from airgs_codec.scene.camera import with_pixels
 from airgs_codec.trainer.data.pictures import Picture, Target, View
 from airgs_codec.trainer.fit.losses import LAMBDA, ExposureModel, photometric

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from airgs_codec.render.backend import Loaded, Renderer
 from airgs_codec.render.cpu import RasterInputs, Redraw
-from airgs_codec.render.cuda import AbsGrad
-from airgs_codec.render.differentiable import Picture, rasterize_views
+from airgs_codec.render.cuda import AbsGrad, Picture, rasterize_views
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.frames import QUATERNION_MIN_NORM
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
@@ -104,7 +103,7 @@ def render_views(
     absgrad: AbsGrad | None = None,
     redraws: Sequence[Redraw | None] | None = None,
 ) -> list[Picture]:
-    """The same for each of several cameras; `redraws`: one for each, as in `rasterize`."""
+    """The same for each of several cameras; `redraws`: one for each, as in `rasterize_views`."""
     return rasterize_views(_activated(p, sh_degree), cameras, absgrad, redraws)
 
 

@@ -11,7 +11,7 @@ import torch
 from airgs_codec.render import cpu, cuda
 from airgs_codec.trainer.fit import active, grow, losses, parameters
 from tests import faces
-from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
+from tests.faces import CPU, Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
 
 
@@ -117,7 +117,7 @@ def test_rows_that_make_what_moves_are_active_in_tiles_that_hold_all_of_it_and_v
 
 def test_weights_are_those_of_the_contribution(moving):
     g, views, masks = moving
-    w = cpu.weights(cpu.activate(g), views[0].camera, masks[0])
+    w = CPU.load(g).weights(views[0].camera, masks[0])
     whole = cpu.measure_contribution(g, views[0].camera).total
     np.testing.assert_allclose(np.bincount(w.ids, w.total, len(g)), whole, rtol=1e-4, atol=1e-4)
     assert (w.inside <= w.total + 1e-4).all()
