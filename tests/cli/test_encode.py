@@ -8,17 +8,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from numba.core.sigutils import normalize_signature
 
-from airgs_codec.cli.kernels import BACKWARD, FORWARD
-from airgs_codec.render import cpu
 from tests import faces
 from tests.support.camera_files import write_colmap_binary, write_inria
 from tests.support.manifests import in_groups, tiny_manifest
 from tests.support.paths import FOX, GOLDEN
 from tests.support.scenes import moving_frames, write_sequence
 from tests.support.splat_files import splat_bytes
-from tests.support.views import coloured_cloud, ring
+from tests.support.views import ring
 
 REGION = json.loads((GOLDEN / "fox" / "airgs.json").read_text())["region"] | {"turn": 3}
 
@@ -172,15 +169,3 @@ def test_the_cameras_that_are_taken_are_named(asked, tmp_path, capsys):
         assert json.loads(capsys.readouterr().out)["cameras"] == taken
         found.unlink(missing_ok=True)
     assert [len(call.sequence.cameras) for call in asked] == [3, 5, 5, 0]
-
-
-def test_encoding_and_decoding_call_kernels_with_the_types_they_are_compiled_for():
-    """Or compiling them ahead would be work for nothing."""
-    g = coloured_cloud(40)
-    (camera,) = faces.orbit_views(g, count=1, size=32)
-    cpu.measure_contribution(g, camera)
-    cpu.contribution_and_gradients(cpu.activate(g), camera, np.ones((32, 32, 3), np.float32))
-    assert len(list(faces.decode_frames(faces.open_package(GOLDEN / "fox"), 0, 2))) == 2
-    unused = [(k.py_func.__name__, t) for k, t in FORWARD + BACKWARD if normalize_signature(t)[0] not in k.signatures]
-    assert [name for name, _ in unused if name != "read_planes"] == []
-    assert len(unused) <= 2  # of read_planes, whose types depend on the pages of a picture
