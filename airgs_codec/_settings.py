@@ -6,7 +6,7 @@ import inspect
 import os
 import textwrap
 from collections.abc import Callable
-from dataclasses import MISSING, Field, field, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, field, fields
 from numbers import Integral, Real
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -21,8 +21,9 @@ Settings = TypeVar("Settings")
 def setting(default: Any, about: str, /, **more: Any) -> Any:
     """Returns a field of settings with its default; `about` is a phrase that says what it means, with its unit.
 
-    `more`: what `airgs_codec.cli.options` has to know to make an option of it: `choices`, or `read`, a function from
-    text; `metavar`; `default`, the default in words; `short`, as -o; `topic`, if it is no everyday option.
+    `more`: what an option is that is made of it: arguments of `cyclopts.Parameter` (choices, metavar, name, alias);
+    `read`, a function from text; `least`, of a whole number; `default`, in words; `topic`, if it is no everyday option;
+    `option`: False, if it is none.
     """
     return field(default=default, metadata={"help": about, **more})
 
@@ -37,24 +38,9 @@ def required(about: str, **more: Any) -> Any:
     return field(metadata={"help": about, **more})
 
 
-def about(settings: type, name: str) -> str:
-    """Returns what the field `name` means. Raises KeyError for a name that is not a field."""
-    return {f.name: f for f in fields(settings)}[name].metadata["help"]
-
-
 def default_of(one: Field[Any]) -> Any:
     """Returns the default of a field, MISSING where it has none."""
     return one.default if one.default_factory is MISSING else one.default_factory()
-
-
-def applied(settings: Settings, given: dict[str, Any]) -> Settings:
-    """Returns the settings with the fields that were given; a dictionary is applied to the settings in its field."""
-    changes = {}
-    for name, value in given.items():
-        before = getattr(settings, name)
-        nested = isinstance(value, dict) and is_dataclass(before)
-        changes[name] = applied(before, value) if nested else value
-    return replace(settings, **changes)  # type: ignore[type-var]
 
 
 def documented(settings: type[Settings]) -> type[Settings]:

@@ -17,7 +17,7 @@ import pytest
 from tqdm.auto import tqdm
 
 import airgs_codec as airgs
-from airgs_codec._settings import about, computed_setting, documented, setting
+from airgs_codec._settings import computed_setting, documented, setting
 from airgs_codec.progress import told
 from tests.faces import summarise, write_ply
 from tests.support.paths import FOX, GOLDEN
@@ -332,11 +332,8 @@ class Example:
 def test_a_field_has_its_default_its_meaning_and_a_line_in_the_docstring():
     assert Example() == Example(3, [])
     assert Example().names is not Example().names
-    assert about(Example, "size") == "how many, in pixels"
     assert Example.__doc__ == "Two things.\n\nsize = 3: how many, in pixels.\nnames: what they are called."
-    with pytest.raises(KeyError):
-        about(Example, "colour")
     for settings in (airgs.EncodeSettings, airgs.SessionSettings, airgs.TrainSettings):
         for field in fields(settings):
             assert f"\n{field.name}" in settings.__doc__
-            assert about(settings, field.name)
+            assert field.metadata["help"]

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.cli.common import parse_frames
+from airgs_codec.cli.options import parse_frames
 from airgs_codec.cli.terminal import Bar, run_command
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.beside import ATTRIBUTION_NAME, Settings, read_attribution, write_settings

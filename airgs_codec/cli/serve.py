@@ -36,7 +36,6 @@ class Serve:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve as the arguments say; returns the exit status."""
     return run_program("airgs-serve", serve, argv)
 
 
@@ -47,17 +46,12 @@ def serve(options: Serve) -> int:
     certificate = _certificate(options)
     settings = ServerSettings(certificate)
     listening = listen(options.host, options.port, settings.patience_s)
-    _allow_connections()
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
     asyncio.run(_serve_until_signal(packages, listening, settings))
     say("stopped")
     return 0
-
-
-def _allow_connections() -> None:
-    """As many open files as the system lets this process have."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 async def _serve_until_signal(packages: Packages, listening: socket.socket, settings: ServerSettings) -> None:
