@@ -70,7 +70,7 @@ def test_type_checkers_see_the_same_names_in_the_same_places():
     tree = ast.parse((CODE / "__init__.py").read_text())
     block = next(node for node in tree.body if isinstance(node, ast.If))
     seen = {alias.asname or alias.name: node.module for node in block.body for alias in node.names}
-    assert seen == {name: getattr(airgs, name).__module__ for name in NAMES}
+    assert seen == {getattr(airgs, name).__name__: getattr(airgs, name).__module__ for name in NAMES}
     assert (CODE / "py.typed").is_file()
 
 
