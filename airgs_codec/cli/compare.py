@@ -56,7 +56,7 @@ from airgs_codec.scene.camera import UP, cameras_from, orbit_views, with_near_pl
 from airgs_codec.scene.formats.table import is_clip
 from airgs_codec.scene.sequence import GaussianSequence
 
-EVERY = "only every N-th of the frames"
+EVERY, VIEWS = "only every N-th of the frames", "cameras to compare from"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,12 +65,8 @@ class Compare(BakingOptions):
     b: str = required("what is compared with it, either as well")
     frames: str = setting(":", FRAMES, metavar="A:B", default="all that both have")
     every: int = setting(1, EVERY, least=1)
-    rung: str | None = setting(
-        None, "key quality and level of the package, of B where both are", metavar="Q0+L0", default="Q0+L0"
-    )
-    views: Path | None = setting(
-        None, f"cameras to compare from{FORMS}", default="those of A or B, or of a package's region, or an orbit"
-    )
+    rung: str | None = setting(None, "key quality and level of the package, of B where both are", default="Q0+L0")
+    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="those of A, B or a package's region, or an orbit")
     output: Path | None = setting(
         None, "write pictures of A, B and their difference: worst.png, typical.png", alias="-o", metavar="DIR"
     )
@@ -132,7 +128,7 @@ class Rungs(BakingOptions):
     original: str = required("the sequence that it was made of")
     frames: str = setting(":", FRAMES, metavar="A:B", default="all")
     every: int = setting(1, EVERY, least=1)
-    views: Path | None = setting(None, f"cameras to compare from{FORMS}", default="the original's")
+    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="the original's")
     split: str | None = setting(None, "train, test or region alone", metavar="NAME", default="the last two, or all")
     draws: int = setting(8, "views drawn from the package's region: the split region", least=0)
     seed: int = setting(CHECKING, f"seed of the draws; the encoder used {DECIDING} and {MEASURING}", least=0)

@@ -31,10 +31,7 @@ class Decode:
         "folder for the frames, 000000.ply and on, or a file whose name ends in a format", alias="-o", metavar="PLACE"
     )
     format: str | None = setting(
-        None,
-        f"{', '.join(KEYS)} (default: what the output's name ends in, or ply)",
-        choices=KEYS,
-        metavar="FORMAT",
+        None, "form of the files", choices=KEYS, metavar="FORMAT", default="what the output's name ends in, or ply"
     )
     level: str = setting("L0", "state level: L0, L1, … or its number")
     key_quality: str = setting("Q0", "key quality: Q0, Q1, … or its number")

@@ -14,10 +14,12 @@ from airgs_codec._settings import required, setting
 from airgs_codec.analysis.viewpoints import GUESS
 from airgs_codec.cli.follow import frames_may_come, report_groups
 from airgs_codec.cli.options import (
+    AXIS,
+    BUCKET,
     CUDA,
     DEVICES,
     FORMS,
-    FPS,
+    RATE,
     BakingOptions,
     Given,
     WorkOptions,
@@ -26,7 +28,6 @@ from airgs_codec.cli.options import (
     given,
     open_frames,
     option_name,
-    read_rate,
     run_program,
     takes,
 )
@@ -44,7 +45,7 @@ from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import format_ladder, summarise
 from airgs_codec.media.sound import encode_sound
 from airgs_codec.package.package import open_package
-from airgs_codec.package.region import parse_up, read_world, world_from
+from airgs_codec.package.region import read_world, world_from
 from airgs_codec.package.tables import World
 from airgs_codec.places.place import is_address
 from airgs_codec.places.whole import expect_folder_name
@@ -62,52 +63,14 @@ EVERYDAY = ("quality", "group_frames", "margin")  # of the settings of the encod
 
 
 @dataclass(frozen=True, kw_only=True)
-class WorldOptions:
-    """Which way is up and how long a unit is: for players, nothing is turned or scaled."""
-
-    up: tuple[float, ...] | None = setting(
-        None,
-        "direction that points up in the frames, x, -y, … or X,Y,Z; by default what the format of the frames specifies",
-        read=parse_up,
-        metavar="AXIS",
-        allow_leading_hyphen=True,
-    )
-    unit: float | None = setting(
-        None, "with --up: how many metres a unit of the frames is long", metavar="METRES", topic="which way is up"
-    )
-    transform: Path | None = setting(
-        None,
-        "instead of these: 3x4 or 4x4 numbers row by row, text or JSON, from the frames to a world with y up in "
-        "metres: a turn, one scale, a shift",
-        metavar="FILE",
-        topic="which way is up",
-    )
-
-    def world(self) -> World | None:
-        """Returns where the scene stands, as far as the options say. Raises ConfigError."""
-        if self.transform:
-            if self.up or self.unit is not None:
-                raise ConfigError("--transform: expected neither --up nor --unit with it: it says both")
-            return read_world(self.transform)
-        if self.up:
-            return world_from(self.up, self.unit)
-        if self.unit is not None:
-            raise ConfigError("--unit: expected --up with it")
-        return None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Encode(BakingOptions, WorldOptions, WorkOptions):
+class Encode(BakingOptions, WorkOptions):
     scene: str = required(
         "frames (a folder or a file: .ply, compressed .ply, .spz, SOG, .splat, glTF), a clip (.splatv, .4dgs, "
         ".splat4d, Spacetime Gaussians .ply), either at s3://, gs://, az:// too, or a folder of "
         "multi-view pictures"
     )
     output: str | None = setting(
-        None,
-        "package: a folder or s3://, gs://, az:// and a prefix (default: SCENE.airgs)",
-        alias="-o",
-        metavar="PLACE",
+        None, f"package: a folder or {BUCKET}", alias="-o", metavar="PLACE", default="SCENE.airgs"
     )
     preset: str = setting(
         "default",
@@ -122,25 +85,25 @@ class Encode(BakingOptions, WorldOptions, WorkOptions):
     target_de: float | None = setting(None, "the same for a mean colour difference CIEDE2000", metavar="ΔE")
     target_kb: float | None = setting(None, "the same for so many kilobytes a frame on the top rung", metavar="KB")
     target_mbps: float | None = setting(None, "the same for so many megabits a second of playback", metavar="MBPS")
-    views: Path | None = setting(
-        None, f"cameras to measure with{FORMS}", default="those beside the frames, else on an orbit"
+    views: Path | None = setting(None, f"cameras to measure with{FORMS}", default="beside the frames, else an orbit")
+    fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **RATE)
+    up: tuple[float, ...] | None = setting(
+        None, "direction that points up in the frames, x, -y, … or X,Y,Z; by default as their format has it", **AXIS
     )
-    fps: Fraction | None = setting(None, FPS, read=read_rate, metavar="FPS")
+    unit: float | None = setting(None, "with --up: metres that a unit of the frames is long", topic="which way is up")
+    transform: Path | None = setting(
+        None,
+        "instead of these: 3x4 or 4x4 numbers row by row, text or JSON, from the frames to a world with y up in "
+        "metres: a turn, one scale, a shift",
+        topic="which way is up",
+    )
     follow: bool = setting(False, "encode group by group while frames are still being written")
     idle: float = setting(
-        30.0,
-        "with --follow, where standard input is no pipe that ends: seconds without a frame until the sequence ends",
-        metavar="S",
-        topic="output",
+        30.0, "with --follow, unless standard input is a pipe: seconds without a frame that end it", topic="output"
     )
-    device: str = setting(
-        "auto",
-        f"where video is trained, and pictures that decide and measure are drawn; {CUDA}",
-        choices=DEVICES,
-        topic="work",
-    )
-    audio: Path | None = setting(None, "a file whose sound goes with the frames", metavar="FILE", topic="output")
-    attribution: str | None = setting(None, "who made the scene (default: SCENE/ATTRIBUTION.txt)", topic="output")
+    device: str = setting("auto", f"where video is trained and pictures are drawn{CUDA}", choices=DEVICES, topic="work")
+    audio: Path | None = setting(None, "a file whose sound goes with the frames", topic="output")
+    attribution: str | None = setting(None, "who made the scene", topic="output", default="SCENE/ATTRIBUTION.txt")
     report: Path | None = setting(None, "folder for a page with what came out beside what was given", metavar="DIR")
     json: bool = setting(False, "print figures as JSON")
 
@@ -206,11 +169,24 @@ def _settings(options: Encode) -> EncodeSettings:
     )
     expect_one(margin=told.get("margin"), region=told.get("region"))
     threads = max(1, DEFAULT_SETTINGS.threads // max(1, options.jobs))
-    settings = replace(DEFAULT_SETTINGS, threads=threads, device=options.device, world=options.world())
+    settings = replace(DEFAULT_SETTINGS, threads=threads, device=options.device, world=_world(options))
     settings = PRESETS[options.preset](settings)
     if settings.calibrate == "ladder" and {"levels", "tiers"} & told.keys():  # which trial encodes would replace
         told = {"calibrate": "steps"} | told
     return replace(settings, **told)
+
+
+def _world(options: Encode) -> World | None:
+    """Returns where the scene stands, for players, as far as the options say. Raises ConfigError."""
+    if options.transform:
+        if options.up or options.unit is not None:
+            raise ConfigError("--transform: expected neither --up nor --unit with it: it says both")
+        return read_world(options.transform)
+    if options.up:
+        return world_from(options.up, options.unit)
+    if options.unit is not None:
+        raise ConfigError("--unit: expected --up with it")
+    return None
 
 
 def _default_target(scene: str) -> str:

@@ -9,14 +9,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
+    AXIS,
     PACKAGE,
     App,
     BakingOptions,
+    Given,
     expect_folder,
     make_app,
     open_frames,
@@ -26,7 +27,7 @@ from airgs_codec.cli.options import (
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
-from airgs_codec.package.region import parse_up, world_words
+from airgs_codec.package.region import world_words
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,18 +99,15 @@ def read_point(text: str) -> tuple[float, ...]:
     return x, y, z
 
 
-def point(about: str) -> Any:
-    return setting(None, about, read=read_point, metavar="X,Y,Z", allow_leading_hyphen=True)
+POINT: Given = {"read": read_point, "metavar": "X,Y,Z", "allow_leading_hyphen": True}
 
 
 @dataclass(frozen=True, slots=True)
 class SetView:
     package: str = required(PACKAGE)
-    up: tuple[float, ...] | None = setting(
-        None, "direction that points up, x, -y, … or X,Y,Z", read=parse_up, metavar="AXIS", allow_leading_hyphen=True
-    )
-    position: tuple[float, ...] | None = point("where viewers begin, with --look-at")
-    look_at: tuple[float, ...] | None = point("the point that they look at")
+    up: tuple[float, ...] | None = setting(None, "direction that points up, x, -y, … or X,Y,Z", **AXIS)
+    position: tuple[float, ...] | None = setting(None, "where viewers begin, with --look-at", **POINT)
+    look_at: tuple[float, ...] | None = setting(None, "the point that they look at", **POINT)
     name: str | None = setting(None, "viewers find that view by this name; they do not begin there")
 
 
@@ -133,7 +131,7 @@ def set_view(options: SetView) -> int:
 class ExportPage:
     packages: tuple[str, ...] = required(PACKAGE, metavar="PACKAGE")
     output: Path = required("folder to write: new, empty, or one that this command wrote", alias="-o")
-    title: str | None = setting(None, "title of the page (default: the package's name)")
+    title: str | None = setting(None, "title of the page", default="the package's name")
     address: str = setting("", "where the folder will be on the web: previews of links need it", metavar="URL")
 
 
@@ -150,17 +148,15 @@ def export_page(options: ExportPage) -> int:
 
 
 def make_manifest() -> App:
-    app = make_app(
-        "airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page."
-    )
+    about = "Look into a package, check it, compare it with the original, put it on a page."
+    app = make_app("airgs-manifest", about=about)
     commands = {"inspect": inspect, "validate": validate, "set-view": set_view, "export-page": export_page}
     for name, command in commands.items():
         app.command(command, name=name)
-    for name, words in (
-        ("compare", "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."),
-        ("rungs", "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."),
-    ):
-        app.command(f"airgs_codec.cli.compare:{name}", name=name, help=words)
+    words = "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."
+    app.command("airgs_codec.cli.compare:compare", name="compare", help=words)
+    words = "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."
+    app.command("airgs_codec.cli.compare:rungs", name="rungs", help=words)
     return app
 
 

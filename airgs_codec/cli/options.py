@@ -28,6 +28,7 @@ from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import MOST, computed_setting, default_of, setting
 from airgs_codec.cli.terminal import Bar, run_command, warn
 from airgs_codec.errors import AirgsError, ConfigError
+from airgs_codec.package.region import parse_up
 from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.scene.beside import exact_number
 from airgs_codec.scene.beside import frame_rate as rate_of
@@ -45,14 +46,24 @@ ARGUMENTS, COMMANDS = Group("Arguments", sort_key=0), Group("Commands", sort_key
 EVERYDAY = Group("Options", sort_key=1)
 WIDTH, COLUMN = 100, 26  # of help: characters in a line at most, and those that names of options may take
 UNITS = {"_s": "S", "_db": "DB"}  # endings of names: their words in help
-KINDS = {int: "a whole number", float: "a number", Fraction: "a number or a fraction"}
+KINDS = {bool: "no value", int: "a whole number", float: "a number", Fraction: "a number or a fraction"}
 PARAMETER = ("alias", "allow_leading_hyphen", "choices", "help", "metavar", "name")  # what cyclopts takes as it is
 
 PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
-FRAMES, FPS = "frames A to B - 1, or one frame", "frames a second (default: what the scene says, else 30)"
+BUCKET = "s3://, gs://, az:// and a prefix"
+FRAMES = "frames A to B - 1, or one frame"
 DEVICES = ("auto", "cpu", "cuda")
 FORMS = "; docs/encoding.md lists the forms of cameras"
-CUDA = "cuda needs a GPU and the cuda extra, auto takes it where it can"
+CUDA = "; cuda needs a GPU and the cuda extra, auto takes it where it can"
+
+
+def read_rate(text: str) -> Fraction:
+    """Returns frames a second. Raises ValueError for what is no number, SceneError for what is no rate."""
+    return rate_of("frames a second", exact_number(text))
+
+
+RATE: Given = {"read": read_rate, "metavar": "FPS"}  # of options that are one
+AXIS: Given = {"read": parse_up, "metavar": "AXIS", "allow_leading_hyphen": True}
 
 
 def given(settings: type, topic: str, everyday: Collection[str] = (), name: str = "*") -> Any:
@@ -309,25 +320,21 @@ def parse_range(text: str, frames: int) -> tuple[int, int]:
     return start, stop
 
 
-def read_rate(text: str) -> Fraction:
-    """Returns frames a second. Raises ValueError for what is no number, SceneError for what is no rate."""
-    return rate_of("frames a second", exact_number(text))
-
-
 @dataclass(frozen=True, kw_only=True)
 class BakingOptions:
     """How `open_sequence` reads a clip; None: as the file says, or else the default of its format."""
 
     bake_fps: Fraction | None = setting(
         None,
-        "frames a second that a clip of moving Gaussians is baked to (default: what the file says, else 30)",
-        read=read_rate,
-        metavar="FPS",
+        "frames a second that a clip of moving Gaussians is baked to",
+        default="what the file says, else 30",
         topic="clips",
+        **RATE,
     )
     duration: Fraction | None = setting(
         None,
-        "length of a clip whose file states none: .splatv, Spacetime Gaussians .ply (default: 5/3)",
+        "length in seconds of a clip whose file states none: .splatv, Spacetime Gaussians .ply",
+        default="5/3",
         read=exact_number,
         metavar="S",
         topic="clips",

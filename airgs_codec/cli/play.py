@@ -63,7 +63,7 @@ class Play(BakingOptions):
     seed: int = setting(1, "seed of the starts", topic="study")
     jobs: int = setting(1, "processes that share the sessions of --compare")
     original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
-    device: str = setting("auto", f"where pictures are drawn; {CUDA}", choices=DEVICES, topic="output")
+    device: str = setting("auto", f"where pictures are drawn{CUDA}", choices=DEVICES, topic="output")
     report: Path | None = setting(None, "folder for a page", metavar="DIR")
     video: Path | None = setting(None, "film what was on the screen, as MP4", metavar="FILE")
     json: bool = setting(False, "print figures as JSON")

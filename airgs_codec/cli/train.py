@@ -14,14 +14,13 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import (
     CUDA,
     DEVICES,
-    FPS,
     FRAMES,
+    RATE,
     Given,
     WorkOptions,
     expect_report,
     given,
     parse_frames,
-    read_rate,
     run_program,
     takes,
 )
@@ -51,7 +50,7 @@ class Train(WorkOptions):
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
         "or poses_bounds.npy, and pictures or a video of each camera"
     )
-    output: Path | None = setting(None, "model folder (default: SCENE.gaussians)", alias="-o", metavar="DIR")
+    output: Path | None = setting(None, "model folder", alias="-o", metavar="DIR", default="SCENE.gaussians")
     resume: bool = setting(False, "go on with the run in the model folder")
     preset: str = setting(
         PRESETS[0],
@@ -59,11 +58,12 @@ class Train(WorkOptions):
         choices=PRESETS,
     )
     frames: str = setting(":", FRAMES, metavar="A:B", default="all")
-    fps: Fraction | None = setting(None, FPS, read=read_rate, metavar="FPS")
+    fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **RATE)
     hold_out: str | None = setting(
         None,
-        "cameras held out for testing, with commas, or none (default: the scene's, else one in eight)",
+        "cameras held out for testing, with commas, or none",
         metavar="NAMES",
+        default="the scene's, else one in eight",
     )
     effort: str = setting(
         "normal",
@@ -91,7 +91,7 @@ class Train(WorkOptions):
         metavar="auto|off|FILE",
         topic="scene",
     )
-    device: str = setting("auto", f"where it runs; {CUDA}", choices=DEVICES)
+    device: str = setting("auto", f"where it runs{CUDA}", choices=DEVICES)
     report: Path | None = setting(None, "folder for a page with curves, pictures and error maps", metavar="DIR")
     json: bool = setting(False, "print the record as JSON instead of a line a frame")
 
