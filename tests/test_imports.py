@@ -19,7 +19,7 @@ ORDER = (  # the decoder knows nothing of the encoder
 MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
     "torch": {"render/differentiable.py", "render/cuda.py", "render/reference.py", "trainer"},
     "numba": {
-        "cli/kernels.py", "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
+        "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
     },
     "av": {"media/h264.py", "media/movie.py", "media/sound.py"}, "starlette": {"serve/app.py", "serve/server.py"},
     "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},
