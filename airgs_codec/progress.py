@@ -47,7 +47,7 @@ class Bars:
     def __call__(self, stage: str, done: int, total: int) -> None:
         if self._bar is None or name_of(stage) != self._stage:
             self.close()
-            self._stage, self._bar = name_of(stage), self._kind(total=total, initial=done)
+            self._stage, self._bar = name_of(stage), self._kind(total=total, initial=done, desc=stage)
         self._bar.set_description(stage, refresh=False)
         self._bar.total = total
         self._bar.update(done - self._bar.n)

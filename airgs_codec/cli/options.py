@@ -81,10 +81,10 @@ def takes(*options: type) -> Callable[[Callable[..., int]], Callable[..., int]]:
         parameters = [parameter for one in options for parameter in _parameters(one)]
         signature = inspect.Signature(sorted(parameters, key=lambda parameter: parameter.kind))
 
-        def run(*values: Any, **named: Any) -> int:
-            told = signature.bind(*values, **named).arguments
-            own = [{field.name for field in fields(one)} & told.keys() for one in options]
-            made = (one(**{name: told[name] for name in names}) for one, names in zip(options, own, strict=True))
+        def run(*positional: Any, **named: Any) -> int:
+            values = signature.bind(*positional, **named).arguments
+            own = [{field.name for field in fields(one)} & values.keys() for one in options]
+            made = (one(**{name: values[name] for name in names}) for one, names in zip(options, own, strict=True))
             return command(*made)
 
         run.__doc__ = command.__doc__
@@ -98,18 +98,18 @@ def _parameters(options: type) -> Iterator[inspect.Parameter]:
     hints = get_type_hints(options)
     own = inspect.get_annotations(options)
     for field in sorted(fields(options), key=lambda field: field.name not in own):
-        told, hint = field.metadata, hints[field.name]
+        more, hint = field.metadata, hints[field.name]
         kind: Any = inspect.Parameter.KEYWORD_ONLY
         default = inspect.Parameter.empty if default_of(field) is MISSING else None
-        if "settings" in told:
-            hint = Annotated[_given(told["settings"], told["topic"], told["everyday"]), Parameter(name=told["name"])]
-        elif default is None or "alias" in told:
-            hint = _option(field, hint, default_of(field), told.get("topic"))
+        if "settings" in more:
+            hint = Annotated[_given(more["settings"], more["topic"], more["everyday"]), Parameter(name=more["name"])]
+        elif default is None or "alias" in more:
+            hint = _option(field, hint, default_of(field), more.get("topic"))
         else:
             several = get_origin(hint) is tuple
             kind = inspect.Parameter.VAR_POSITIONAL if several else inspect.Parameter.POSITIONAL_ONLY
-            name = told.get("metavar", field.name.upper())
-            words = Parameter(name=name, help=told["help"], group=ARGUMENTS, required=True)
+            name = more.get("metavar", field.name.upper())
+            words = Parameter(name=name, help=more["help"], group=ARGUMENTS, required=True)
             hint = Annotated[get_args(hint)[0] if several else hint, words]
         yield inspect.Parameter(field.name, kind, default=default, annotation=hint)
 
@@ -126,13 +126,13 @@ def _given(settings: type, topic: str, everyday: Collection[str]) -> Any:
 
 def _option(field: Field[Any], hint: Any, value: Any, topic: str | None) -> Any:
     """Returns the type of an option of the default `value`, with what cyclopts has to know of it."""
-    told = field.metadata
-    native = {name: told[name] for name in PARAMETER if name in told}
+    more = field.metadata
+    native = {name: more[name] for name in PARAMETER if name in more}
     whole = int in (hint, *get_args(hint)) and get_origin(hint) is not tuple
-    read = told.get("read") or (partial(_whole, least=told.get("least", -MOST)) if whole else None)
+    read = more.get("read") or (partial(_whole, least=more.get("least", -MOST)) if whole else None)
     if unit := next((words for ending, words in UNITS.items() if field.name.endswith(ending)), ""):
         native["metavar"] = unit
-    if len(choices := "|".join(told.get("choices", ()))) in range(1, COLUMN):
+    if len(choices := "|".join(more.get("choices", ()))) in range(1, COLUMN):
         native = {"metavar": choices, "show_choices": False} | native
     parameter = Parameter(
         **native,
@@ -140,9 +140,9 @@ def _option(field: Field[Any], hint: Any, value: Any, topic: str | None) -> Any:
         converter=_converter(read, _expected(hint)) if read else None,
         negative=() if value is False else None,
         consume_multiple=get_origin(hint) is tuple and not read,
-        show_default=_default_words(told.get("default", value)),
+        show_default=_default_words(more.get("default", value)),
     )
-    return Annotated[str if "read" in told else hint, parameter]
+    return Annotated[str if "read" in more else hint, parameter]
 
 
 def _whole(text: str, least: int) -> int:
@@ -287,9 +287,9 @@ def refusal(error: exceptions.CycloptsError) -> str:
 
 def expect_one(**options: Any) -> None:
     """Raise ConfigError where more than one of these options was given."""
-    told = [f"--{option_name(name)}" for name, value in options.items() if value is not None]
-    if len(told) > 1:
-        raise ConfigError(f"{told[1]}: expected one of these options, got {' and '.join(told)}")
+    given = [f"--{option_name(name)}" for name, value in options.items() if value is not None]
+    if len(given) > 1:
+        raise ConfigError(f"{given[1]}: expected one of these options, got {' and '.join(given)}")
 
 
 def expect_names(option: str, names: Iterable[str], known: Collection[str]) -> None:

@@ -78,11 +78,12 @@ def play(options: Play) -> int:
     """Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play from a web server."""
     expect_report(options.report)
     if options.video:
+        folder = options.video.absolute().parent
         if options.video.suffix.lower() != ".mp4":
             raise ConfigError(f"{options.video}: expected a name that ends in .mp4")
-        if not options.video.absolute().parent.is_dir():
+        if not folder.is_dir():
             raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
-        expect_folder(options.video.absolute().parent)
+        expect_folder(folder)
     rules = SessionSettings(**options.player)
     if options.package.startswith(("http://", "https://")):
         return _over_http(options, rules)
