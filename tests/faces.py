@@ -68,7 +68,7 @@ from airgs_codec.package.publish import GrowingPackage, staged_package, write_ro
 from airgs_codec.package.references import check_base, check_group, check_root
 from airgs_codec.package.region import (
     FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, place_view, read_world,
-    up_of, upright, world_from,
+    up_of, upright, world_from, world_words,
 )  # fmt: skip
 from airgs_codec.package.views import set_view
 from airgs_codec.package.dash_check import check_mpd, largest_picture

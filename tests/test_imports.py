@@ -19,7 +19,7 @@ ORDER = (  # the decoder knows nothing of the encoder
 MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
     "torch": {"render/cuda.py", "render/reference.py", "trainer"}, "aiohttp": {"play/http.py"},
     "numba": {
-        "cli/kernels.py", "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
+        "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
     },
     "av": {"media/h264.py", "media/movie.py"}, "starlette": {"serve/app.py"}, "hypercorn": {"serve/app.py"},
     "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},

@@ -35,7 +35,6 @@ class Serve:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve as the arguments say; returns the exit status."""
     return run_program("airgs-serve", serve, argv)
 
 
@@ -43,20 +42,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 def serve(options: Serve) -> int:
     """Serve packages over HTTP, each below its name."""
     packages = Packages(list(options.packages))
-    certificate = _certificate(options)
+    if bool(options.certificate) != bool(options.key):
+        raise ConfigError("expected --certificate and --key together")
+    certificate = None
+    if options.certificate and options.key:
+        certificate = Certificate(options.certificate, options.key)
+        check_certificate(certificate)
     settings = ServerSettings(certificate)
     listening = listen(options.host, options.port, settings.patience_s)
-    _allow_connections()
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
     asyncio.run(_serve_until_signal(packages, listening, settings))
     say("stopped")
     return 0
-
-
-def _allow_connections() -> None:
-    """As many open files as the system lets this process have."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 async def _serve_until_signal(packages: Packages, listening: socket.socket, settings: ServerSettings) -> None:
@@ -64,16 +63,6 @@ async def _serve_until_signal(packages: Packages, listening: socket.socket, sett
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     await serve_app(make_app(packages), listening, settings, stop)
-
-
-def _certificate(options: Serve) -> Certificate | None:
-    if options.certificate is None and options.key is None:
-        return None
-    if options.certificate is None or options.key is None:
-        raise ConfigError("expected --certificate and --key together")
-    certificate = Certificate(options.certificate, options.key)
-    check_certificate(certificate)
-    return certificate
 
 
 def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:

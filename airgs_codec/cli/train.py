@@ -5,24 +5,25 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from airgs_codec._settings import applied, required, setting
-from airgs_codec.cli.common import (
+from airgs_codec._settings import required, setting
+from airgs_codec.cli.options import (
+    CUDA,
+    DEVICES,
+    FRAMES,
+    RATE,
+    Given,
     WorkOptions,
-    as_json,
-    device,
     expect_report,
-    frame_rate,
+    given,
     parse_frames,
-    report,
+    run_program,
+    takes,
 )
-from airgs_codec.cli.common import frames as frames_option
-from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
@@ -43,25 +44,26 @@ PAGE_SHARE = 10  # times as long as it takes to write a page is trained before t
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 
-@dataclass(frozen=True, slots=True)
-class Train:
+@dataclass(frozen=True, kw_only=True)
+class Train(WorkOptions):
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
         "or poses_bounds.npy, and pictures or a video of each camera"
     )
-    output: Path | None = setting(None, "model folder (default: SCENE.gaussians)", short="-o", metavar="DIR")
+    output: Path | None = setting(None, "model folder", alias="-o", metavar="DIR", default="SCENE.gaussians")
     resume: bool = setting(False, "go on with the run in the model folder")
     preset: str = setting(
         PRESETS[0],
         "settings to begin with: paper has the AirGS paper's method and constants, read literally",
         choices=PRESETS,
     )
-    frames: str = frames_option()
-    fps: Fraction | None = frame_rate()
+    frames: str = setting(":", FRAMES, metavar="A:B", default="all")
+    fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **RATE)
     hold_out: str | None = setting(
         None,
-        "cameras held out for testing, with commas, or none (default: the scene's, else one in eight)",
+        "cameras held out for testing, with commas, or none",
         metavar="NAMES",
+        default="the scene's, else one in eight",
     )
     effort: str = setting(
         "normal",
@@ -75,7 +77,7 @@ class Train:
         f"of a first frame at least {FIRST_A_VIEW} for each view",
         metavar="FIRST,KEY,FRAME",
     )
-    settings: Given = given(TrainSettings, "method", EVERYDAY, own=True)
+    settings: Given = given(TrainSettings, "method", EVERYDAY)
     near: float | None = setting(
         None,
         "hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
@@ -89,14 +91,12 @@ class Train:
         metavar="auto|off|FILE",
         topic="scene",
     )
-    device: str = device("where it runs")
-    work: WorkOptions = nested(WorkOptions, "work", ("jobs", "work"), own=True)
-    report: Path | None = report("a page with curves, pictures and error maps")
-    json: bool = as_json("print the record as JSON instead of a line a frame")
+    device: str = setting("auto", f"where it runs{CUDA}", choices=DEVICES)
+    report: Path | None = setting(None, "folder for a page with curves, pictures and error maps", metavar="DIR")
+    json: bool = setting(False, "print the record as JSON instead of a line a frame")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train as the arguments say; returns the exit status."""
     return run_program("airgs-train", train, argv)
 
 
@@ -115,12 +115,12 @@ def train(options: Train) -> int:
     from airgs_codec.trainer.record import known_offsets
     from airgs_codec.trainer.report import write_report
 
-    elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
+    elsewhere = options.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
     cameras = [camera for camera in scene.cameras if not camera.held_out]
     settings = _settings(options, device, len(cameras))
-    shared = options.work.shared_by()
+    shared = options.shared_by()
     if settings.group_frames is None and shared:
         raise ConfigError(f"{shared}: expected --group-frames, without which no frame is fitted before the last one")
     if settings.background is None and scene.background != BLACK and not options.json:
@@ -138,7 +138,7 @@ def train(options: Train) -> int:
             write_report(run.model, exposed, options.report, renderer)
 
     if shared:
-        with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
+        with Bar(options.json) as bar, options.opened(bar) as work:
             follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
     else:
         run_training(run, quiet=options.json, page=page if options.report else None)
@@ -174,7 +174,7 @@ def match_cameras(
         return in_step(scene, read_offsets(Path(sync)), span)
     if known is not None:
         return in_step(scene, known if sync == AUTO else {}, span)
-    with closing(Bar(quiet)) as bar:
+    with Bar(quiet) as bar:
         found = find_offsets(scene, span, bar) if sync == AUTO else {}
     matched = in_step(scene, found, span)
     if found and not quiet:
@@ -198,7 +198,7 @@ def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
             counts = dict(zip(names, map(int, options.iterations.split(",")), strict=True))
         except ValueError as error:
             raise ConfigError(f"--iterations: expected FIRST,KEY,FRAME, got {options.iterations!r}") from error
-    return applied(base, counts | told)
+    return replace(base, **(counts | told))
 
 
 def summary(model: Model) -> dict[str, Any]:
@@ -271,7 +271,7 @@ def follow_training(
 ) -> Model:
     """A line for each frame as it is stored, and the warnings of the run once each; `page` as in `run_training`."""
     said, due_s = set[str](), 0.0
-    with closing(bar):
+    with bar:
         for record in records:
             bar.close()
             if not quiet:

@@ -77,7 +77,7 @@ def test_every_rung_is_compared_and_the_one_that_was_the_original_is_exact(top, 
 def test_cameras_and_draws_are_splits_of_their_own(top, tmp_path, figures, capsys):
     """Other draws are other pictures; what one split measures does not depend on the others."""
     views = write_cameras(tmp_path / "views.json", ring(4, held_out=1))
-    rung = [PACKAGE, top, "--views", views, "--every", "3", "--level", "L1"]
+    rung = [PACKAGE, top, "--views", views, "--every", "3"]
     report = figures("rungs", *rung)
     assert report["views"] == {"test": 1, "region": 2}
     alone = figures("rungs", *rung, "--split", "test")
@@ -89,13 +89,6 @@ def test_cameras_and_draws_are_splits_of_their_own(top, tmp_path, figures, capsy
     assert airgs_manifest(["rungs", *map(str, rung), "--draws", "1"]) == 0
     out = capsys.readouterr().out
     assert "claimed: dB" in out and "region: dB" in out and "test: dB" in out and "train" not in out
-
-
-def test_one_rung_of_some_frames_is_that_of_all_rungs(top, figures):
-    part = [PACKAGE, top, "--frames", "1:4", "--every", "2"]
-    every, one = figures("rungs", *part), figures("rungs", *part, "--level", "L1", "--key-quality", "1")
-    assert every["frames"] == one["frames"] == [1, 3]
-    assert one["quality"]["region"] == {"Q1+L1": every["quality"]["region"]["Q1+L1"]}
 
 
 @pytest.mark.parametrize("rung", ["Q0+L0", "Q1+L2"])

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.cli.common import parse_frames
+from airgs_codec.cli.options import parse_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import mse, psnr
