@@ -100,17 +100,16 @@ from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, de
 # Training
 from airgs_codec.trainer import train
 from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
-from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.data.multiview import (
-    MultiviewScene, Points, Shot, content_of, read_contents, with_held_out, with_near,
+    MultiviewScene, Points, Shot, with_held_out, with_near,
 )  # fmt: skip
 from airgs_codec.trainer.data.pictures import PICTURE_BYTES, Pictures, TARGET_BYTES, Target, View
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
-from airgs_codec.trainer.fit.first import fit_first
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
+from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, fit_first
 from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, Parameters, from_gaussians
 from airgs_codec.trainer.fit.points import from_points, scene_extent
-from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_in_jobs
+from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, rested, train_frames, train_in_jobs
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
 
 # Playing

@@ -58,8 +58,8 @@ def test_chunks_begin_with_keyframes_which_may_have_half_as_many_gaussians_more_
         (260, None, 118, 260), (260, None, 205, 308), (None, None, 118, 177), (50, 70, 118, 70),
     ):  # fmt: skip
         capture = faces.Capture.of(scene, faces.TrainSettings(budget=budget, capacity=capacity), "cpu")
-        first = pipeline.First(faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0))
-        assert capture.with_first(first).settings.capacity == most
+        first = faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0)
+        assert capture.with_first(first, {}).settings.capacity == most
 
 
 def test_two_processes_write_the_same_files(scene, expected, tmp_path):

@@ -29,8 +29,7 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.files import expecting, read_object
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, frames_of
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.plates import stands_still
+from airgs_codec.trainer.data.pictures import Pictures, stands_still
 from airgs_codec.trainer.fit.points import neighbours
 
 REACH = 5  # frames that a camera may be early or late

@@ -16,7 +16,7 @@ N Gaussians, of which the first `fixed` stay in any case, P points, V views, H x
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,9 +29,8 @@ from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.camera import BLACK, Camera, resized
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.trainer.data.pictures import View
-from airgs_codec.trainer.data.plates import Masks
-from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading
+from airgs_codec.trainer.data.pictures import Masks, View
+from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading, rotate
 from airgs_codec.trainer.fit.points import from_points, neighbours, project
 
 LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
@@ -97,9 +96,14 @@ class Densifier:
         self._sum = torch.zeros(rows)
         self._count = torch.zeros(rows)
 
-    def collect(self, absgrad: AbsGrad) -> None:
-        """Add the gradients of an iteration's pictures, after their backward pass, on their device."""
+    def collect(self, absgrad: AbsGrad, picked: Callable[[torch.Tensor], torch.Tensor] | None = None) -> None:
+        """Add the gradients of an iteration's pictures, after their backward pass, on their device.
+
+        `picked`: gives those of the rows that are fitted; None: all are.
+        """
         gradients, seen = absgrad.read() if self.growth.threshold is None else absgrad.signed()
+        if picked:
+            gradients, seen = picked(gradients), picked(seen)
         self._sum = self._sum.to(gradients.device) + gradients
         self._count = self._count.to(seen.device) + seen
 
@@ -144,7 +148,9 @@ def split_or_clone(
     rows = torch.cat([torch.nonzero(mask)[:, 0] for mask in (parents, goes)])  # one that goes leaves two
     moved = split[rows]
     children = {name: value[rows].clone() for name, value in p.items()}
-    children["means"][moved] += _offsets({name: v[moved] for name, v in children.items()}, rng)
+    normal = torch.from_numpy(rng.standard_normal((int(moved.sum()), 3)).astype(np.float32)).to(p["means"])
+    turns = torch.nn.functional.normalize(children["quaternions"][moved], dim=1)
+    children["means"][moved] += rotate(turns, normal * children["log_scales"][moved].exp())
     children["log_scales"][moved] -= SPLIT_SHRINK
     return ~goes, children
 
@@ -154,15 +160,6 @@ def is_visible(p: Parameters, fixed: int, low: float = LOW_OPACITY) -> torch.Ten
     keep = p["opacity_logits"].sigmoid() >= low
     keep[:fixed] = True
     return keep
-
-
-def _offsets(p: Parameters, rng: np.random.Generator) -> torch.Tensor:
-    normal = torch.from_numpy(rng.standard_normal((len(p["means"]), 3)).astype(np.float32)).to(p["means"])
-    w, x, y, z = torch.nn.functional.normalize(p["quaternions"], dim=1).unbind(1)
-    v = normal * p["log_scales"].exp()
-    axis = torch.stack([x, y, z], dim=1)
-    turned = torch.linalg.cross(axis, v) * 2
-    return v + w[:, None] * turned + torch.linalg.cross(axis, turned)
 
 
 CANDIDATES = 200_000  # points that are drawn to find the hull, and drawn again inside it

@@ -7,8 +7,9 @@ N Gaussians, V views, H x W pixels.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import Protocol
 
 import numpy as np
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TrainingError
 from airgs_codec.media.image import resize
 from airgs_codec.progress import Progress, silent
-from airgs_codec.render.cpu import TILE, Redraw, Render
+from airgs_codec.render.cpu import TILE, Render
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.render.differentiable import Picture as Drawn
 from airgs_codec.scene.camera import with_pixels
-from airgs_codec.trainer.data.pictures import Picture, Target, View
+from airgs_codec.trainer.data.pictures import Target, View
 from airgs_codec.trainer.fit.losses import LAMBDA, ExposureModel, photometric
 from airgs_codec.trainer.fit.parameters import Parameters, render_views
 
@@ -56,21 +57,14 @@ class Schedule:
     coarse: float = 0.0  # share of the iterations, the first ones, that see pictures of half the size
 
 
-class Deck:
-    """The numbers of V views in random order, each as often as the others, all of them before any comes again."""
-
-    def __init__(self, views: int, rng: np.random.Generator) -> None:
-        self._views, self._rng = views, rng
-        self._next: list[int] = []  # the last one comes first
-
-    def take(self, count: int) -> list[int]:
-        while len(self._next) < count:
-            self._next = [*self._rng.permutation(self._views).tolist(), *self._next]
-        return [self._next.pop() for _ in range(count)]
+def shuffled(views: int, rng: np.random.Generator) -> Iterator[int]:
+    """Yields view indices in random order, shuffled again after each full pass."""
+    while True:
+        yield from reversed(rng.permutation(views).tolist())
 
 
 class Losses:
-    """Whether losses are finite, looked at seldom where looking means to wait for the device."""
+    """Checks losses for NaN and Inf; on a GPU only now and then, since looking means to wait for it."""
 
     def __init__(self, every: int) -> None:
         """`every`: iterations between two looks."""
@@ -98,22 +92,20 @@ def optimise(
     exposure: ExposureModel | None = None,
     progress: Progress = silent,
 ) -> None:
-    """Fit `variables` to the V views in random order, each as often as the others.
+    """Fit `variables` to the V views in random order, each as often as the others, by Adam.
 
     `exposure`: gains and offsets of the views' cameras, which are fitted too. Raises TrainingError when the loss is not
     finite, on CUDA up to LOOK_EVERY iterations later.
     """
-    deck = Deck(len(views), rng)
+    order = shuffled(len(views), rng)
     losses: Losses | None = None
-    count = min(schedule.views, len(views))
-    schedule = schedule if can_be_halved(views) else replace(schedule, coarse=0.0)
-    iterations = schedule.iterations
-    halved = round(schedule.coarse * iterations)
+    count, iterations = min(schedule.views, len(views)), schedule.iterations
+    halved = round(schedule.coarse * iterations) if can_be_halved(views) else 0
     whole, views = views, [halve(view) for view in views] if halved else views
     for iteration in range(1, iterations + 1):
         if iteration > halved:
             views = whole
-        chosen = deck.take(count)
+        chosen = list(islice(order, count))
         seen = [views[i] for i in chosen]
         if schedule.random_background:
             seen = [view.before(tuple(rng.uniform(size=3).tolist())) for view in seen]
@@ -150,16 +142,6 @@ def drawn(variables: Variables, views: Sequence[View], sh_degree: int) -> list[D
 LEAST = 160  # pixels on the shorter side of a picture that is halved: smaller ones lose what moves in them
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Halved:
-    whole: Picture
-    size: tuple[int, int]  # width and height
-
-    def target(self) -> Target:
-        whole = self.whole.target()
-        return Target(resize(whole.rgb, *self.size), None if whole.clear is None else resize(whole.clear, *self.size))
-
-
 def can_be_halved(views: Sequence[View]) -> bool:
     return all(min(view.camera.width, view.camera.height) >= LEAST for view in views)
 
@@ -167,16 +149,18 @@ def can_be_halved(views: Sequence[View]) -> bool:
 def halve(view: View) -> View:
     """The view at half its size, or half a pixel more. A tile is drawn again where one of the four in it would be."""
     size = -(-view.camera.width // 2), -(-view.camera.height // 2)
-    redraw = view.redraw and _halve_redraw(view.redraw, size)
-    return View(with_pixels(view.camera, *size), Halved(view.picture, size), redraw, view.after)
 
+    def target() -> Target:
+        whole = view.target
+        return Target(resize(whole.rgb, *size), None if whole.clear is None else resize(whole.clear, *size))
 
-def _halve_redraw(redraw: Redraw, size: tuple[int, int]) -> Redraw:
     def rest() -> Render:
-        whole = redraw.rest()
+        assert view.redraw is not None
+        whole = view.redraw.rest()
         return Render(resize(whole.rgb, *size), resize(whole.transmittance, *size))
 
-    return replace(redraw, tiles=_any_of_four(redraw.tiles, size), rest=rest)
+    redraw = view.redraw and replace(view.redraw, tiles=_any_of_four(view.redraw.tiles, size), rest=rest)
+    return View(with_pixels(view.camera, *size), target, redraw, view.after)
 
 
 def _any_of_four(tiles: NDArray[np.bool_], size: tuple[int, int]) -> NDArray[np.bool_]:

@@ -64,6 +64,19 @@ def to_gaussians(p: Mapping[str, torch.Tensor]) -> Gaussians:
     return Gaussians(*(p[name].detach().cpu().numpy().astype(np.float32) for name in ATTRIBUTES))
 
 
+def multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """The Hamilton product of quaternions (N, 4)."""
+    aw, av, bw, bv = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    vector = aw * bv + bw * av + torch.linalg.cross(av, bv)
+    return torch.cat([aw * bw - (av * bv).sum(dim=1, keepdim=True), vector], dim=1)
+
+
+def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Vectors (N, 3) turned by unit quaternions (N, 4)."""
+    turned = 2 * torch.linalg.cross(q[:, 1:], v)
+    return v + q[:, :1] * turned + torch.linalg.cross(q[:, 1:], turned)
+
+
 MOTION = "motion"  # beside the attributes, (N, 3): what means move by in a frame
 
 
@@ -119,23 +132,14 @@ BETAS = (0.9, 0.999)
 EPSILON = 1e-12
 
 
-@dataclass(slots=True, eq=False)
-class _Moments:
-    first: Parameters
-    second: Parameters
-
-
 class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
-    def __init__(
-        self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], epsilon: float = EPSILON
-    ) -> None:
+    def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float]) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
-        self._epsilon = epsilon
         self.parameters = _leaves({name: p.detach().clone() for name, p in parameters.items()})
         self.rates = dict(rates)
-        self._moments = _Moments(zeros_like(parameters), zeros_like(parameters))
+        self._first, self._second = zeros_like(parameters), zeros_like(parameters)  # moments
         self._steps = 0
 
     @torch.no_grad()
@@ -150,10 +154,10 @@ class Adam:
         for name, p in self.parameters.items():
             if p.grad is None:
                 continue
-            first, second = self._moments.first[name], self._moments.second[name]
+            first, second = self._first[name], self._second[name]
             first.lerp_(p.grad, 1 - BETAS[0])
             second.mul_(BETAS[1]).addcmul_(p.grad, p.grad, value=1 - BETAS[1])
-            scale = (second / bias[1]).sqrt_().add_(self._epsilon)
+            scale = (second / bias[1]).sqrt_().add_(EPSILON)
             p.addcdiv_(first, scale, value=-self.rates[name] / bias[0])
             if shrink and name in shrink:
                 threshold = self.rates[name] * shrink[name] / scale
@@ -163,7 +167,7 @@ class Adam:
     def replace_values(self, name: str, values: torch.Tensor) -> None:
         """Give a parameter other values; its moments start at 0 again."""
         self.parameters[name] = values.detach().clone().requires_grad_(True)
-        for moments in (self._moments.first, self._moments.second):
+        for moments in (self._first, self._second):
             moments[name] = torch.zeros_like(values)
 
     def replace_rows(self, keep: torch.Tensor, added: Mapping[str, torch.Tensor] | None = None) -> None:
@@ -171,8 +175,7 @@ class Adam:
         detached = {name: p.detach() for name, p in self.parameters.items()}
         self.parameters = _leaves(take_and_append(detached, keep, added))
         zeros = None if added is None else zeros_like(added)
-        first, second = self._moments.first, self._moments.second
-        self._moments = _Moments(take_and_append(first, keep, zeros), take_and_append(second, keep, zeros))
+        self._first, self._second = (take_and_append(m, keep, zeros) for m in (self._first, self._second))
 
 
 def _leaves(parameters: Parameters) -> Parameters:

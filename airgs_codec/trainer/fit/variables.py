@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 from airgs_codec.errors import TrainingError
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.fit.active import Resting
 from airgs_codec.trainer.fit.grow import CHECKS, Densifier, is_visible
 from airgs_codec.trainer.fit.parameters import (
     ATTRIBUTES,
@@ -72,6 +71,31 @@ class Regularisers:
     inflation: float = 0.0  # of the summed opacity of the rows past the first U
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Resting:
+    """Rows of which only some are fitted; rows that are added come after them."""
+
+    rows: Parameters  # (N, ...) as they are
+    active: torch.Tensor  # (A,)
+
+    def taken(self, p: Parameters) -> Parameters:
+        """The A rows that are fitted, of a value for each."""
+        return {name: value[self.active] for name, value in p.items()}
+
+    def joined(self, fitted: Parameters) -> Parameters:
+        """All rows, from the A that are fitted and what was added after them."""
+        count = len(self.active)
+        if len(fitted["means"]) == count:
+            return {name: value.index_copy(0, self.active, fitted[name]) for name, value in self.rows.items()}
+        whole = {name: value.index_copy(0, self.active, fitted[name][:count]) for name, value in self.rows.items()}
+        return {name: torch.cat([value, fitted[name][count:]]) for name, value in whole.items()}
+
+    def picked(self, values: torch.Tensor) -> torch.Tensor:
+        """The inverse of `joined`: of a value for each row, those of the rows that are fitted."""
+        n = len(self.rows["means"])
+        return torch.cat([values[:n][self.active], values[n:]])
+
+
 @dataclass(slots=True, eq=False)
 class PerGaussian:
     """Base Gaussians and a difference D of every element, fitted by Adam."""
@@ -115,9 +139,8 @@ class PerGaussian:
             fitted = {name: p + after * self.adam.parameters[name] for name, p in fitted.items()}
         if self.dropout and torch.is_grad_enabled():
             hidden = torch.rand(len(self.base["means"]), generator=self._generator) < self.dropout * self._done
-            fitted["opacity_logits"] = fitted["opacity_logits"].masked_fill(
-                hidden.to(self.base["means"].device), HIDDEN
-            )
+            logits = fitted["opacity_logits"]
+            fitted["opacity_logits"] = logits.masked_fill(hidden.to(logits.device), HIDDEN)
         return self.resting.joined(fitted) if self.resting else fitted
 
     def detached(self) -> Parameters:
@@ -153,71 +176,57 @@ class PerGaussian:
         Raises TrainingError where no row is left.
         """
         if self.densifier and self._absgrad:
-            self.densifier.collect(self._picked(self._absgrad))
+            self.densifier.collect(self._absgrad, self.resting.picked if self.resting else None)
         self._done = iteration / iterations
-        self._move(self._done)
+        self._move()
         if self.densifier:
             self._densify(self.densifier, iteration, iterations)
-            if self.clears and iteration in (round(share * iterations) for share in CHECKS):
-                self._clear(self.clears, self.densifier)
 
+    @torch.no_grad()
     def remove_fainter(self, opacity: float) -> None:
         """Remove rows past the first U whose opacity is under `opacity`. Raises TrainingError where none is left."""
-        with torch.no_grad():
-            self._replace(is_visible(self._fitted(), self.fixed, opacity), None)
+        self._replace(is_visible(self._fitted(), self.fixed, opacity))
 
     @torch.no_grad()
     def _densify(self, densifier: Densifier, iteration: int, iterations: int) -> None:
-        due = densifier.growth.due(iteration, iterations)
-        if due:
-            self._replace(*densifier.grow(self._fitted(), self.extent, self.fixed, iteration / iterations))
+        if densifier.growth.due(iteration, iterations):
+            self._replace(*densifier.grow(self._fitted(), self.extent, self.fixed, self._done))
         if densifier.growth.removes(iteration, iterations):
-            self._replace(is_visible(self._fitted(), self.fixed), None)
+            self._replace(is_visible(self._fitted(), self.fixed))
             densifier.restart(len(self.base["means"]))
-
-    def _clear(self, clears: Callable[[Gaussians], NDArray[np.bool_]], densifier: Densifier) -> None:
-        free = torch.from_numpy(clears(to_gaussians(self.detached()))).to(self.base["means"].device)
-        free = self.resting.picked(free) if self.resting else free
-        free[: self.fixed] = False
-        with torch.no_grad():
-            self._replace(~free, None)
-        self.cleared += int(free.sum())
-        densifier.restart(len(self.base["means"]))
+        if self.clears and iteration in (round(share * iterations) for share in CHECKS):
+            free = torch.from_numpy(self.clears(to_gaussians(self.current()))).to(self.base["means"].device)
+            free = self.resting.picked(free) if self.resting else free
+            free[: self.fixed] = False
+            self._replace(~free)
+            self.cleared += int(free.sum())
+            densifier.restart(len(self.base["means"]))
 
     def _fitted(self) -> Parameters:
         return {name: p + self.adam.parameters[name] for name, p in self.base.items()}
 
-    def _picked(self, absgrad: AbsGrad) -> AbsGrad:
-        resting = self.resting
-        if resting is None:
-            return absgrad
-
-        def picked(values: tuple[torch.Tensor, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
-            return resting.picked(values[0]), resting.picked(values[1])
-
-        return AbsGrad(lambda: picked(absgrad.read()), lambda: picked(absgrad.signed()))
-
-    def _move(self, done: float) -> None:
+    def _move(self) -> None:
         """Adam, the temporal loss, and no Gaussian larger than the scene.
 
         The temporal loss pulls back what does move, too. When it has had its say (`until`), what is still 0 stays so,
-        and the rest is fitted without it (the relaxed lasso, Meinshausen 2007).
+        and the rest is fitted without it (the relaxed lasso, Meinshausen 2007). New rows have no temporal loss.
         """
-        self.adam.rates = self.rates.at(done, self.extent)
-        if self.temporal is not None and done > self.until:
-            if self._support is None:
-                self._support = _support(self.adam.parameters, self.temporal)
-            self.adam.step()
-        else:
+        self.adam.rates = self.rates.at(self._done, self.extent)
+        difference = self.adam.parameters
+        if self.temporal is None or self._done <= self.until:
             self.adam.step(self.temporal)
+        else:
+            if self._support is None:
+                self._support = {n: ((difference[n] != 0) | (w == 0)).to(w.dtype) for n, w in self.temporal.items()}
+            self.adam.step()
         with torch.no_grad():
             for name, mask in (self._support or {}).items():
-                self.adam.parameters[name].mul_(mask)
+                difference[name].mul_(mask)
             # Past this size gradients of means and rotations are rounding noise.
-            sizes = self.adam.parameters["log_scales"]
+            sizes = difference["log_scales"]
             sizes.copy_(torch.minimum(sizes, math.log(self.extent) - self.base["log_scales"]))
 
-    def _replace(self, keep: torch.Tensor, added: Parameters | None) -> None:
+    def _replace(self, keep: torch.Tensor, added: Parameters | None = None) -> None:
         if added is None and bool(keep.all()):
             return
         if added is None and not bool(keep.any()) and self.resting is None:
@@ -229,11 +238,6 @@ class PerGaussian:
             self.temporal = take_and_append(self.temporal, keep, zeros)
         if self._support is not None:
             self._support = take_and_append(self._support, keep, None)
-
-
-def _support(difference: Parameters, temporal: Parameters) -> Parameters:
-    """1 where a difference has left 0, and in new rows, which have no temporal loss."""
-    return {name: ((difference[name] != 0) | (weight == 0)).to(weight.dtype) for name, weight in temporal.items()}
 
 
 OCTAVES = 5  # of the positional encoding (NeRF, Mildenhall et al. 2020, equation 4)
@@ -313,18 +317,17 @@ class MlpDriven:
 
     base: Parameters
     networks: Networks
-    temporal: Parameters | None  # weight of |change| of each element, `temporal_weights`
+    temporal: Parameters  # weight of |change| of each element, `temporal_weights`
     _features: torch.Tensor = field(init=False)
-    _changes: Parameters = field(init=False)  # of the last `current`, at the time of the frame
+    _changes: Parameters = field(init=False, default_factory=dict)  # of the last `current`, at the time of the frame
     _adam: torch.optim.Adam = field(init=False)
 
     def __post_init__(self) -> None:
         self._features = self.networks.features(self.base)
-        self._changes = {}
         self._adam = torch.optim.Adam(self.networks.parameters(), lr=RATE, betas=BETAS)
 
     def current(self, after: float = 0.0) -> Parameters:
-        """GS_t + d_{t+1}, differentiable by the weights; so many frames `after` t + 1 as much more of d_{t+1}."""
+        """The Gaussians moved by the networks, extrapolated linearly to so many frames `after` their time."""
         self._changes = {n: d.reshape(self.base[n].shape) for n, d in self.networks(self._features).items()}
         return {n: p + (1 + after) * self._changes[n] if n in self._changes else p for n, p in self.base.items()}
 
@@ -338,8 +341,6 @@ class MlpDriven:
 
     def penalty(self) -> torch.Tensor | float:
         """L_temp of the changes that `current` gave last."""
-        if self.temporal is None:
-            return 0.0
         return sum((self.temporal[name] * d.abs()).sum() for name, d in self._changes.items())
 
     def step(self, iteration: int, iterations: int) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from airgs_codec.trainer.data.plates import plate_of, settle, stands_still
+from airgs_codec.trainer.data.pictures import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
 from tests import faces
 from tests.faces import PICTURE_BYTES, TARGET_BYTES, Capture, Pictures, Target, TrainSettings, open_scene, rested
@@ -181,10 +181,10 @@ def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance_and_kept_w
         tolerance = capture.plates[view.camera.name].tolerance
         assert np.abs(faces.box_mean(shown - view.target.rgb, 5)).max() <= tolerance + 1e-6
         assert np.abs(shown - view.target.rgb).max() < 40 / 255 and 0.02 < moving.mean() < 0.7
-    monkeypatch.setattr("airgs_codec.trainer.data.plates.TARGET_BYTES", 3 * 128 * 128 * 36)
+    monkeypatch.setattr("airgs_codec.trainer.data.pictures.TARGET_BYTES", 3 * 128 * 128 * 36)
     for view, rgb in zip(settle(views, capture.plates, {})[0], wanted, strict=True):
         np.testing.assert_array_equal(view.target.rgb, rgb)
-        assert view.picture.buffer.nbytes <= 3 * 128 * 128 * 36
+        assert view.picture.func.__self__.nbytes <= 3 * 128 * 128 * 36
 
 
 CHANGES = {

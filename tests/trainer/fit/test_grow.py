@@ -9,7 +9,9 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu, cuda
-from airgs_codec.trainer.fit import active, grow, losses, parameters
+from airgs_codec.trainer.fit import grow, losses, parameters
+from airgs_codec.trainer.fit.trainer import find_active
+from airgs_codec.trainer.fit.variables import Resting
 from tests import faces
 from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
@@ -104,14 +106,14 @@ def moving():
 
 def test_rows_that_make_what_moves_are_active_in_tiles_that_hold_all_of_it_and_views_without_any_are_left_out(moving):
     g, views, masks = moving
-    rows = active.find_active(*moving).rows
+    rows = find_active(*moving).rows
     assert np.isin(np.arange(20), rows).mean() > 0.9 and len(rows) < 100
     still, name = np.zeros_like(masks[0]), views[1].camera.name
-    [shown] = (v for v in active.find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
+    [shown] = (v for v in find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
     pixels = np.repeat(np.repeat(shown.redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
     assert pixels[masks[1]].all() and not shown.redraw.tiles.all()
     assert (shown.redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
-    nothing = active.find_active(g, views, [still] * len(views))
+    nothing = find_active(g, views, [still] * len(views))
     assert not len(nothing.rows) and not nothing.views
 
 
@@ -126,7 +128,7 @@ def test_weights_are_those_of_the_contribution(moving):
 
 def test_rows_are_joined_and_picked_again():
     rows, still = random_parameters(10), [0, 1, 3, 4, 6, 8, 9]
-    resting = active.Resting(rows, torch.tensor([2, 5, 7]))
+    resting = Resting(rows, torch.tensor([2, 5, 7]))
     fitted = random_parameters(5, seed=1)
     for name, value in resting.joined(fitted).items():
         assert len(value) == 12 and torch.equal(resting.picked(value), fitted[name])

@@ -12,12 +12,11 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
-from airgs_codec.trainer.fit.trainer import FrameViews, InMotion
+from airgs_codec.trainer.fit.trainer import FrameViews, InMotion, fit_first
+from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab import seconds_of
