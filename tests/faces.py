@@ -43,7 +43,6 @@ from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
-from airgs_codec.encoder.track import tracked
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
 from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, to_codes, with_step
 
@@ -106,10 +105,13 @@ from airgs_codec.trainer.data.multiview import (
 )  # fmt: skip
 from airgs_codec.trainer.data.pictures import PICTURE_BYTES, Pictures, TARGET_BYTES, Target, View
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, fit_first
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.data.pictures import FrameViews
+from airgs_codec.trainer.fit.trainer import Trainer, fit_first
+from airgs_codec.trainer.fit.losses import ATTRIBUTES, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.fit.optimise import Adam
 from airgs_codec.trainer.fit.points import from_points, scene_extent
 from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, rested, train_frames, train_in_jobs
+from airgs_codec.trainer.track import tracked
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
 
 # Playing

@@ -36,7 +36,6 @@ from airgs_codec.encoder.publish import ENDING, EncodeReport
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
-from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import format_ladder, format_summary, summarise
@@ -47,6 +46,7 @@ from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.trainer.data.readers import is_multiview
+from airgs_codec.trainer.track import decide
 
 PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
     "default": replace,
@@ -134,7 +134,8 @@ def encode(options: Encode) -> int:
     most = 2 * options.work.jobs * frames * max(header.bytes for header in sequence.headers)
     expect_room(Path(tempfile.gettempdir()), most)  # states of a group that wait, in each process
     sequence = hold_frames(sequence)
-    settings, line = decide(sequence, settings)
+    track, line = decide(sequence, settings.track, settings.rows)
+    settings = replace(settings, track=track)
     if line:
         warn(line)
     prepare()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,29 +18,27 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.flow import carry, unmatched
 from airgs_codec.analysis.sensitivity import UsageSums
-from airgs_codec.errors import SceneError
 from airgs_codec.media.metrics import psnr
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians, join_rows, mix_rows
 from airgs_codec.trainer.data.multiview import MultiviewScene
-from airgs_codec.trainer.data.pictures import (
-    Exposure,
-    Masks,
-    Pictures,
-    Plate,
-    Plates,
-    View,
-    find_moving,
-    pictures_for,
-    settle,
-)
+from airgs_codec.trainer.data.pictures import Exposure, FrameViews, Pictures, Plate, View, pictures_for
 from airgs_codec.trainer.fit.grow import find_wrong
-from airgs_codec.trainer.fit.losses import ExposureModel, better, matched_psnr, mean_psnr, mean_ssim
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import InMotion, Parameters, from_gaussians, multiply, rotate, to_gaussians
-from airgs_codec.trainer.fit.trainer import FrameViews, Group, Trainer, find_active, fit_first, make_trainer
-from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+from airgs_codec.trainer.fit.losses import (
+    InMotion,
+    Parameters,
+    better,
+    from_gaussians,
+    matched_psnr,
+    mean_psnr,
+    mean_ssim,
+    multiply,
+    rotate,
+    to_gaussians,
+)
+from airgs_codec.trainer.fit.optimise import ExposureModel, PerGaussian, Rates, Schedule, optimise
+from airgs_codec.trainer.fit.trainer import Group, Trainer, find_active, fit_first, make_trainer
 from airgs_codec.trainer.record import FrameRecord, Model, Span, TrainedFrame
 from airgs_codec.trainer.settings import ON, TrainSettings
 
@@ -64,18 +62,11 @@ class Capture:
     settings: TrainSettings
     device: str  # cpu or cuda
     pictures: Pictures
-    plates: Plates = field(default_factory=dict)  # of every training camera; none: nothing is known to rest
-    _moving: dict[int, Masks] = field(init=False, default_factory=dict)  # of the last frame that was a target
 
     @staticmethod
-    def of(scene: MultiviewScene, settings: TrainSettings, device: str) -> Capture:
-        """A scene whose plates and exposure are not known. `device`: cpu or cuda."""
-        return Capture(scene, settings, device, pictures_for(scene, settings))
-
-    def with_plates(self, plates: Sequence[Plate]) -> Capture:
-        """The same that knows what rests; `plates`: of every training camera, or none at all."""
-        names = [camera.name for camera in self.scene.cameras if not camera.held_out]
-        return replace(self, plates=dict(zip(names, plates, strict=True)) if plates else {})
+    def of(scene: MultiviewScene, settings: TrainSettings, device: str, plates: Sequence[Plate] = ()) -> Capture:
+        """A scene whose exposure is not known. `device`: cpu or cuda. `plates`: as in `Pictures`."""
+        return Capture(scene, settings, device, pictures_for(scene, settings).with_plates(plates))
 
     @cached_property
     def trainer(self) -> Trainer:
@@ -94,61 +85,7 @@ class Capture:
         pictures = self.pictures.with_exposure(exposure) if exposure else self.pictures
         return replace(self, settings=settings, pictures=pictures)
 
-    def views(self, frame: int) -> list[View]:
-        """The training views of a frame, at rest as their plates are. Raises SceneError where there are none."""
-        views = self.pictures.train(frame)
-        if not views:
-            raise SceneError(f"{self.scene.path}: expected training views of frame {frame}, got none")
-        return settle(views, self.plates, self.pictures.exposure)[0] if self.plates else views
-
-    def first(self) -> FrameViews:
-        """The first frame of the run as it is fitted: cameras that saw it before its time saw it after that, too."""
-        target = FrameViews(0, self.views(0))
-        return replace(target, later=self._behind(target).views)
-
-    def key(self, target: FrameViews) -> FrameViews:
-        """The same frame as it is fitted where a group begins: what was seen before its time may not show it at all.
-
-        Cameras that were early show what they saw next, where that is known.
-        """
-        in_time, behind = [i for i, view in enumerate(target.views) if view.after >= 0], self._behind(target)
-        if len(in_time) == len(target.views) or not (in_time or behind.views):
-            return target
-        views, moving = [*(target.views[i] for i in in_time), *behind.views], None
-        if target.moving is not None and behind.moving is not None:
-            moving = Masks([*(target.moving[i] for i in in_time), *behind.moving])
-        return replace(target, views=views, moving=moving)
-
-    def _behind(self, target: FrameViews) -> FrameViews:
-        """What cameras that were early saw next; no views where the frame behind a frame is not known."""
-        early, frame = [i for i, view in enumerate(target.views) if view.after < 0], target.frame + 1
-        if not early or not any(self.scene.frames[frame : frame + 1]):
-            return FrameViews(target.frame, [], Masks([]))
-        seen, moving = self.pictures.train(frame), None
-        places = _places(seen)
-        pairs = [(i, places[name]) for i in early if (name := target.views[i].camera.name) in places]
-        if self.plates:
-            seen, now = settle(seen, self.plates, self.pictures.exposure)
-            moving = Masks((target.moving[i] | now[j]) if target.moving else now[j] for i, j in pairs)
-        return FrameViews(target.frame, [replace(seen[j], after=seen[j].after + 1) for _, j in pairs], moving)
-
-    def target(self, frame: int, start: int) -> FrameViews:
-        """A frame as it is fitted from the Gaussians of the frame `start`."""
-        if not self.plates:
-            return FrameViews(frame, self.views(frame))
-        exposure = self.pictures.exposure
-        before, seen = self._moving.pop(start, None), self.pictures.train(start)
-        if before is None:  # pictures of a frame that is past may be out of memory
-            before = find_moving(seen, self.plates, exposure)
-        views, now = settle(self.pictures.train(frame), self.plates, exposure)
-        self._moving.clear()
-        self._moving[frame] = now
-        places = _places(seen)  # a camera without a picture of the frame before tells what moves now alone
-        pairs = ((mask, places.get(view.camera.name)) for mask, view in zip(now, views, strict=True))
-        return FrameViews(frame, views, Masks(mask if i is None else mask | before[i] for mask, i in pairs))
-
     def given(self, frame: int) -> Gaussians:
-        """The Gaussians that the pictures of a frame are drawn from, repaired. Raises SceneError for a broken file."""
         assert self.scene.given is not None
         return self.scene.given.load([frame]).frames[0]
 
@@ -162,10 +99,6 @@ class Capture:
                 sums.add(loaded.contribution(view.camera))
             progress(f"usage of frames {start} to {stop - 1}", done, stop - start)
         return sums.usage()
-
-
-def _places(views: Sequence[View]) -> dict[str, int]:
-    return {view.camera.name: place for place, view in enumerate(views)}
 
 
 def told_of_run(capture: Capture, progress: Progress) -> Callable[[int], Progress]:
@@ -198,8 +131,6 @@ def told_of_run(capture: Capture, progress: Progress) -> Callable[[int], Progres
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fitted:
-    """A frame that was fitted, and the group that it is in."""
-
     shown: InMotion
     kind: str  # first | frame | key
     psnr: float  # dB, mean over training views
@@ -219,7 +150,7 @@ def train_first(capture: Capture, progress: Progress = silent, stop: int | None 
 
     `stop`: where its chunk ends; None: where the settings say.
     """
-    begun, s, trainer, target = time.perf_counter(), capture.settings, capture.trainer, capture.first()
+    begun, s, trainer, target = time.perf_counter(), capture.settings, capture.trainer, capture.pictures.first()
     views, told, model = target.views, told_of_run(capture, progress)(0), None
     if capture.scene.given is not None:
         end = stop or chunks(len(capture.scene), s.group_frames)[0][1]
@@ -229,7 +160,7 @@ def train_first(capture: Capture, progress: Progress = silent, stop: int | None 
         found = fit_first(trainer, target, capture.scene.points, model, told)
     exposure = model.table([view.camera.name for view in views]) if model and model.differs else {}
     exposed = replace(capture, pictures=capture.pictures.with_exposure(exposure)) if exposure else capture
-    fitted = _begun(trainer, "first", found, exposed.views(0))
+    fitted = _begun(trainer, "first", found, exposed.pictures.at_rest(0)[0])
     return replace(_trained(exposed, 0, fitted, begun), exposure=exposure)
 
 
@@ -255,15 +186,17 @@ def train_chunk(
     """
     trainer, told = capture.trainer, told_of_run(capture, progress)
     if at is None and frames.start == 0:
-        at, frames = (InMotion(first), trainer.start_group(first, capture.views(0))), frames[1:]
+        at, frames = (InMotion(first), trainer.start_group(first, capture.pictures.at_rest(0)[0])), frames[1:]
     for frame in frames:
         begun, left = time.perf_counter(), range(frame, frames.stop)
         if at is None:
-            before, target = InMotion(first), capture.target(frame, 0)
-            key = _new_key(capture, target, before, trainer.steps(first, capture.views(0)), left, told(frame))
+            before, target = InMotion(first), capture.pictures.target(frame, 0)
+            key = _new_key(
+                capture, target, before, trainer.steps(first, capture.pictures.at_rest(0)[0]), left, told(frame)
+            )
             fitted = _begun(trainer, "key", key, target.views, len(first))
         else:
-            fitted = _fit_next(capture, capture.target(frame, frame - 1), *at, left, told(frame))
+            fitted = _fit_next(capture, capture.pictures.target(frame, frame - 1), *at, left, told(frame))
         at = fitted.shown if fitted.kind == "frame" else InMotion(fitted.shown.gaussians), fitted.group
         yield _trained(capture, frame, fitted, begun)
 
@@ -272,7 +205,7 @@ def position_after(capture: Capture, model: Model) -> tuple[InMotion, Group]:
     """What the frame behind the last finished one of a model is fitted from, and its group."""
     last = model.record.frames[-1].frame
     start = model.record.group_start(last + 1)
-    group = capture.trainer.start_group(model.read(start), capture.views(start))
+    group = capture.trainer.start_group(model.read(start), capture.pictures.at_rest(start)[0])
     if group.networks is not None and last > start:
         group.networks.load(model.networks())
     if last > start:
@@ -318,14 +251,12 @@ def _fit_next(
 def _new_key(
     capture: Capture, target: FrameViews, before: InMotion, steps: Parameters, left: range, progress: Progress
 ) -> InMotion:
-    """The Gaussians of a keyframe that goes on from another frame, whose values have these steps."""
     if capture.scene.given is None:
-        return capture.trainer.fit_keyframe(capture.key(target), before, steps, progress)
+        return capture.trainer.fit_keyframe(capture.pictures.key(target), before, steps, progress)
     return InMotion(_given_key(capture, target, before, left, progress))
 
 
 def _begun(trainer: Trainer, kind: str, found: InMotion, views: Sequence[View], before: int | None = None) -> _Fitted:
-    """What was found as the first frame of a new group; `before`: Gaussians of the frame that it goes on from."""
     group, count = trainer.start_group(found.gaussians, views), len(found.gaussians)
     # A run that goes on reads Gaussians alone, so their group is judged by those, where they are.
     psnr = group.first_psnr if found.velocity is None else mean_psnr(found, views, trainer.renderer)
@@ -333,7 +264,6 @@ def _begun(trainer: Trainer, kind: str, found: InMotion, views: Sequence[View], 
 
 
 def _trained(capture: Capture, frame: int, fitted: _Fitted, begun: float) -> TrainedFrame:
-    """The frame with its record; `begun`: when its fit was, by `time.perf_counter`."""
     seconds = time.perf_counter() - begun
     held_out, renderer, shown = capture.pictures.held_out(frame), capture.trainer.renderer, fitted.shown
     rejected, networks = fitted.rejected_psnr, fitted.group.networks
@@ -368,11 +298,11 @@ def _given_key(capture: Capture, target: FrameViews, before: InMotion, left: ran
 def _given_first(capture: Capture, frames: range, progress: Progress) -> Gaussians:
     """The Gaussians that are given of the first of some frames, without what is not in those behind it as well."""
     trainer, start = capture.trainer, frames.start
-    g, views = capture.given(start), [capture.views(start)]
+    g, views = capture.given(start), [capture.pictures.at_rest(start)[0]]
     steps, known, floor = trainer.steps(g, views[0]), [g], 0.0
     before = InMotion(g)
     for frame in frames[1:WINDOW]:
-        seen = capture.views(frame)
+        seen = capture.pictures.at_rest(frame)[0]
         target, given, some = FrameViews(frame, seen), capture.given(frame), seen[::2]
         moved = follow(trainer, before, given, target)
         if not is_known(trainer, moved, some):

@@ -14,13 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from airgs_codec.errors import AirgsError, ConfigError, SceneError
-from airgs_codec.jobs.engines import NOTHING, Needs
-from airgs_codec.jobs.job import Job, Stored
+from airgs_codec.jobs.engines import NOTHING, InProcess, Needs
+from airgs_codec.jobs.job import Job, Stored, digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.sequence import GaussianSequence
 from airgs_codec.trainer.data.multiview import Drawn, MultiviewScene, Shot, seen_until, with_frames, without_masks
 from airgs_codec.trainer.data.pictures import Exposure, Plate, find_plate, pictures_for, plate_sources
 from airgs_codec.trainer.frames import Capture, chunks, position_after, train_chunk, train_first
@@ -28,13 +29,12 @@ from airgs_codec.trainer.record import FrameRecord, Model, Record, Span, Trained
 from airgs_codec.trainer.settings import OFF, TrainSettings
 
 First = tuple[Gaussians, Exposure]  # the first frame of a run, which all chunks start from
-HASHED = 32  # files that are named by one call
+Contents = Mapping[Path | int, str]  # SHA-256 of each file that shows a picture, or frame that is drawn
+HASHED = 32  # of them that are named by one call
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """A capture, and the model folder that it is trained into."""
-
     capture: Capture
     model: Model
 
@@ -51,7 +51,8 @@ def open_run(
     capture = Capture.of(scene, settings, device)
     check_pictures(capture)
     model = open_model(folder, Record.of(scene, capture.pictures.background, settings), resume)
-    model.write_cameras(capture.pictures.cameras())
+    if cameras := scene.given.cameras if scene.given else capture.pictures.cameras():
+        model.write_cameras(cameras)
     return Run(capture, model)
 
 
@@ -102,7 +103,7 @@ def rested(capture: Capture, progress: Progress = silent) -> Capture:
     for done, (camera, frames) in enumerate(sources, 1):
         plates.append(find_plate(capture.pictures, camera, frames))
         progress("what rests", done, len(sources))
-    return capture.with_plates(plates)
+    return replace(capture, pictures=capture.pictures.with_plates(plates))
 
 
 def _first_of(model: Model) -> First:
@@ -110,7 +111,6 @@ def _first_of(model: Model) -> First:
 
 
 def _commit_first(model: Model, fit: Callable[[], TrainedFrame]) -> FrameRecord:
-    """Write what is fitted as the first frame; where it cannot be, the folder of the run is not left behind."""
     try:
         first = fit()
     except AirgsError:
@@ -123,6 +123,11 @@ def _finish(run: Run, usage: Mapping[Span, Usage], progress: Progress) -> None:
     """Complete a run whose frames are all there; `usage`: of the groups of which it is known."""
     model, spans = run.model, run.model.record.spans()
     model.finish({span: usage.get(span) or run.capture.usage(model.read, span, progress) for span in spans})
+
+
+def train_with(run: Run, work: Work) -> Iterator[FrameRecord]:
+    """Train in this process where work is done here, else by jobs; yields and raises what these do."""
+    return train_frames(run) if isinstance(work.engine, InProcess) else train_in_jobs(run, work)
 
 
 def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
@@ -165,7 +170,7 @@ def find_rest(scene: MultiviewScene, settings: TrainSettings, device: str, camer
 
 def fit_first(scene: MultiviewScene, settings: TrainSettings, device: str, stop: int, *plates: Plate) -> TrainedFrame:
     """A job: the first frame of a run, whose chunk ends at a frame. Raises what `train` does."""
-    return train_first(Capture.of(scene, settings, device).with_plates(plates), stop=stop)
+    return train_first(Capture.of(scene, settings, device, plates), stop=stop)
 
 
 def fit_chunk(
@@ -175,7 +180,7 @@ def fit_chunk(
 
     Raises what `train` does.
     """
-    capture = Capture.of(scene, settings, device).with_plates(plates).with_first(*first)
+    capture = Capture.of(scene, settings, device, plates).with_first(*first)
     trained = tuple(train_chunk(capture, range(*span), first[0]))
     known = {0: first[0]} | {t.record.frame: t.gaussians for t in trained}
     starts = sorted({span[0], *(t.record.frame for t in trained if t.record.kind == "key")})
@@ -191,11 +196,10 @@ class Farm:
     settings: TrainSettings  # without chunks: a job says which frames it has
     device: str
     group_frames: int | None
-    contents: Mapping[Path, str]  # SHA-256 of each file that shows a picture, hexadecimal
+    contents: Contents
 
     @staticmethod
     def of(capture: Capture, work: Work) -> Farm:
-        """The jobs that train what a capture would. Raises SceneError for a file that cannot be read."""
         settings, scene = capture.settings, capture.scene
         scene = scene if settings.foreground != OFF else without_masks(scene)
         contents = read_contents(scene, work)
@@ -215,7 +219,6 @@ class Farm:
         return self._job("first frame", "frame 0", range(seen_until(self.scene, stop)), fit_first, stop, *plates)
 
     def chunk_job(self, span: Span, *reads: Stored) -> Job:
-        """A chunk; `reads`: the `First`, and plates."""
         frames = range(span[0], seen_until(self.scene, span[1]))
         return self._job("chunks of frames", f"frames {span[0]}-{span[1] - 1}", frames, fit_chunk, span, *reads)
 
@@ -228,7 +231,6 @@ class Farm:
         *arguments: Any,
         needs: Needs | None = None,
     ) -> Job:
-        """A job that reads the pictures of frame 0 and of these frames."""
         scene = with_frames(self.scene, {0, *frames})
         content = (self.settings, self.device, content_of(scene, self.contents), arguments)
         device = {"GPU": 1} if self.device == "cuda" else NOTHING
@@ -236,23 +238,26 @@ class Farm:
         return Job.of(kind, label, make, values, content, device if needs is None else needs)
 
 
-def read_contents(scene: MultiviewScene, work: Work) -> Mapping[Path, str]:
-    """SHA-256 of the files of all pictures and masks of a scene. Raises SceneError for one that cannot be read.
+def read_contents(scene: MultiviewScene, work: Work) -> Contents:
+    """Names of the files of all pictures and masks of a scene, or of the frames that its pictures are drawn from.
 
     A frame of a video is named by the bytes of the whole video and its number, since decoding all frames takes far
-    longer than reading the file: where a video changes, all its frames do.
+    longer than reading the file: where a video changes, all its frames do. Raises SceneError for what cannot be read.
     """
-    shots = [shot for shots in scene.frames for shot in shots]
-    files = sorted({file for shot in shots for file in (shot.source.path, shot.mask) if file})
-    parts = [files[at : at + HASHED] for at in range(0, len(files), HASHED)]
-    digests = work.map("pictures", hash_files, [(part,) for part in parts])
-    return dict(zip(files, (digest for part in digests for digest in part), strict=True))
+    shots, given = [shot for shots in scene.frames for shot in shots], scene.given
+    named: list[Path | int] = [*range(len(given or ()))]
+    named = named or sorted({file for shot in shots for file in (shot.source.path, shot.mask) if file})
+    parts = [named[at : at + HASHED] for at in range(0, len(named), HASHED)]
+    digests = work.map("pictures", hash_all, [(part, given) for part in parts])
+    return dict(zip(named, (digest for part in digests for digest in part), strict=True))
 
 
-def hash_files(paths: Sequence[Path]) -> list[str]:
-    """SHA-256 of each file, hexadecimal. Raises SceneError."""
+def hash_all(named: Sequence[Path | int], given: GaussianSequence | None) -> list[str]:
+    """SHA-256 of files, or of frames of a sequence, hexadecimal. Raises SceneError."""
+    if given:
+        return [digest(given.read(number)) for number in named if isinstance(number, int)]
     digests = []
-    for path in paths:
+    for path in (path for path in named if isinstance(path, Path)):
         with expecting(path, "a picture or a video"):
             if not path.is_file():  # a device has no end
                 raise ValueError("No such file")
@@ -261,13 +266,15 @@ def hash_files(paths: Sequence[Path]) -> list[str]:
     return digests
 
 
-def content_of(scene: MultiviewScene, contents: Mapping[Path, str]) -> list[Any]:
-    """What a job that reads a scene is named by."""
-
+def content_of(scene: MultiviewScene, contents: Contents) -> list[Any]:
     def shown(shot: Shot) -> list[Any]:
         source, mask = shot.source, shot.mask and contents[shot.mask]
-        picture = [source.content] if isinstance(source, Drawn) else [contents[source.path], source.frame]
-        return [shot.camera, shot.lens, *picture, mask, shot.after]
+        picture = contents[source.frame if isinstance(source, Drawn) else source.path]
+        return [shot.camera, shot.lens, picture, source.frame, mask, shot.after]
 
     frames = [(number, [shown(shot) for shot in shots]) for number, shots in enumerate(scene.frames) if shots]
     return [scene.background, scene.points, frames]
+
+
+def name_of(scene: MultiviewScene, work: Work) -> str:
+    return digest(content_of(scene, read_contents(scene, work)))

@@ -29,8 +29,6 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
 @dataclass(frozen=True, slots=True)
 class Temporal:
-    """Weight and unit of the temporal loss; see `fit.losses`."""
-
     weight: float = setting(1e-3, "weight of changes from frame to frame; 0: none")
     unit: str = setting(
         "step", "mean over Gaussians, in codec steps (step), or the paper's sum, read literally (raw)", choices=UNITS
@@ -185,7 +183,6 @@ class TrainSettings:
 
     @property
     def knows_rest(self) -> bool:
-        """Whether plates are made of cameras that stand still; before random backgrounds nothing rests."""
         return self.static == "auto" and self.background != RANDOM
 
     @property
@@ -194,7 +191,6 @@ class TrainSettings:
         return self.match_exposure == ON or (self.match_exposure == AUTO and self.background != RANDOM)
 
     def iterations_from_scratch(self, views: int) -> int:
-        """Iterations of a frame from scratch that so many views see."""
         return max(FIRST, FIRST_A_VIEW * views) if self.first_iterations is None else self.first_iterations
 
     def table(self) -> dict[str, Any]:
@@ -205,10 +201,8 @@ def named_background(text: str | None) -> Background | None:
     """The colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
     if text is None or text == RANDOM:
         return None
-    if text in BACKGROUNDS:
-        return BACKGROUNDS[text]
     try:
-        r, g, b = (float(part) for part in text.split(","))
+        r, g, b = BACKGROUNDS[text] if text in BACKGROUNDS else map(float, text.split(","))
         if all(0 <= value <= 1 for value in (r, g, b)):
             return r, g, b
     except ValueError:

@@ -32,8 +32,6 @@ HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file that is a picture, or a frame of a video."""
-
     path: Path
     frame: int | None = None  # its number in a video; None: the file is the picture
 
@@ -48,7 +46,6 @@ class Source:
         return open_video(self.path).read(self.frame)
 
     def check(self, size: tuple[int, int]) -> None:
-        """Check that there is a picture of a size, as far as the header of its file tells. Raises SceneError."""
         if self.frame is None:
             check_picture(self.path, size)
         else:
@@ -66,8 +63,6 @@ def open_video(path: Path) -> VideoReader:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """The picture that one camera took at one frame."""
-
     camera: Camera  # of the undistorted picture at full size
     source: Source | Drawn
     lens: Lens | None = None  # None: the picture is that of a pinhole camera already
@@ -76,22 +71,17 @@ class Shot:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the picture as it is read."""
         return self.lens.size if self.lens else (self.camera.width, self.camera.height)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """A cloud of points to start the first frame from."""
-
     positions: NDArray[np.floating]  # (P, 3) world units
     colours: NDArray[np.float32] | None  # (P, 3) RGB, 0..1; None: not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MultiviewScene:
-    """A multi-view scene of one or more frames."""
-
     path: Path
     fps: Fraction  # frames a second
     frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame; a camera whose picture is missing has none
@@ -116,7 +106,6 @@ class MultiviewScene:
 
 
 def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tuple[Shot, ...], ...]:
-    """The shots of each frame; frames are the distinct times, ascending."""
     frames: dict[float, list[Shot]] = {time: [] for time in sorted({p.time for p in posed})}
     for p in posed:
         frames[p.time].append(shot(p))
@@ -153,7 +142,6 @@ def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
 
 
 def with_near_planes(scene: MultiviewScene) -> MultiviewScene:
-    """The scene whose cameras have near planes in proportion to what they see, as `scene.camera` has it."""
     scale = rig_scale(scene.cameras, scene.points.positions if scene.points else None)
     return _with_cameras(scene, lambda camera: at_scale([camera], scale)[0])
 
@@ -196,7 +184,6 @@ def with_frames(scene: MultiviewScene, frames: Iterable[int]) -> MultiviewScene:
 
 
 def without_masks(scene: MultiviewScene) -> MultiviewScene:
-    """The scene of which all is trained."""
     return replace(scene, frames=tuple(tuple(replace(s, mask=None) for s in shots) for shots in scene.frames))
 
 
@@ -218,10 +205,7 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A picture of a frame of Gaussians, in place of a `Source`."""
-
     frame: int
-    content: str  # names what is in the frame
     camera: Camera
     drawing: Drawing
     path: None = None  # it is in no file
@@ -237,13 +221,10 @@ class Drawn:
         return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
 
 
-def drawn_scene(
-    sequence: GaussianSequence, names: Sequence[str], cameras: Sequence[Camera], renderer: Renderer
-) -> MultiviewScene:
-    """The scene that cameras see of a sequence; `names` are those of the contents of its frames."""
+def drawn_scene(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> MultiviewScene:
     drawing = Drawing(sequence, renderer)
-    frames = (
-        tuple(Shot(camera, Drawn(frame, name, camera, drawing)) for camera in cameras)
-        for frame, name in enumerate(names)
+    frames = tuple(
+        tuple(Shot(camera, Drawn(frame, camera, drawing)) for camera in cameras) for frame in range(len(sequence))
     )
-    return MultiviewScene(sequence.folder, sequence.fps, tuple(frames), None, sequence.background, sequence)
+    background, origin = sequence.background, sequence.origin
+    return MultiviewScene(sequence.folder, sequence.fps, frames, None, background, sequence, origin=origin)

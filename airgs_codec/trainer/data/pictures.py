@@ -60,7 +60,6 @@ class Recent(Generic[Key, Value]):
         return self._values[key]
 
     def put(self, key: Key, value: Value) -> Value:
-        """Hold a value that is known already, and return it."""
         self._values[key] = value
         held = self.nbytes  # of a target it grows after it was made
         while held > self._most and len(self._values) > 1:
@@ -72,8 +71,6 @@ Exposure = Mapping[str, Sequence[float]]  # camera -> gains r, g, b and offsets 
 
 
 class Target:
-    """A picture in float32."""
-
     def __init__(self, rgb: NDArray[np.float32], clear: NDArray[np.float32] | None = None) -> None:
         """`rgb`: (H, W, 3), 0..1. `clear`: (H, W) share of the background in it; None: not known."""
         self.rgb = np.ascontiguousarray(rgb, np.float32)
@@ -92,8 +89,6 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """A picture and the camera that took it, at the size that is trained on."""
-
     camera: Camera
     picture: Target | Callable[[], Target]  # it, or what reads it
     redraw: Redraw | None = None  # None: the whole picture is drawn
@@ -114,8 +109,43 @@ class View:
         return View(replace(self.camera, background=background), target, after=self.after)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Plate:
+    rgb: NDArray[np.uint8]  # (H, W, 3)
+    noise: float  # standard deviation of a pixel, 0..1
+    tolerance: float  # of the mean over WINDOW x WINDOW pixels, 0..1
+
+
+Plates = Mapping[str, Plate]  # by the name of the camera
+
+
+class Masks(Sequence[NDArray[np.bool_]]):
+    """Masks (H, W), a bit a pixel."""
+
+    def __init__(self, masks: Iterable[NDArray[np.bool_]]) -> None:
+        self._packed = [(mask.shape, np.packbits(mask)) for mask in masks]
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def __getitem__(self, index: Any) -> Any:
+        shape, bits = self._packed[index]
+        return np.unpackbits(bits, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameViews:
+    """A frame and the views that it is fitted to."""
+
+    frame: int
+    views: Sequence[View]
+    moving: Sequence[NDArray[np.bool_]] | None = None  # (H, W) of each view, what does not rest now or in the frame
+    # before; None: not known, anything may move
+    later: Sequence[View] = ()  # of the frame behind, which a first frame is fitted to as well
+
+
 class Pictures:
-    """The pictures of a scene at training size."""
+    """The pictures of a scene at training size, exposed alike, and at rest as their plates are."""
 
     def __init__(
         self,
@@ -140,6 +170,8 @@ class Pictures:
         self._random = background == RANDOM
         self.background = named_background(background) or scene.background
         self.exposure: Exposure = {}
+        self.plates: Plates = {}  # of every training camera; none: nothing is known to rest
+        self._moving: dict[int, Masks] = {}  # of the last frame that was a target
         self._target_bytes = target_bytes
         self._stored = Recent(self._load, picture_bytes)
         self._targets = Recent(self._make_target, target_bytes)
@@ -147,8 +179,14 @@ class Pictures:
     def with_exposure(self, exposure: Exposure) -> Pictures:
         """The same pictures as the average camera would have exposed them; those buffered in 8 bits are shared."""
         other = copy(self)
-        other.exposure = dict(exposure)
+        other.exposure, other._moving = dict(exposure), {}
         other._targets = Recent(other._make_target, self._target_bytes)
+        return other
+
+    def with_plates(self, plates: Sequence[Plate]) -> Pictures:
+        """The same that know what rests; `plates`: of every training camera, or none at all."""
+        other, names = copy(self), [camera.name for camera in self._scene.cameras if not camera.held_out]
+        other.plates, other._moving = dict(zip(names, plates, strict=True)) if plates else {}, {}
         return other
 
     @property
@@ -156,19 +194,64 @@ class Pictures:
         return self._stored.nbytes + self._targets.nbytes
 
     def train(self, frame: int) -> list[View]:
-        """The training views of a frame; their pictures are read when they are asked for."""
         return self._split(frame, held_out=False)
 
     def held_out(self, frame: int) -> list[View]:
-        """The held-out views of a frame, as `train` gives them."""
         return self._split(frame, held_out=True)
+
+    def first(self) -> FrameViews:
+        """The first frame of a run as it is fitted: cameras that saw it before its time saw it after that, too."""
+        target = FrameViews(0, self.at_rest(0)[0])
+        return replace(target, later=self._behind(target).views)
+
+    def target(self, frame: int, start: int) -> FrameViews:
+        """A frame as it is fitted from the Gaussians of the frame `start`."""
+        views, now = self.at_rest(frame)
+        if now is None:
+            return FrameViews(frame, views)
+        before, seen = self._moving.get(start), self.train(start)
+        if before is None:  # pictures of a frame that is past may be out of memory
+            before = find_moving(seen, self.plates, self.exposure)
+        self._moving = {frame: now}
+        places = _places(seen)  # a camera without a picture of the frame before tells what moves now alone
+        pairs = ((mask, places.get(view.camera.name)) for mask, view in zip(now, views, strict=True))
+        return FrameViews(frame, views, Masks(mask if i is None else mask | before[i] for mask, i in pairs))
+
+    def key(self, target: FrameViews) -> FrameViews:
+        """The same frame as it is fitted where a group begins: what was seen before its time may not show it at all.
+
+        Cameras that were early show what they saw next, where that is known.
+        """
+        in_time, behind = [i for i, view in enumerate(target.views) if view.after >= 0], self._behind(target)
+        if len(in_time) == len(target.views) or not (in_time or behind.views):
+            return target
+        views, moving = [*(target.views[i] for i in in_time), *behind.views], None
+        if target.moving is not None and behind.moving is not None:
+            moving = Masks([*(target.moving[i] for i in in_time), *behind.moving])
+        return replace(target, views=views, moving=moving)
+
+    def _behind(self, target: FrameViews) -> FrameViews:
+        """What cameras that were early saw next; no views where the frame behind a frame is not known."""
+        early, frame = [i for i, view in enumerate(target.views) if view.after < 0], target.frame + 1
+        if not early or not any(self._scene.frames[frame : frame + 1]):
+            return FrameViews(target.frame, [], Masks([]))
+        seen, now = self.at_rest(frame)
+        places, moving = _places(seen), None
+        pairs = [(i, places[name]) for i in early if (name := target.views[i].camera.name) in places]
+        if now is not None:
+            moving = Masks((target.moving[i] | now[j]) if target.moving else now[j] for i, j in pairs)
+        return FrameViews(target.frame, [replace(seen[j], after=seen[j].after + 1) for _, j in pairs], moving)
+
+    def at_rest(self, frame: int) -> tuple[list[View], Masks | None]:
+        """The training views of a frame as their plates have them where they rest, and where they do not."""
+        views = self.train(frame)
+        return settle(views, self.plates, self.exposure) if self.plates else (views, None)
 
     def _split(self, frame: int, held_out: bool) -> list[View]:
         shots = self._scene.frames[frame]
         return [self.view(frame, i) for i, s in enumerate(shots) if s.camera.held_out == held_out]
 
     def view(self, frame: int, index: int) -> View:
-        """The view of a shot, counted as those of its frame."""
         shot = self._scene.frames[frame][index]
         return View(self._scaled(shot.camera), partial(self._targets.get, (frame, index)), after=shot.after)
 
@@ -178,7 +261,6 @@ class Pictures:
         return None if place is None else self.view(frame, place)
 
     def cameras(self) -> list[Camera]:
-        """The cameras of the first frame at training size."""
         return [self._scaled(camera) for camera in self._scene.cameras]
 
     def check(self) -> None:
@@ -235,8 +317,11 @@ class Pictures:
             check_picture(shot.mask, shot.size)
 
 
+def _places(views: Sequence[View]) -> dict[str, int]:
+    return {view.camera.name: place for place, view in enumerate(views)}
+
+
 def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
-    """The pictures that a run with these settings is trained on."""
     masked = settings.foreground != OFF
     return Pictures(scene, max_size=settings.max_size, foreground=masked, background=settings.background)
 
@@ -259,32 +344,6 @@ LEAST, MOST = 3 / 255, 5 / 255  # bounds of the tolerance: more than that moves,
 DEVIATIONS = 8.0 / WINDOW  # of a pixel's noise: four of the mean's, were it white, and twice that for what codecs leave
 MEDIAN = 0.6745  # of the absolute value of a normal variable
 HALO = 5  # pixels across: what moves, and what the Gaussians that make it reach
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Plate:
-    """The picture of one camera where nothing moves, and its noise."""
-
-    rgb: NDArray[np.uint8]  # (H, W, 3)
-    noise: float  # standard deviation of a pixel, 0..1
-    tolerance: float  # of the mean over WINDOW x WINDOW pixels, 0..1
-
-
-Plates = Mapping[str, Plate]  # by the name of the camera
-
-
-class Masks(Sequence[NDArray[np.bool_]]):
-    """Masks (H, W), a bit a pixel."""
-
-    def __init__(self, masks: Iterable[NDArray[np.bool_]]) -> None:
-        self._packed = [(mask.shape, np.packbits(mask)) for mask in masks]
-
-    def __len__(self) -> int:
-        return len(self._packed)
-
-    def __getitem__(self, index: Any) -> Any:
-        shape, bits = self._packed[index]
-        return np.unpackbits(bits, count=shape[0] * shape[1]).reshape(shape).astype(np.bool_)
 
 
 def stands_still(scene: MultiviewScene) -> bool:
@@ -330,7 +389,6 @@ def plate_of(pictures: Sequence[NDArray[np.uint8]]) -> Plate:
 
 
 def _noise(difference: NDArray[np.float32]) -> float:
-    """Standard deviation of a pixel's noise, from two pictures' difference (H, W, 3) less what neighbours share."""
     return float(np.median(np.abs(difference - box_mean(difference, WINDOW)))) / MEDIAN
 
 
@@ -355,7 +413,6 @@ def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Ma
 
 
 def _rest_of(view: View, plates: Plates, exposure: Exposure) -> NDArray[np.float32]:
-    """(H, W, 3) what a view sees at rest, exposed as the view is."""
     return exposed_alike(to_floats(plates[view.camera.name].rgb), exposure.get(view.camera.name))
 
 

@@ -82,7 +82,6 @@ def find_offsets(
 
 
 def around(scene: MultiviewScene, span: tuple[int, int | None]) -> range:
-    """The frames that tell how cameras are out of step at the frames [A, B)."""
     start, stop = frames_of(scene, span)
     first = max(0, start - REACH)
     return range(first, min(len(scene), max(stop, start + 2 * FEWEST) + REACH, first + MOST))
@@ -171,7 +170,6 @@ def correlate(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 
 
 def _levelled(signal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(T, B) a signal whose bins vary about alike."""
     deviation = signal.std(axis=0)
     return signal / (deviation + 0.5 * np.sqrt(np.mean(deviation**2)) + 1e-9)
 
@@ -205,7 +203,6 @@ def solve(curves: Curves, count: int) -> NDArray[np.intp]:
 
 
 def _along_the_strongest(weighed: Curves, count: int) -> NDArray[np.intp]:
-    """(count,) offsets that are the best lags of the pairs of the tree that is strongest."""
     lags = {pair: int(LAGS[curve.argmax()]) for pair, curve in weighed.items()}
     lags |= {(b, a): -lag for (a, b), lag in lags.items()}
     places = np.array(list(weighed), np.intp).reshape(-1, 2).T
@@ -239,7 +236,6 @@ def _at(curve: NDArray[np.float64], lag: int) -> float:
 
 
 def _agrees(curve: NDArray[np.float64], lag: int) -> bool:
-    """Whether a pair of its own would have about this lag."""
     return bool(abs(LAGS[np.nanargmax(curve)] - lag) <= AGREE * STEPS)
 
 

@@ -30,7 +30,7 @@ from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.camera import BLACK, Camera, resized
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
 from airgs_codec.trainer.data.pictures import Masks, View
-from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading, rotate
+from airgs_codec.trainer.fit.losses import InMotion, Parameters, loading, rotate
 from airgs_codec.trainer.fit.points import from_points, neighbours, project
 
 LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
@@ -47,8 +47,6 @@ SHRUNK = 0.5  # pictures that tell it have this share of their pixels on either 
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """When rows are added and removed, which, and how many there may be."""
-
     budget: int  # Gaussians at the end; with a threshold the most
     start: float = 0.1  # share of the iterations
     stop: float = 0.6  # share of the iterations
@@ -221,7 +219,6 @@ def residual_seeds(
 def _hull_of(
     points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]]
 ) -> NDArray[np.float64]:
-    """The points (P, 3) that enough of the views see, almost all of which are in their mask `wrong` (H, W)."""
     seen, agree = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, wrong, strict=True):
         rows, columns, inside = project(view.camera, points)
@@ -231,7 +228,6 @@ def _hull_of(
 
 
 def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
-    """The points (P, 3) that are not next to a Gaussian that can be seen."""
     there = g.means[g.opacities() > VISIBLE].astype(np.float64)
     if len(there) < 2:
         return points

@@ -23,7 +23,7 @@ from airgs_codec.render.backend import CPU, Renderer, open_renderer
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import Gaussians, join_rows
 from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.data.pictures import Masks, Recent, View
+from airgs_codec.trainer.data.pictures import FrameViews, Masks, Recent, View
 from airgs_codec.trainer.fit.grow import (
     LOW_OPACITY,
     Densifier,
@@ -33,22 +33,33 @@ from airgs_codec.trainer.fit.grow import (
     in_open_space,
     residual_seeds,
 )
-from airgs_codec.trainer.fit.losses import ExposureModel, better, codec_steps, mean_psnr, temporal_weights
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import (
+from airgs_codec.trainer.fit.losses import (
     ATTRIBUTES,
     InMotion,
     Parameters,
+    better,
+    codec_steps,
     from_gaussians,
     loading,
+    mean_psnr,
+    temporal_weights,
     to_gaussians,
     to_moving,
     with_motion,
     zeros_like,
 )
-from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
-from airgs_codec.trainer.fit.surround import sparse_cloud
-from airgs_codec.trainer.fit.variables import MlpDriven, Networks, PerGaussian, Rates, Regularisers, Resting
+from airgs_codec.trainer.fit.optimise import (
+    ExposureModel,
+    MlpDriven,
+    Networks,
+    PerGaussian,
+    Rates,
+    Regularisers,
+    Resting,
+    Schedule,
+    optimise,
+)
+from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent, sparse_cloud
 from airgs_codec.trainer.settings import BUDGET, LEAST_BUDGET, MOST_BUDGET, RANDOM, TrainSettings
 
 START_OPACITY = 0.1  # of the points that a first frame starts from
@@ -70,17 +81,6 @@ MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of fra
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameViews:
-    """A frame and the views that it is fitted to."""
-
-    frame: int
-    views: Sequence[View]
-    moving: Sequence[NDArray[np.bool_]] | None = None  # (H, W) of each view, what does not rest now or in the frame
-    # before; None: not known, anything may move
-    later: Sequence[View] = ()  # of the frame behind, which a first frame is fitted to as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,14 +201,12 @@ class Trainer:
         return replace(to_moving(variables.detached()), cleared=variables.cleared)
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
-        """The group whose first frame is `g`, seen by the training views of that frame."""
         networks = None
         if self.settings.deltas != "direct":
             networks = Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
         return Group(mean_psnr(g, views, self.renderer), self.steps(g, views), networks)
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
-        """Codec steps where the Gaussians are, on the device; see `codec_steps`."""
         steps = codec_steps(g, [v.camera for v in views], renderer=self.renderer)
         return {name: s.to(self.device) for name, s in steps.items()}
 
@@ -221,7 +219,6 @@ class Trainer:
         return np.random.default_rng([self.settings.seed, frame, stage])
 
     def _seeds(self, target: FrameViews, before: InMotion, most: int, rng: np.random.Generator) -> Gaussians | None:
-        """Up to `most` new Gaussians of a keyframe, where the pictures of the frame before are wrong; None: nowhere."""
         wrong = find_wrong(before, target.views, self.renderer)
         if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
             wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
@@ -245,7 +242,6 @@ class Trainer:
         return mean_psnr(on, views, self.renderer) > mean_psnr(before.gaussians, views, self.renderer)
 
     def _start(self, base: Parameters, before: InMotion) -> Parameters:
-        """A difference to `base` that goes on as the Gaussians moved before."""
         if before.velocity is None or not self.settings.velocity:
             return zeros_like(base)
         return zeros_like(base) | {"means": torch.from_numpy(before.velocity.astype(np.float32)).to(self.device)}
@@ -257,7 +253,6 @@ class Trainer:
 
 
 def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points | None, device: str) -> Trainer:
-    """The trainer of a scene whose first frame is seen by these views; `device`: cpu or cuda."""
     return Trainer(settings, scene_extent([view.camera for view in views], points), open_renderer(device))
 
 
@@ -327,8 +322,6 @@ SHOWN = 8.0  # pixels of active rows in a tile, from which it is drawn
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Active:
-    """The rows that may change at a frame, and the views that show them."""
-
     rows: NDArray[np.intp]  # (A,) ascending
     views: list[View]  # those that show it, with the tiles that do
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu, cuda
-from airgs_codec.trainer.fit import grow, losses, parameters
+from airgs_codec.trainer.fit import grow, losses
+from airgs_codec.trainer.fit.optimise import Resting
 from airgs_codec.trainer.fit.trainer import find_active
-from airgs_codec.trainer.fit.variables import Resting
 from tests import faces
 from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
@@ -70,7 +70,7 @@ def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
     for view in views:
         absgrad = cuda.AbsGrad()
         p = {n: t.requires_grad_() for n, t in from_gaussians(g).items()}
-        losses.photometric(parameters.render(p, view.camera, 0, absgrad)[0], view.target).backward()
+        losses.photometric(losses.render(p, view.camera, 0, absgrad)[0], view.target).backward()
         gradients, seen = absgrad.read()
         assert (gradients[~seen] == 0).all()
         total += gradients

@@ -5,8 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.trainer.fit.points import degrees_apart, initial_points, intersect, project, triangulate
-from airgs_codec.trainer.fit.surround import sparse_cloud, surround, surroundings
+from airgs_codec.trainer.fit.points import (
+    degrees_apart,
+    initial_points,
+    intersect,
+    project,
+    sparse_cloud,
+    surround,
+    surroundings,
+    triangulate,
+)
 from tests.faces import Pictures, Points, from_points, look_at, open_scene, read_cameras, render, scene_extent
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, joined, ring, views_of

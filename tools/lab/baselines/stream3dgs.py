@@ -22,12 +22,11 @@ from airgs_codec.progress import Progress
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
-from airgs_codec.trainer.data.pictures import View
+from airgs_codec.trainer.data.pictures import FrameViews, View
 from airgs_codec.trainer.fit.grow import Densifier, Growth, strongest
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, EPSILON, Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, fit_first, make_trainer
-from airgs_codec.trainer.fit.variables import PerGaussian, Rates, Resting
+from airgs_codec.trainer.fit.losses import ATTRIBUTES, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.optimise import EPSILON, PerGaussian, Rates, Resting, Schedule, optimise
+from airgs_codec.trainer.fit.trainer import Trainer, fit_first, make_trainer
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown, frame_path

@@ -204,13 +204,13 @@ CONTROL = "nothing but other random numbers"
 OF_TRAINING = (
     Mechanism(CONTROL, "", _set(seed=1)),
     Mechanism(
-        "walls around a sparse rig", f"{FIT}surround", _patched((frame_fit, "sparse_cloud", lambda *_: None)),
-        needs=SPARSE,
+        "walls around a sparse rig", f"{FIT}points:sparse_cloud",
+        _patched((frame_fit, "sparse_cloud", lambda *_: None)), needs=SPARSE,
     ),
     Mechanism("dropout in a sparse rig", "", _patched((frame_fit, "DROPOUT", 0.0)), needs=SPARSE),
     Mechanism("cameras are brought into step", f"{DATA}sync", _patched((Rig, "taken_late", lambda _: {})), needs=LATE),
     Mechanism(
-        "pictures between frames", f"{FIT}parameters:with_motion trainer/frames:_behind trainer/frames:key",
+        "pictures between frames", f"{FIT}losses:with_motion {DATA}pictures:_behind {DATA}pictures:key",
         _patched((Rig, "taken_late", lambda rig: {n: float(round(v)) for n, v in rig.offsets.items()})), needs=LATE,
     ),
     Mechanism("what rests stays", f"{DATA}pictures:settle {FIT}trainer:find_active", _set(static="off")),
@@ -219,9 +219,9 @@ OF_TRAINING = (
         _patched((Trainer, "_scope", lambda trainer, before, target, base: (target.views, None))), behind=True,
     ),
     Mechanism(
-        "exposure of cameras", f"{FIT}losses:ExposureModel trainer/frames:_exposures", _set(match_exposure="off")
+        "exposure of cameras", f"{FIT}optimise:ExposureModel trainer/frames:_exposures", _set(match_exposure="off")
     ),
-    Mechanism("empty space stays empty", f"{FIT}variables:penalty", _set(regularised=False)),
+    Mechanism("empty space stays empty", f"{FIT}optimise:penalty", _set(regularised=False)),
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
     ),

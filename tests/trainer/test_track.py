@@ -9,13 +9,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import airgs_codec as airgs
 from airgs_codec.analysis.flow import carry
-from airgs_codec.encoder import track
+from airgs_codec.trainer import track
 from tests import faces
 from tests.faces import EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, open_store, render
 from tests.support.mutations import read_files
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import predicted, random_gaussians, write_sequence
+from tests.support.training import files
 
 SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
 
@@ -128,20 +130,36 @@ def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_p
 
 
 def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path):
-    auto = EncodeSettings()
-    settings, line = track.decide(given, auto)
-    assert settings.track and "--no-track" in line
+    tracks, line = track.decide(given)
+    assert tracks and "--no-track" in line
     assert re.search(r"tracked first: about \d+ to \d+ s, then about \d\.\d to \d\.\d kB a frame", line), line
-    for left in (as_preview(auto), replace(auto, track=False), replace(auto, rows="match")):
-        settings, line = track.decide(given, left)
-        assert not settings.track and "coded one by one, about " in line and "--track" in line
+    for wanted, rows in ((as_preview(EncodeSettings()).track, "auto"), (False, "auto"), (None, "match")):
+        tracks, line = track.decide(given, wanted, rows)
+        assert not tracks and "coded one by one, about " in line and "--track" in line
     for rows in (clean, [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(clean)]):
-        settings, line = track.decide(GaussianSequence.from_arrays(rows), auto)
-        assert not settings.track and "track" not in line
+        tracks, line = track.decide(GaussianSequence.from_arrays(rows))
+        assert not tracks and "track" not in line
     with pytest.raises(faces.ConfigError, match=r"rows: expected auto with track, .* got keep"):
         replace(SETTINGS, rows="keep")
     assert faces.airgs_encode([str(given.folder), "--track", "--follow"]) == 2
     assert faces.airgs_encode([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
+
+
+def test_a_folder_of_frames_is_trained_into_a_model_that_encodes_as_it_is(given, clean, tmp_path, capsys, monkeypatch):
+    quick = replace(track.track_settings(given), key_iterations=20, frame_iterations=20)
+    monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
+    for words, says in (("--hold-out none", "--hold-out: expected multi-view"), ("--sync off", "--sync: expected")):
+        assert faces.airgs_train([str(given.folder), "-o", str(tmp_path / "n"), *words.split()]) == 2
+        assert says in capsys.readouterr().err and not (tmp_path / "n").exists()
+    assert faces.airgs_train([str(given.folder), "-o", str(tmp_path / "m"), "--device", "cpu"]) == 0
+    out, err = capsys.readouterr()
+    assert "5 frames of 64x64, 32 training cameras" in out and "tracked first: about" in err
+    model = airgs.train(given, tmp_path / "p", device="cpu")
+    assert files(tmp_path / "p")[0] == files(tmp_path / "m")[0] and model.finished()
+    sequence = faces.open_sequence(tmp_path / "m")
+    assert len({header.count for header in sequence.headers}) == 1 and sequence.notes[-1].startswith("tracked: 1 key")
+    with pytest.raises(faces.SceneError, match="not tracked: its rows are in order already"):
+        airgs.train(GaussianSequence.from_arrays(clean[:2]), tmp_path / "o", device="cpu")
 
 
 def test_rows_go_where_the_frame_has_them_and_turn_with_their_neighbours_as_expected(clean):
