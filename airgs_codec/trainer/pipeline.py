@@ -40,12 +40,7 @@ class Run:
 
 
 def open_run(
-    scene: MultiviewScene,
-    folder: Path,
-    settings: TrainSettings,
-    *,
-    resume: bool = False,
-    device: str = "cpu",
+    scene: MultiviewScene, folder: Path, settings: TrainSettings, *, resume: bool = False, device: str = "cpu"
 ) -> Run:
     """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises."""
     capture = Capture.of(scene, settings, device)

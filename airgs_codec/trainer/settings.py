@@ -78,9 +78,7 @@ class TrainSettings:
     )
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
-        None,
-        f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view",
-        default=FIRST,
+        None, f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view", default=FIRST
     )
     key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
@@ -146,9 +144,7 @@ class TrainSettings:
         default="the scene's own, else black",
     )
     foreground: str = setting(
-        OFF,
-        "train all (off), or only what the masks of the scene show (given)",
-        choices=FOREGROUNDS,
+        OFF, "train all (off), or only what the masks of the scene show (given)", choices=FOREGROUNDS
     )
     match_exposure: str = setting(
         "auto",

@@ -147,7 +147,8 @@ def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(cl
 
 def test_a_folder_of_frames_is_trained_into_a_model_that_encodes_as_it_is(given, clean, tmp_path, capsys, monkeypatch):
     quick = replace(track.track_settings(given), key_iterations=20, frame_iterations=20)
-    monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
+    for module in ("trainer.track", "cli.train"):
+        monkeypatch.setattr(f"airgs_codec.{module}.track_settings", lambda sequence: quick)
     for words, says in (("--hold-out none", "--hold-out: expected multi-view"), ("--sync off", "--sync: expected")):
         assert faces.airgs_train([str(given.folder), "-o", str(tmp_path / "n"), *words.split()]) == 2
         assert says in capsys.readouterr().err and not (tmp_path / "n").exists()

@@ -19,8 +19,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from operator import attrgetter
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,23 +34,27 @@ from airgs_codec.trainer.settings import OFF, RANDOM, TrainSettings, named_backg
 PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
 TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
 
+
+class Sized(Protocol):
+    @property
+    def nbytes(self) -> int: ...
+
+
 Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value")
+Value = TypeVar("Value", bound=Sized)
 
 
 class Recent(Generic[Key, Value]):
     """Values that are made when they are asked for, of which those used last stay in memory."""
 
-    def __init__(
-        self, make: Callable[[Key], Value], most: int, size_of: Callable[[Value], int] = attrgetter("nbytes")
-    ) -> None:
+    def __init__(self, make: Callable[[Key], Value], most: int) -> None:
         """`most`: bytes that stay together; the value that was asked for last stays whatever it takes."""
-        self._make, self._most, self._size_of = make, most, size_of
+        self._make, self._most = make, most
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     @property
     def nbytes(self) -> int:
-        return sum(map(self._size_of, self._values.values()))
+        return sum(value.nbytes for value in self._values.values())
 
     def get(self, key: Key) -> Value:
         if key not in self._values:
@@ -61,9 +64,9 @@ class Recent(Generic[Key, Value]):
 
     def put(self, key: Key, value: Value) -> Value:
         self._values[key] = value
-        held = self.nbytes  # of a target it grows after it was made
+        held = self.nbytes
         while held > self._most and len(self._values) > 1:
-            held -= self._size_of(self._values.popitem(last=False)[1])
+            held -= self._values.popitem(last=False)[1].nbytes
         return value
 
 

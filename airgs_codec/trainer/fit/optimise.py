@@ -485,17 +485,15 @@ LOOK_EVERY = 50  # iterations on CUDA until it is seen whether losses are finite
 
 
 class Variables(Protocol):
-    def current(self, after: float = 0.0) -> Parameters:
-        """The Gaussians as they are now, so many frames after their time, differentiable by the variables."""
+    """What is fitted: gives Gaussians so many frames after their time, and moves along their gradients."""
 
-    def watch(self) -> AbsGrad | None:
-        """Where the absolute gradients of the next picture are wanted; None: nowhere."""
+    def current(self, after: float = 0.0) -> Parameters: ...
 
-    def penalty(self) -> torch.Tensor | float:
-        """Return what is added to the loss of the picture."""
+    def watch(self) -> AbsGrad | None: ...  # where absolute gradients of the next picture are wanted; None: nowhere
 
-    def step(self, iteration: int, iterations: int) -> None:
-        """Move along the gradients; this is iteration 1 .. iterations."""
+    def penalty(self) -> torch.Tensor | float: ...  # added to the loss of the picture
+
+    def step(self, iteration: int, iterations: int) -> None: ...  # iteration 1 .. iterations
 
 
 @dataclass(frozen=True, slots=True)
