@@ -70,10 +70,7 @@ class Capture:
 
     @cached_property
     def trainer(self) -> Trainer:
-        """What all fits share, opened when a fit asks for it: who only writes what others fitted needs no device.
-
-        Raises ConfigError where the device is not there.
-        """
+        """What all fits share, opened when a fit asks for it: who only writes what others fitted needs no device."""
         if self.device == "cpu":
             torch.set_num_threads(1)  # the kernels have their own threads, and two pools fight over the cores
         return make_trainer(self.settings, self.pictures.train(0), self.scene.points, self.device)
@@ -146,10 +143,7 @@ def chunks(frames: int, group_frames: int | None) -> list[Span]:
 
 
 def train_first(capture: Capture, progress: Progress = silent, stop: int | None = None) -> TrainedFrame:
-    """The first frame of a run, with the exposure of its cameras where it is wanted. Raises what `train` does.
-
-    `stop`: where its chunk ends; None: where the settings say.
-    """
+    """The first frame of a run, with the exposures that were asked for; `stop`: where its chunk ends."""
     begun, s, trainer, target = time.perf_counter(), capture.settings, capture.trainer, capture.pictures.first()
     views, told, model = target.views, told_of_run(capture, progress)(0), None
     if capture.scene.given is not None:
@@ -366,10 +360,7 @@ def missing(trainer: Trainer, g: Gaussians, given: Gaussians, target: FrameViews
 def fit_common(
     trainer: Trainer, poses: Sequence[Gaussians], views: Sequence[Sequence[View]], progress: Progress
 ) -> Gaussians:
-    """The first of some frames without what is in it alone; `views`: of each frame.
-
-    Raises TrainingError where the loss is not finite.
-    """
+    """The first of some frames without what is in it alone; `views`: of each. Raises TrainingError."""
     shown = [replace(view, after=float(frame)) for frame, of in enumerate(views) for view in of]
     frames = [from_gaussians(g, trainer.device) for g in poses]
     variables, s = Carried(frames[0], trainer.extent, COMMON_RATES, frames=frames), trainer.settings

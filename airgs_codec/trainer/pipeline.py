@@ -52,10 +52,7 @@ def open_run(
 
 
 def check_pictures(capture: Capture) -> None:
-    """Check that a scene can be trained, as far as its cameras and the headers of all its pictures tell.
-
-    Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene.
-    """
+    """Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene."""
     scene, reference = capture.scene, capture.settings.reference
     names = [camera.name for camera in scene.cameras if not camera.held_out]
     if unseen := [t for t, shots in enumerate(scene.frames) if all(shot.camera.held_out for shot in shots)]:
@@ -90,10 +87,7 @@ def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]
 
 
 def rested(capture: Capture, progress: Progress = silent) -> Capture:
-    """The capture with the plates of its cameras.
-
-    Camera after camera, so that no more pictures are in memory than one plate is made of.
-    """
+    """The capture with the plates of its cameras, found one after another to hold few pictures in memory."""
     sources, plates = plate_sources(capture.scene) if capture.settings.knows_rest else [], []
     for done, (camera, frames) in enumerate(sources, 1):
         plates.append(find_plate(capture.pictures, camera, frames))
@@ -159,22 +153,19 @@ def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
 
 
 def find_rest(scene: MultiviewScene, settings: TrainSettings, device: str, camera: int, frames: Sequence[int]) -> Plate:
-    """A job: what one camera sees at rest. Raises SceneError for a picture that cannot be read."""
+    """A job: what one camera sees at rest."""
     return find_plate(pictures_for(scene, settings), camera, frames)
 
 
 def fit_first(scene: MultiviewScene, settings: TrainSettings, device: str, stop: int, *plates: Plate) -> TrainedFrame:
-    """A job: the first frame of a run, whose chunk ends at a frame. Raises what `train` does."""
+    """A job: the first frame of a run, whose chunk ends at a frame."""
     return train_first(Capture.of(scene, settings, device, plates), stop=stop)
 
 
 def fit_chunk(
     scene: MultiviewScene, settings: TrainSettings, device: str, span: Span, first: First, *plates: Plate
 ) -> tuple[tuple[TrainedFrame, ...], dict[Span, Usage]]:
-    """A job: the frames of a chunk without the first of the run, and the usage of their groups.
-
-    Raises what `train` does.
-    """
+    """A job: the frames of a chunk without the first of the run, and the usage of their groups."""
     capture = Capture.of(scene, settings, device, plates).with_first(*first)
     trained = tuple(train_chunk(capture, range(*span), first[0]))
     known = {0: first[0]} | {t.record.frame: t.gaussians for t in trained}

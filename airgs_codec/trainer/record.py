@@ -229,10 +229,7 @@ class Model:
 
 
 def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
-    """A new model folder for the `wanted` run, or with `resume` the one that is there.
-
-    Raises ConfigError when there is something in `folder` that would be lost, or that another run has made.
-    """
+    """The model folder of the `wanted` run, new or resumed. Raises ConfigError for one that holds something else."""
     new = replace(wanted, scene=json.loads(to_json(wanted.scene)), settings=json.loads(to_json(wanted.settings)))
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder}: expected a folder for the model, got a file")

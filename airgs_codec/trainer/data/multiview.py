@@ -36,10 +36,7 @@ class Source:
     frame: int | None = None  # its number in a video; None: the file is the picture
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha; nothing is decoded of one of another size.
-
-        `size`: width, height. Raises SceneError.
-        """
+        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha, of a `size` (width, height). Raises SceneError."""
         if self.frame is None:
             return read_picture(self.path, size)
         self.check(size)
@@ -126,10 +123,7 @@ def seen_until(scene: MultiviewScene, stop: int) -> int:
 
 
 def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
-    """The scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size.
-
-    That is zero where it may be.
-    """
+    """Returns the scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size."""
     places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
     origin = rounded_middle(places)
     cameras = cameras_from(origin, scene.cameras)
@@ -211,7 +205,7 @@ class Drawn:
     path: None = None  # it is in no file
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """(H, W, 3) the picture, which has the size of its camera. Raises SceneError for a broken frame."""
+        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha, of a `size` (width, height). Raises SceneError."""
         return self.drawing.draw(self.frame, self.camera)
 
     def check(self, size: tuple[int, int]) -> None:

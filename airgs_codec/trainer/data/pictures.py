@@ -267,10 +267,7 @@ class Pictures:
         return [self._scaled(camera) for camera in self._scene.cameras]
 
     def check(self) -> None:
-        """Read every training picture of the first frame, and the header of every other one.
-
-        Raises SceneError for one that cannot be read or has a wrong size, and for a mask that is wanted and not there.
-        """
+        """Read the training pictures of frame 0, and all headers. Raises SceneError for what cannot be used."""
         for frame, shots in enumerate(self._scene.frames):
             for index, shot in enumerate(shots):
                 if frame == 0 and not shot.camera.held_out:
@@ -365,10 +362,7 @@ def _pose(camera: Camera) -> tuple[Any, ...]:
 
 
 def plate_sources(scene: MultiviewScene) -> list[tuple[int, list[int]]]:
-    """What plates are taken from: training cameras, counted as the scene does, and the frames of each.
-
-    None where a camera moves or there are too few frames.
-    """
+    """The training cameras that plates are taken from, as numbers, and the frames of each; none of a rig that moves."""
     if len(scene) < FEWEST or not stands_still(scene):
         return []
     frames: list[int] = np.unique(np.linspace(0, len(scene) - 1, SAMPLES).round().astype(int)).tolist()
@@ -408,10 +402,7 @@ def settle(views: Sequence[View], plates: Plates, exposure: Exposure) -> tuple[l
 
 
 def find_moving(views: Sequence[View], plates: Plates, exposure: Exposure) -> Masks:
-    """The pixels of views that do not rest, and those right around them: they are as they were.
-
-    `exposure`: of their pictures, as they were read.
-    """
+    """The pixels of views that do not rest, and those right around them; `exposure`: of their pictures."""
     return Masks(_moving(v.target.rgb - _rest_of(v, plates, exposure), plates[v.camera.name]) for v in views)
 
 

@@ -108,10 +108,7 @@ def _masked_shot(folder: Path, posed: Posed) -> Shot:
 
 
 def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
-    """The scene that these cameras filmed: all of them videos, or all of them folders of pictures.
-
-    Raises SceneError where frame rates of videos or counts of pictures differ, or a video cannot be read.
-    """
+    """The scene of cameras that filmed videos, or folders of pictures. Raises SceneError where they do not fit."""
     if not any(path.is_dir() for _, path in films):
         return _joined_by_time(folder, films)
     sources = [[Source(path) for path in find_files(place, PICTURE_SUFFIXES)] for _, place in films]
@@ -126,10 +123,7 @@ def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
 
 
 def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
-    """The scene of videos, from the first to the last moment of which all cameras have pictures.
-
-    Where a camera dropped a frame it has no shot. Raises what `scene_from_films` does.
-    """
+    """The scene of videos while all cameras have pictures; where one dropped a frame it has no shot."""
     for shot, path in films:
         open_video(path).check(shot.size)
     clocks = [open_video(path).clock for _, path in films]

@@ -40,7 +40,7 @@ CHECKS = (0.3, 0.5, 0.7, 0.9)  # shares of the iterations of a fit at which it i
 NEARER = 4.0  # times as near as any camera that sees it may a viewer come to a Gaussian
 BEHIND = 0.25  # of its distance from a viewer, by which cameras see past what hangs free
 ONE_WAY = 0.99  # length of the mean direction to the cameras that see it, from which they tell no depth: 8° off it
-SEEN = 0.1  # of its opacity, with which a camera sees it
+CLEARLY = 0.5  # of its opacity, with which a camera sees it
 AROUND = 3  # cameras about each one, to which viewers may go
 SHRUNK = 0.5  # pictures that tell it have this share of their pixels on either side
 
@@ -72,10 +72,7 @@ class Growth:
 
 
 def growth_of_3dgs(most: int, pictures: int) -> Growth:
-    """Growth with the constants of 3DGS, its 500 to 15,000 of 30,000 iterations as shares; up to `most` Gaussians.
-
-    `pictures`: an iteration sees so many, whose losses are averaged, and so their gradients are smaller.
-    """
+    """Growth with the constants of 3DGS as shares of its 30,000 iterations, each of so many `pictures` on average."""
     return Growth(most, start=1 / 60, stop=0.5, every=100, large=0.01, threshold=2e-4 / pictures)
 
 
@@ -110,10 +107,7 @@ class Densifier:
         return self._sum / self._count.clamp_min(1)
 
     def grow(self, p: Parameters, extent: float, fixed: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
-        """Mask (N,) of the rows that go on, and new rows, as many as are due when a share `done` is past.
-
-        `extent`: of the scene in world units.
-        """
+        """Mask (N,) of the rows that go on, and the new rows that are due when a share `done` is past."""
         score, limit = self.mean(), self.growth.threshold
         if limit is None:
             wanted = self.growth.target(self._before, done)
@@ -171,13 +165,6 @@ CLEAR = 3.0  # median spacings of what is there: nearer to it, it can move or ch
 TIGHT = 0.7  # radius of a seed, over the distance to the nearest ones: they lie on a surface
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    positions: NDArray[np.float64]  # (P, 3) world units
-    colours: NDArray[np.float64]  # (P, 3) mean over the views that see a point, 0..1
-    disagreement: NDArray[np.float64]  # (P,) variance over these views, summed over colours
-
-
 def find_wrong(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> Masks:
     """The pixels of views where the pictures of `g` differ from them."""
     loaded = loading(g, renderer)
@@ -193,10 +180,7 @@ def residual_seeds(
     largest: float,
     rng: np.random.Generator,
 ) -> Gaussians | None:
-    """Up to `most` Gaussians beside `g` where its pictures are `wrong` (H, W); None where nothing has appeared.
-
-    `largest`: their largest radius in world units.
-    """
+    """Up to `most` Gaussians of radius `largest` at most where `g` is `wrong` (H, W); None where nothing appeared."""
     coarse = _hull_of(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
@@ -206,12 +190,12 @@ def residual_seeds(
     hull = _hull_of(_away_from_visible(drawn, g), views, wrong)
     if len(hull) < FEWEST:
         return None
-    surface = _surface_of(hull, views)
-    chosen = _one_per_cell(surface, most)
+    points, colours, disagreement = _surface_of(hull, views)
+    chosen = _one_per_cell(points, disagreement, most)
     if not len(chosen):
         return None
-    positions, colours = (a[chosen].astype(np.float32) for a in (surface.positions, surface.colours))
-    seeds = from_points(positions, colours, g.sh_degree, OPACITY, largest)
+    places, shown = (a[chosen].astype(np.float32) for a in (points, colours))
+    seeds = from_points(places, shown, g.sh_degree, OPACITY, largest)
     sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
     return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
 
@@ -236,9 +220,10 @@ def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.
     return points[tree.query(points, distance_upper_bound=clear)[0] > clear]
 
 
-def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
+def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> tuple[NDArray[np.float64], ...]:
     """The points of a hull (P, 3) that at least three views see first, or two where there are fewer than six views.
 
+    Gives them, their mean colours (P, 3), 0..1, and the variance of these over the views, summed over colours (P,).
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:
     where the surface is not that of the object, views see different things behind it.
     """
@@ -257,17 +242,14 @@ def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
         squares[inside[first]] += colour**2
     outside = np.flatnonzero(seen >= (3 if len(views) >= 6 else 2))
     mean = sums[outside] / seen[outside, None]
-    return Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
+    return hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1)
 
 
-def _one_per_cell(surface: Surface, most: int) -> NDArray[np.intp]:
+def _one_per_cell(points: NDArray[np.float64], disagreement: NDArray[np.float64], most: int) -> NDArray[np.intp]:
     """At most `most` of the points, one in each cell of a grid: the one on whose colour views agree best."""
-    points = surface.positions
-    best = np.argsort(surface.disagreement, kind="stable")
+    best = np.argsort(disagreement, kind="stable")
     size = float((points.max(axis=0) - points.min(axis=0)).max()) if len(points) else 0.0
-    for cells in range(round(most**0.5) + 2, 0, -1):
-        if size == 0.0:
-            return best[:most]
+    for cells in range(round(most**0.5) + 2, 0, -1) if size else ():
         cell = np.floor((points[best] - points.min(axis=0)) / (size / cells)).astype(np.int64)
         _, first = np.unique(cell, axis=0, return_index=True)
         if len(first) <= most:
@@ -301,7 +283,7 @@ def in_open_space(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = 
         past = (picture.rgb[..., 0] / opaque)[rows, columns] - depths[inside]
         behind[inside] += found.total[inside] * past
         weight[inside] += found.total[inside]
-        seen, drawn = found.peak > SEEN * opacities, found.hits > 0
+        seen, drawn = found.peak > CLEARLY * opacities, found.hits > 0
         to = camera.position - means
         distances = np.linalg.norm(to, axis=1)
         nearest[seen] = np.minimum(nearest, distances)[seen]

@@ -262,10 +262,7 @@ def mean_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer
 
 
 def matched_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
-    """Mean over views of each view's PSNR in dB, once each channel has the gain and offset that show most.
-
-    Views keep theirs where what one half of the picture asks for makes the other half no better.
-    """
+    """Mean PSNR over views in dB, channels with the gain and offset that show most where both halves agree."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, _matched_mse)]))
 
 

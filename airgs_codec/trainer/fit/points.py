@@ -93,10 +93,7 @@ def from_points(
 
 
 def _with_random(points: Points, count: int, views: Sequence[View], rng: np.random.Generator) -> Points:
-    """The points and about `count` random ones, in their box or, where they are too few, before the cameras.
-
-    Surfaces without texture have no points of their own; what is placed in empty space fades away.
-    """
+    """The points and about `count` random ones, in their box or, where they are too few, before the cameras."""
     cameras = [view.camera for view in views]
     if len(points.positions) >= BOX_POINTS:
         low, high = np.quantile(points.positions, [0.01, 0.99], axis=0)
@@ -201,10 +198,7 @@ def neighbours(cameras: Sequence[Camera], count: int) -> list[tuple[int, int]]:
 
 
 def _tracks(track: NDArray[np.integer], view_of: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Features of each track, from the number of each feature's track (F,) and view (F,).
-
-    Tracks that meet a view twice are mistaken and left out, as are features without a match.
-    """
+    """Features of each track, from the track (F,) and view (F,) of each; none of tracks that meet a view twice."""
     order = np.argsort(track, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(track[order])) + 1)
     return [g for g in groups if len(g) > 1 and len(set(view_of[g])) == len(g)]
@@ -294,23 +288,19 @@ def sparse_cloud(given: Points | None, views: Sequence[View], most: int, rng: np
     seen = np.zeros(len(around), np.bool_)
     for camera in cameras:
         seen[project(camera, around)[2]] = True
-    outer = _some(Points(around[seen], seen_colours(around[seen], views)), most // 2, rng)
+    outer = _some(around[seen], seen_colours(around[seen], views), most // 2, rng)
     colours = seen_colours(given.positions, views) if given.colours is None else given.colours
-    inner = _some(replace(given, colours=colours), most - len(outer.positions), rng)
-    points = Points(*(np.concatenate(parts) for parts in zip(_columns(outer), _columns(inner), strict=True)))
-    places, shown = _columns(outer)
-    unseen = Points(around[~seen], shown[cKDTree(places).query(around[~seen])[1]])
-    return Cloud(points, _some(unseen, most // 10, rng))
+    inner = _some(given.positions, colours, most - len(outer[0]), rng)
+    points = Points(*(np.concatenate(parts) for parts in zip(outer, inner, strict=True)))
+    nearest = outer[1][cKDTree(outer[0]).query(around[~seen])[1]]
+    return Cloud(points, Points(*_some(around[~seen], nearest, most // 10, rng)))
 
 
-def _some(points: Points, most: int, rng: np.random.Generator) -> Points:
-    chosen = np.sort(rng.permutation(len(points.positions))[:most])
-    return Points(*(column[chosen] for column in _columns(points)))
-
-
-def _columns(points: Points) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    assert points.colours is not None
-    return points.positions, points.colours
+def _some(
+    places: NDArray[np.floating], colours: NDArray[np.float32], most: int, rng: np.random.Generator
+) -> tuple[NDArray[np.floating], NDArray[np.float32]]:
+    chosen = np.sort(rng.permutation(len(places))[:most])
+    return places[chosen], colours[chosen]
 
 
 def _plain(views: Sequence[View]) -> bool:
@@ -438,10 +428,7 @@ def _on_planes(
     near: NDArray[np.intp],
     spread: float,
 ) -> NDArray[np.float64]:
-    """(D,) 1 / distance on a plane through the neighbours (D, K) of each direction, without those that are far off.
-
-    `spread`: how far off a neighbour is that counts half.
-    """
+    """(D,) 1 / distance on planes through neighbours (D, K); one that is `spread` off counts half."""
     around, values = directions[near], inverse[near]
     w = weight[near]
     for _ in range(4):

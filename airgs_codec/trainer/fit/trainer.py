@@ -232,10 +232,7 @@ class Trainer:
         return active.views, Resting(base, torch.from_numpy(active.rows).to(self.device))
 
     def _is_foreseen(self, before: InMotion, views: Sequence[View]) -> bool:
-        """Whether Gaussians that move on as they did are nearer to the pictures than where they were.
-
-        Where a motion turns, its start is worse than none, and there is further to go.
-        """
+        """Whether Gaussians that move on as they did are nearer to the pictures than where they were: motions turn."""
         if before.velocity is None or not self.settings.velocity:
             return False
         on = InMotion(before.at(1.0), before.velocity)
