@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from airgs_codec._arguments import argument, path_argument
 from airgs_codec.errors import ConfigError
@@ -55,24 +55,25 @@ def train(
 
     if settings is not None:
         argument("settings", settings, TrainSettings, "TrainSettings")
-    opened, tell = _open(scene) if isinstance(scene, (str, Path)) else scene, told(progress)
-    renderer = open_renderer(device)
+    words = "a multi-view scene, a sequence of Gaussians, or the path of one"
+    opened = scene if isinstance(scene, GaussianSequence) else argument("scene", scene, MultiviewScene, words, _open)
+    renderer, tell = open_renderer(device), told(progress)
+    place = Path(scene) if isinstance(scene, (str, Path)) else None
     if isinstance(opened, GaussianSequence):
-        model = model_folder(Path(scene) if isinstance(scene, (str, Path)) else opened.folder, folder)
-        views, usual = pictured(opened, renderer), track_settings(opened)
+        model, usual = model_folder(place or opened.folder, folder), track_settings(opened)
+        views = pictured(opened, renderer)
     else:
-        views = argument("scene", opened, MultiviewScene, "a scene, a sequence or the path of one")
-        model, usual = model_folder(views.path, folder), default_settings(renderer.device)
-        if views is not scene:
-            known = known_offsets(model) if resume else None
-            views = in_step(views, find_offsets(views, progress=tell) if known is None else known)
+        model, usual = model_folder(opened.path, folder), default_settings(renderer.device)
+        known = known_offsets(model) if resume else None
+        offsets = {} if not place else find_offsets(opened, progress=tell) if known is None else known
+        views = in_step(opened, offsets) if place else opened
     run = open_run(views, model, settings or usual, resume=resume, device=renderer.device)
     for _ in train_frames(run, tell):
         pass
     return run.model
 
 
-def _open(place: str | Path) -> MultiviewScene | GaussianSequence:
+def _open(place: str | Path) -> Any:
     return open_sequence(place) if has_gaussians(place) else with_held_out(open_scene(Path(place)), None)
 
 
