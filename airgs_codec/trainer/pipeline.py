@@ -44,22 +44,16 @@ def open_run(
 ) -> Run:
     """Open a run that goes on where the one in the folder ended; what is raised is what `airgs_codec.train` raises."""
     capture = Capture.of(scene, settings, device)
-    check_pictures(capture)
+    names = [camera.name for camera in scene.cameras if not camera.held_out]
+    if unseen := [t for t, shots in enumerate(scene.frames) if all(shot.camera.held_out for shot in shots)]:
+        raise SceneError(f"{scene.path}: expected training views of frame {unseen[0]}, got none")
+    if settings.reference not in (None, *names):
+        raise ConfigError(f"reference: expected a training camera of {', '.join(names)}, got {settings.reference}")
+    capture.pictures.check()
     model = open_model(folder, Record.of(scene, capture.pictures.background, settings), resume)
     if cameras := scene.given.cameras if scene.given else capture.pictures.cameras():
         model.write_cameras(cameras)
     return Run(capture, model)
-
-
-def check_pictures(capture: Capture) -> None:
-    """Raises SceneError for pictures that cannot be used, ConfigError for settings that do not fit the scene."""
-    scene, reference = capture.scene, capture.settings.reference
-    names = [camera.name for camera in scene.cameras if not camera.held_out]
-    if unseen := [t for t, shots in enumerate(scene.frames) if all(shot.camera.held_out for shot in shots)]:
-        raise SceneError(f"{scene.path}: expected training views of frame {unseen[0]}, got none")
-    if reference not in (None, *names):
-        raise ConfigError(f"reference: expected a training camera of {', '.join(names)}, got {reference}")
-    capture.pictures.check()
 
 
 def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]:
@@ -75,8 +69,8 @@ def train_frames(run: Run, progress: Progress = silent) -> Iterator[FrameRecord]
         capture = rested(capture, progress)
     if not model.record.frames:
         yield _commit_first(model, partial(train_first, capture, progress))
-    first, exposure = _first_of(model)
-    capture, done = capture.with_first(first, exposure), len(model.record.frames)
+    first, done = model.read(0), len(model.record.frames)
+    capture = capture.with_first(first, model.record.exposure)
     for start, stop in chunks(model.record.total, capture.settings.group_frames):
         if stop > done:
             at = None if done <= start else position_after(capture, model)
@@ -93,10 +87,6 @@ def rested(capture: Capture, progress: Progress = silent) -> Capture:
         plates.append(find_plate(capture.pictures, camera, frames))
         progress("what rests", done, len(sources))
     return replace(capture, pictures=capture.pictures.with_plates(plates))
-
-
-def _first_of(model: Model) -> First:
-    return model.read(0), model.record.exposure
 
 
 def _commit_first(model: Model, fit: Callable[[], TrainedFrame]) -> FrameRecord:
@@ -134,7 +124,7 @@ def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
     plates = [job.result for job in rests]
     if not model.record.frames:
         yield _commit_first(model, lambda: work.result(farm.first_job(*plates)))
-    reads = (work.put(_first_of(model)), *plates)
+    reads = (work.put((model.read(0), model.record.exposure)), *plates)
     jobs = {span: farm.chunk_job(span, *reads) for span in chunks(model.record.total, farm.group_frames)}
     done = len(model.record.frames)
     left = {span for span in jobs if span[1] > max(1, done) or span == (0, 1)}

@@ -123,7 +123,10 @@ def seen_until(scene: MultiviewScene, stop: int) -> int:
 
 
 def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
-    """Returns the scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size."""
+    """The scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size.
+
+    That is zero where it may be. Near planes of its cameras are in proportion to what they see, as `scene.camera` says.
+    """
     places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
     origin = rounded_middle(places)
     cameras = cameras_from(origin, scene.cameras)
@@ -132,12 +135,8 @@ def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
         shifted = scene.points and replace(scene.points, positions=scene.points.positions - origin)
         scene = _with_cameras(replace(scene, points=shifted, origin=origin), lambda c: cameras_from(origin, [c])[0])
     points = scene.points and replace(scene.points, positions=scene.points.positions.astype(np.float32))
-    return replace(scene, points=points)
-
-
-def with_near_planes(scene: MultiviewScene) -> MultiviewScene:
-    scale = rig_scale(scene.cameras, scene.points.positions if scene.points else None)
-    return _with_cameras(scene, lambda camera: at_scale([camera], scale)[0])
+    scale = rig_scale(scene.cameras, points.positions if points else None)
+    return _with_cameras(replace(scene, points=points), lambda camera: at_scale([camera], scale)[0])
 
 
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:

@@ -43,7 +43,6 @@ from airgs_codec.trainer.data.multiview import (
     from_own_origin,
     in_frames,
     open_video,
-    with_near_planes,
 )
 
 POINT_FILES = (
@@ -357,7 +356,7 @@ def open_scene(
         note = f"pictures are taken as they are stored, not as their EXIF orientation has it: {shortened(turned)}"
         scene = replace(scene, notes=(*scene.notes, note))
     found = replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
-    return with_near_planes(from_own_origin(found))
+    return from_own_origin(found)
 
 
 def _read_points(folder: Path) -> Points | None:

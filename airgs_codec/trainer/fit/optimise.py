@@ -53,7 +53,7 @@ class Adam:
 
     def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float]) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
-        self.parameters = _leaves({name: p.detach().clone() for name, p in parameters.items()})
+        self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
         self.rates = dict(rates)
         self._first, self._second = zeros_like(parameters), zeros_like(parameters)  # moments
         self._steps = 0
@@ -88,27 +88,17 @@ class Adam:
 
     def replace_rows(self, keep: torch.Tensor, added: Mapping[str, torch.Tensor] | None = None) -> None:
         """Keep the rows of a mask (N,), in order, and append new ones, whose moments start at 0."""
-        detached = {name: p.detach() for name, p in self.parameters.items()}
-        self.parameters = _leaves(take_and_append(detached, keep, added))
+        rows = take_and_append({name: p.detach() for name, p in self.parameters.items()}, keep, added)
+        self.parameters = {name: p.requires_grad_(True) for name, p in rows.items()}
         zeros = None if added is None else zeros_like(added)
         self._first, self._second = (take_and_append(m, keep, zeros) for m in (self._first, self._second))
 
 
-def _leaves(parameters: Parameters) -> Parameters:
-    return {name: p.requires_grad_(True) for name, p in parameters.items()}
-
-
 # Adam's steps of 3DGS (Kerbl et al. 2023); of means in units of the scene's extent.
 RATES = {
-    "means": 1.6e-4,
-    "quaternions": 1e-3,
-    "log_scales": 5e-3,
-    "opacity_logits": 5e-2,
-    "sh_dc": 2.5e-3,
-    "sh_rest": 2.5e-3 / 20,
-}
-
-
+    "means": 1.6e-4, "quaternions": 1e-3, "log_scales": 5e-3, "opacity_logits": 5e-2,
+    "sh_dc": 2.5e-3, "sh_rest": 2.5e-3 / 20,
+}  # fmt: skip
 HIDDEN = -20.0  # logit of the opacity of a row that a picture is drawn without
 
 
@@ -312,13 +302,8 @@ WIDTH = 64  # of a hidden layer
 RATE, RATE_LAST = 1e-2, 0.1  # learning rate, and the share of it that is left at the end
 # An output of 1 means this change, about the size of one in a frame; means in units of the scene's extent.
 SCALES = {
-    "means": 0.006,
-    "quaternions": 0.05,
-    "log_scales": 0.05,
-    "opacity_logits": 0.2,
-    "sh_dc": 0.05,
-    "sh_rest": 0.02,
-}
+    "means": 0.006, "quaternions": 0.05, "log_scales": 0.05, "opacity_logits": 0.2, "sh_dc": 0.05, "sh_rest": 0.02,
+}  # fmt: skip
 
 
 class Networks(torch.nn.Module):
