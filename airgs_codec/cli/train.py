@@ -156,28 +156,27 @@ def _frames(options: Train) -> GaussianSequence:
 
 
 def _scene(options: Train) -> MultiviewScene:
-    if options.near is not None and not 0 < options.near < float("inf"):
-        raise ConfigError(f"--near: expected a positive distance, got {options.near}")
+    near, hold_out = options.near, options.hold_out
+    if near is not None and not 0 < near < float("inf"):
+        raise ConfigError(f"--near: expected a positive distance, got {near}")
     scene = open_scene(options.scene, fps=options.fps)
     frames_of(scene, parse_frames(options.frames))  # those that are not there are told before anything is read
-    names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
-    scene = with_held_out(scene, names)
-    return scene if options.near is None else with_near(scene, options.near)
+    scene = with_held_out(scene, [] if hold_out == "none" else hold_out.split(",") if hold_out is not None else None)
+    return scene if near is None else with_near(scene, near)
 
 
 def _in_step(options: Train, scene: MultiviewScene, settings: TrainSettings, folder: Path) -> MultiviewScene:
     from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
     from airgs_codec.trainer.record import known_offsets
 
-    cameras = [camera for camera in scene.cameras if not camera.held_out]
+    apart = degrees_apart(cameras := [camera for camera in scene.cameras if not camera.held_out])
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")
     known = known_offsets(folder) if options.resume else None
-    scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
-    if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
+    if apart > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
-    return scene
+    return match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
 
 
 def match_cameras(
@@ -185,8 +184,7 @@ def match_cameras(
 ) -> MultiviewScene:
     """The frames [A, B) of a scene with its cameras in step, as --sync says; what was found is said.
 
-    `known`: what the run that goes on has found, after which nothing is looked for again; None: it is a new one.
-    Raises SceneError for a file of offsets, or a picture, that cannot be used.
+    `known`: what the run that goes on has found; None: it is a new one. Raises SceneError.
     """
     from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets  # what they import takes a second
 
@@ -228,8 +226,8 @@ def summary(model: Model) -> dict[str, Any]:
     from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 
     frames = model.record.frames
-    held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    matched = [f.held_out_matched for f in frames if f.held_out_matched is not None]
+    seen = [(f.held_out_psnr, f.held_out_matched or 0.0) for f in frames if f.held_out_psnr is not None]
+    held_out, matched = zip(*seen, strict=True) if seen else ((), ())
     return {
         "model": str(model.folder),
         "frames": [asdict(f) for f in frames],
@@ -245,23 +243,19 @@ def summary(model: Model) -> dict[str, Any]:
 
 
 def as_words(model: Model, report: Path | None) -> str:
-    s = summary(model)
-    held_out = ""
+    s, held_out = summary(model), ""
     if s["held_out_psnr"] is not None:
         held_out = f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
         if s["held_out_matched"] - s["held_out_psnr"] >= MATCHED_DB:
             held_out += f", {s['held_out_matched']:.2f} with exposure matched"
     page = f"\nreport: {report / 'index.html'}" if report else ""
-    count, groups = len(model.record.frames), len(model.record.keyframes())
+    counts = f"{len(s['frames'])} frames, {len(s['keyframes'])} groups"
     quality = f"{s['psnr']:.2f} dB (mean over views and frames){held_out}"
-    return f"{model.folder}: {count} frames, {groups} groups, {quality}, {s['seconds']:.0f} s{page}"
+    return f"{model.folder}: {counts}, {quality}, {s['seconds']:.0f} s{page}"
 
 
 def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: bool) -> Path:
-    """The model folder of a multi-view scene, trained as far as it is not yet, with default settings.
-
-    `fps`: frames a second, instead of what the scene says. `device`: auto, cpu or cuda. `quiet`: say nothing.
-    """
+    """The model folder of a multi-view scene, trained as far as it is not yet, with default settings."""
     require_torch()
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.trainer.pipeline import open_run
@@ -276,11 +270,14 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
 
 
 def run_training(run: Run, bar: Bar, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
-    """Train frame after frame and say what is done. `page`: writes a page of the run so far, now and then."""
+    """Train frame after frame and say what is done; `page` writes a page of the run so far, now and then."""
     from airgs_codec.trainer.pipeline import train_frames
 
     if not quiet and not run.model.finished():
-        say(to_train(run))
+        seen, left = run.capture.pictures.cameras(), run.model.record.total - len(run.model.record.frames)
+        held_out = sum(camera.held_out for camera in seen)
+        cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
+        say(f"{run.capture.scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}")
     return follow_training(run, train_frames(run, bar), bar, quiet=quiet, page=page)
 
 
@@ -302,14 +299,6 @@ def follow_training(
             page()
             due_s = time.monotonic() + PAGE_SHARE * (time.monotonic() - begun_s)
     return run.model
-
-
-def to_train(run: Run) -> str:
-    scene, seen = run.capture.scene, run.capture.pictures.cameras()
-    held_out = sum(camera.held_out for camera in seen)
-    cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
-    left = len(scene) - len(run.model.record.frames)
-    return f"{scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}"
 
 
 def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:

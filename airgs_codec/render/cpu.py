@@ -91,10 +91,6 @@ class Render:
     rgb: Floats
     transmittance: Floats
 
-    @property
-    def nbytes(self) -> int:
-        return self.rgb.nbytes + self.transmittance.nbytes
-
     __repr__ = brief
 
     def _repr_png_(self) -> bytes:

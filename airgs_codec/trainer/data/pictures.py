@@ -19,7 +19,8 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Generic, Protocol, TypeVar
+from operator import attrgetter
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,26 +36,23 @@ PICTURE_BYTES = 1 << 30  # of pictures in 8 bits: 40 in 4K, or 170 in 1080p
 TARGET_BYTES = 2 << 30  # of targets: 7 in 4K, or 28 in 1080p
 
 
-class Sized(Protocol):
-    @property
-    def nbytes(self) -> int: ...
-
-
 Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value", bound=Sized)
+Value = TypeVar("Value")
 
 
 class Recent(Generic[Key, Value]):
     """Values that are made when they are asked for, of which those used last stay in memory."""
 
-    def __init__(self, make: Callable[[Key], Value], most: int) -> None:
+    def __init__(
+        self, make: Callable[[Key], Value], most: int, size_of: Callable[[Value], int] = attrgetter("nbytes")
+    ) -> None:
         """`most`: bytes that stay together; the value that was asked for last stays whatever it takes."""
-        self._make, self._most = make, most
+        self._make, self._most, self._size_of = make, most, size_of
         self._values: OrderedDict[Key, Value] = OrderedDict()
 
     @property
     def nbytes(self) -> int:
-        return sum(value.nbytes for value in self._values.values())
+        return sum(map(self._size_of, self._values.values()))
 
     def get(self, key: Key) -> Value:
         if key not in self._values:
@@ -64,9 +62,8 @@ class Recent(Generic[Key, Value]):
 
     def put(self, key: Key, value: Value) -> Value:
         self._values[key] = value
-        held = self.nbytes
-        while held > self._most and len(self._values) > 1:
-            held -= self._values.popitem(last=False)[1].nbytes
+        while len(self._values) > 1 and self.nbytes > self._most:
+            self._values.popitem(last=False)
         return value
 
 

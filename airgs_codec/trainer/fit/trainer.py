@@ -328,7 +328,11 @@ def find_active(
 ) -> Active:
     """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
     loaded, rows = loading(before, renderer), len(before.gaussians if isinstance(before, InMotion) else before)
-    rests = Recent[int, cpu.Render](lambda i: loaded(views[i].after).draw(views[i].camera), REST_BYTES)
+    rests: Recent[int, cpu.Render] = Recent(
+        lambda place: loaded(views[place].after).draw(views[place].camera),
+        REST_BYTES,
+        lambda picture: picture.rgb.nbytes + picture.transmittance.nbytes,
+    )
     weights, on_moving, whole = [], np.zeros(rows), np.zeros(rows)
     for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
         w = loaded(view.after).weights(view.camera, mask)

@@ -271,13 +271,8 @@ class _Fit:
         o = self.options
         resting = Resting(from_gaussians(moved), torch.empty(0, dtype=torch.int64))
         growth = Growth(min(2 * len(new), o.most_added), every=ADD_EVERY)
-        variables = PerGaussian(
-            from_gaussians(new),
-            self.trainer.extent,
-            ADDED_RATES,
-            densifier=Densifier(growth, len(new), rng),
-            resting=resting,
-        )
+        base, densifier = from_gaussians(new), Densifier(growth, len(new), rng)
+        variables = PerGaussian(base, self.trainer.extent, ADDED_RATES, densifier=densifier, resting=resting)
         optimise(variables, target.views, self._schedule("added", o.added_iterations), rng, progress=progress)
         variables.remove_fainter(LOW_OPACITY)
         return to_gaussians(variables.detached()).take(slice(len(moved), None))
