@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -35,6 +35,7 @@ from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS
 from airgs_codec.trainer.track import decide, pictured, track_settings
 
 if TYPE_CHECKING:  # torch is imported when training begins
+    from airgs_codec.jobs.work import Work
     from airgs_codec.trainer.pipeline import Run
     from airgs_codec.trainer.record import FrameRecord, Model
 
@@ -112,7 +113,7 @@ def train(options: Train) -> int:
     opened = _frames(options) if has_gaussians(options.scene) else _scene(options)
 
     from airgs_codec.render.backend import open_renderer
-    from airgs_codec.trainer.pipeline import open_run, train_in_jobs
+    from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.report import write_report
 
     elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
@@ -134,12 +135,9 @@ def train(options: Train) -> int:
         if options.report:
             write_report(run.model, exposed, options.report, renderer)
 
-    with closing(Bar(options.json)) as bar:
-        if shared:
-            with options.work.opened(bar) as work:
-                model = follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
-        else:
-            model = run_training(run, bar, quiet=options.json, page=page if options.report else None)
+    often = page if options.report and not shared else None
+    with closing(Bar(options.json)) as bar, options.work.opened(bar) if shared else nullcontext() as work:
+        model = train_run(run, bar, quiet=options.json, work=work, page=often)
     page()
     say(json.dumps(summary(model)) if options.json else as_words(model, options.report))
     return 0
@@ -169,14 +167,15 @@ def _in_step(options: Train, scene: MultiviewScene, settings: TrainSettings, fol
     from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
     from airgs_codec.trainer.record import known_offsets
 
-    apart = degrees_apart(cameras := [camera for camera in scene.cameras if not camera.held_out])
+    cameras = [camera for camera in scene.cameras if not camera.held_out]
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")
     known = known_offsets(folder) if options.resume else None
-    if apart > SPARSE_DEGREES and not options.json:
+    scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
+    if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
-    return match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
+    return scene
 
 
 def match_cameras(
@@ -207,7 +206,6 @@ def match_cameras(
 
 def _settings(options: Train, usual: TrainSettings, views: int = 1) -> TrainSettings:
     """The settings of a scene with so many training views. Raises ConfigError for options that cannot work."""
-    told = dict(options.settings)
     base, names = preset(options.preset, usual), FIT_ITERATIONS
     counts: dict[str, int] = {}
     if (factor := EFFORTS[options.effort]) != 1:
@@ -218,7 +216,7 @@ def _settings(options: Train, usual: TrainSettings, views: int = 1) -> TrainSett
             counts = dict(zip(names, map(int, options.iterations.split(",")), strict=True))
         except ValueError as error:
             raise ConfigError(f"--iterations: expected FIRST,KEY,FRAME, got {options.iterations!r}") from error
-    return applied(base, counts | told)
+    return applied(base, counts | dict(options.settings))
 
 
 def summary(model: Model) -> dict[str, Any]:
@@ -266,25 +264,21 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     views = match_cameras(views, (0, None), AUTO, known_offsets(folder), quiet=quiet)
     run = open_run(views, folder, default_settings(device), resume=True, device=device)
     with closing(Bar(quiet)) as bar:
-        return run_training(run, bar, quiet=quiet).folder
+        return train_run(run, bar, quiet=quiet).folder
 
 
-def run_training(run: Run, bar: Bar, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
-    """Train frame after frame and say what is done; `page` writes a page of the run so far, now and then."""
-    from airgs_codec.trainer.pipeline import train_frames
+def train_run(
+    run: Run, bar: Bar, *, quiet: bool, work: Work | None = None, page: Callable[[], None] | None = None
+) -> Model:
+    """Train, here or by `work`, and say what is done; `page` writes a page of the run so far, now and then."""
+    from airgs_codec.trainer.pipeline import train_frames, train_in_jobs
 
-    if not quiet and not run.model.finished():
+    records = train_in_jobs(run, work) if work else train_frames(run, bar)
+    if not (quiet or work or run.model.finished()):
         seen, left = run.capture.pictures.cameras(), run.model.record.total - len(run.model.record.frames)
         held_out = sum(camera.held_out for camera in seen)
         cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
         say(f"{run.capture.scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}")
-    return follow_training(run, train_frames(run, bar), bar, quiet=quiet, page=page)
-
-
-def follow_training(
-    run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet: bool, page: Callable[[], None] | None = None
-) -> Model:
-    """A line for each frame as it is stored, and the warnings of the run once each."""
     said, due_s = set[str](), 0.0
     for record in records:
         bar.close()

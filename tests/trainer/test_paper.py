@@ -20,7 +20,6 @@ LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 
 @pytest.fixture
 def seen(monkeypatch):
-    """What every iteration of a fit draws, from where, its loss, and the weights of |D| that Adam gets."""
     seen = SimpleNamespace(gaussians=[], cameras=[], losses=[], shrinks=[])
     draw, add, step = optimise.render_views, optimise.Losses.add, optimise.Adam.step
 
@@ -57,7 +56,6 @@ def l_3dgs(p, views, name, sh_degree=1):
 
 
 def raw_sum(p, base, rows):
-    """Sum over the six attributes of |difference|, of the first rows."""
     return sum(float((p[name][:rows] - base[name][:rows]).double().abs().sum()) for name in SIX)
 
 

@@ -32,13 +32,11 @@ def scene(blobs):
 
 @pytest.fixture
 def expected(small, model_of):
-    """What is in the model that jobs have trained."""
     return files(model_of("chunked") / "m")
 
 
 @pytest.fixture
 def done(monkeypatch):
-    """Labels of the jobs that are done in this process."""
     labels, perform = [], work_module.perform
     monkeypatch.setattr(work_module, "perform", lambda store, job: labels.append(job.label) or perform(store, job))
     return labels

@@ -23,7 +23,6 @@ SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
 
 
 def turned(g, angle):
-    """A scene that turns about y and moves along x."""
     q = faces.from_rotation_vector(np.array([0.0, angle, 0.0]))
     means = g.means @ faces.to_matrices(q).T + [angle, 0, 0]
     quaternions = faces.multiply(q, g.quaternions.astype(np.float64))
@@ -35,7 +34,6 @@ def mse(a, b):
 
 
 def apart(frames):
-    """The frames as if each had been made by itself."""
     return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
 
 
@@ -52,8 +50,6 @@ def given(clean, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tracked(given, made_once):
-    """A folder with the package and the work of the given frames."""
-
     def make(folder):
         encode(given, folder / "package.airgs", SETTINGS, work=Work(open_store(folder / "work")))
 
@@ -61,7 +57,6 @@ def tracked(given, made_once):
 
 
 def shown(place):
-    """Bytes of a top rung, its frames, and what was decided."""
     package = open_package(place)
     m = package.manifest
     return m.bytes_of(m.rung_files(0, 0)), [faces.decode(package, t) for t in range(m.frames)], m.decisions

@@ -114,7 +114,6 @@ def filmed(frames, add):
 
 
 def settled_one(picture, plate, exposure=None):
-    """A picture (H, W, 3) as it is fitted, and where it moves (H, W)."""
     view = faces.View(ring(1, SIZE)[0], Target(picture.astype(np.float32) / 255))
     [settled], [moving] = settle([view], {"cam00": plate}, exposure or {})
     return settled.target.rgb, moving

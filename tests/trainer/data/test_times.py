@@ -131,14 +131,12 @@ def test_pictures_stay_as_they_are_stored_whatever_their_exif_says(moving, suffi
 
 
 def names(scene, tmp_path):
-    """Names of what each frame of a scene shows."""
     contents = faces.read_contents(scene, Work(faces.open_store(tmp_path / "work")))
     seen = (multiview.with_frames(scene, [frame]) for frame in range(len(scene)))
     return [digest(faces.content_of(frame, contents)) for frame in seen]
 
 
 def shaded(folder, *shades):
-    """A video, its pictures each of a grey."""
     folder.mkdir()
     pictures = [plain(shade, (32, 48)) for shade in shades]
     return open_scene(write_filmed(folder, CAMERA, {"a.mp4": (pictures, range(len(shades)))}))

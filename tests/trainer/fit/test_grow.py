@@ -96,7 +96,6 @@ def test_seeds_lie_in_what_appeared():
 
 @pytest.fixture(scope="module")
 def moving():
-    """A cloud whose first twenty rows move, what cameras see of it then, and where their pictures differ."""
     g = coloured_cloud(300)
     g = g.take(np.argsort(np.linalg.norm(g.means - g.means[0], axis=1)))
     after, cameras = moved(g, slice(0, 20), (0.05, 0.0, 0.0)), ring(8, size=96)

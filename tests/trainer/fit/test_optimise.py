@@ -18,7 +18,6 @@ from tests.support.views import coloured_cloud, moved, random_parameters, ring, 
 
 
 def fit(g, shown, iterations, **more):
-    """What so many iterations make of some Gaussians."""
     fitted, schedule = PerGaussian(from_gaussians(g), 5.0), optimise.Schedule("fit", iterations, lambda _: 0, **more)
     optimise.optimise(fitted, shown, schedule, np.random.default_rng(0))
     return fitted.detached()
@@ -95,7 +94,6 @@ def test_pictures_that_are_small_on_either_side_are_not_halved():
 
 
 def fitted(start, target):
-    """The end of a fit, and by how many dB it is nearer to the target."""
     views = views_of(target, ring(2, size=32))
     after = losses.to_gaussians(fit(start, views, 30))
     assert all(np.isfinite(getattr(after, name)).all() for name in after.__slots__)

@@ -22,7 +22,6 @@ def trainer(**settings) -> Trainer:
 
 
 def shifted(by, rows=slice(0, 20)):
-    """The truth after some of its rows have moved, and what the cameras see of it."""
     after = moved(TRUTH, rows, (by, 0.0, 0.0))
     return after, views_of(after, CAMERAS)
 
@@ -38,7 +37,6 @@ def keyed(t, views, moving=None):
 
 @pytest.fixture(scope="module")
 def ball():
-    """What the cameras see when something has appeared beside the truth."""
     return views_of(joined(TRUTH, appeared()), CAMERAS)
 
 
