@@ -138,7 +138,7 @@ def _encode(
     attribution, sound = sequence.attribution, sequence.sound_track
     with ExitStack() as stack:
         given, views, notes = hold_frames(sequence), None, []
-        if decide(given, settings.track, settings.rows)[0]:
+        if settings.track is not False and decide(given, settings.track, settings.rows)[0]:
             plan = plan_views(given, settings)
             found, note = stack.enter_context(tracked(given, plan.deciding, plan.renderer, work))
             given, views, notes = found, plan if found is not given else None, [note]
