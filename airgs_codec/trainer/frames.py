@@ -333,11 +333,7 @@ def follow(trainer: Trainer, before: InMotion, given: Gaussians, target: FrameVi
 
 
 def is_known(trainer: Trainer, g: Gaussians, views: Sequence[View]) -> bool:
-    """Whether Gaussians that followed a frame show it, but for the noise of what is given.
-
-    Noise is spread over all that is seen. What was not followed is in few places: there the mean of squared errors is
-    far above their median.
-    """
+    """Whether Gaussians that followed a frame show it but for noise, which is spread: lost motion is in few places."""
     loaded, errors, shown = trainer.renderer.load(g), [], []
     for view in views:
         drawn, target, behind = loaded.draw(view.camera).rgb, view.target.rgb, view.camera.background

@@ -175,7 +175,7 @@ class Model:
             self.folder.rmdir()
 
     def write_record(self) -> None:
-        """Write what the folder is as a sequence, and the record; the folder is this run's from then on."""
+        """Write sequence.json, and last the record; the folder is this run's from then on."""
         record = self.record
         if record.frames:
             red, green, blue = record.scene.get("background", BLACK)

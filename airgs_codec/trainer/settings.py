@@ -207,10 +207,7 @@ def named_background(text: str | None) -> Background | None:
 
 
 def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
-    """The settings of a table that has been through JSON, where infinity is null.
-
-    Raises ConfigError for values that cannot work, TypeError for names that no setting has.
-    """
+    """The settings of a table from JSON, where infinity is null. Raises ConfigError, TypeError for other names."""
     drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
     return TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
 

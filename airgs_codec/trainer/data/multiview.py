@@ -123,10 +123,7 @@ def seen_until(scene: MultiviewScene, stop: int) -> int:
 
 
 def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
-    """The scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size.
-
-    That is zero where it may be. Near planes of its cameras are in proportion to what they see, as `scene.camera` says.
-    """
+    """The scene from an origin at which float32 is fine enough (MOVED), with near planes by what its cameras see."""
     places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
     origin = rounded_middle(places)
     cameras = cameras_from(origin, scene.cameras)

@@ -324,10 +324,7 @@ def pictures_for(scene: MultiviewScene, settings: TrainSettings) -> Pictures:
 
 
 def exposed_alike(picture: NDArray[np.float32], values: Sequence[float] | None) -> NDArray[np.float32]:
-    """The picture (H, W, 3) as the average camera would have exposed it; colours may leave 0..1.
-
-    `values`: gains and offsets of the camera that took it, as in `Exposure`; None: it was exposed as the average.
-    """
+    """The picture (H, W, 3) as the average camera would have exposed it; `values`: as in `Exposure`."""
     if values is None:
         return picture
     gains, offsets = np.array(values, np.float32).reshape(2, 3)

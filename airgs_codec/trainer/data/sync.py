@@ -104,10 +104,7 @@ def compare(scene: MultiviewScene, frames: range, progress: Progress = silent) -
 
 
 def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-    """(H * W,) the bin of each pixel of two cameras, BINS for those that the other one cannot see; None: no such pair.
-
-    The angle is that of a pixel's ray around the line from one camera to the other.
-    """
+    """(H * W,) bins of pixels' angles around the line between two cameras, BINS where the other sees none; or None."""
     line = b.position - a.position
     if not (length := np.linalg.norm(line)):
         return None

@@ -92,10 +92,7 @@ class Densifier:
         self._count = torch.zeros(rows)
 
     def collect(self, absgrad: AbsGrad, picked: Callable[[torch.Tensor], torch.Tensor] | None = None) -> None:
-        """Add the gradients of an iteration's pictures, after their backward pass, on their device.
-
-        `picked`: gives those of the rows that are fitted; None: all are.
-        """
+        """Add the gradients of an iteration's pictures after their backward pass; `picked` takes fitted rows' own."""
         gradients, seen = absgrad.read() if self.growth.threshold is None else absgrad.signed()
         if picked:
             gradients, seen = picked(gradients), picked(seen)

@@ -262,7 +262,7 @@ def mean_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer
 
 
 def matched_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
-    """Mean PSNR over views in dB, channels with the gain and offset that show most where both halves agree."""
+    """Mean PSNR over views in dB, channels with the gain and offset that show most where halves agree."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, _matched_mse)]))
 
 

@@ -307,10 +307,7 @@ SCALES = {
 
 
 class Networks(torch.nn.Module):
-    """One MLP for each attribute that has channels, with two hidden layers, evaluated side by side.
-
-    Output layers start at zero: without training no Gaussian moves.
-    """
+    """An MLP for each attribute that has channels, side by side; output layers start at zero, so that nothing moves."""
 
     centre: torch.Tensor
     spread: torch.Tensor

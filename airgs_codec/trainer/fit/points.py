@@ -74,10 +74,7 @@ def initial_points(given: Points | None, views: Sequence[View], fewest: int, rng
 def from_points(
     positions: NDArray[np.float32], colours: NDArray[np.float32], sh_degree: int, opacity: float, largest: float
 ) -> Gaussians:
-    """Balls at `positions` (P, 3) with RGB `colours` (P, 3), as large as their three nearest neighbours are far.
-
-    `opacity`: of each, 0..1. `largest`: their largest radius in world units.
-    """
+    """Balls with RGB `colours` (P, 3), as large as their three nearest neighbours are far, but for `largest`."""
     n = len(positions)
     near, _ = cKDTree(positions).query(positions, k=min(4, n))
     spacing = np.sqrt(np.square(near.reshape(n, -1)[:, 1:]).mean(axis=1)) if n > 1 else np.full(n, 0.01 * largest)
@@ -125,10 +122,7 @@ def degrees_apart(cameras: Sequence[Camera]) -> float:
 
 
 def seen_colours(positions: NDArray[np.float32], views: Sequence[View]) -> NDArray[np.float32]:
-    """(P, 3) median colour over the views whose picture a point falls into, 0.5 where there is none.
-
-    The median is that of the surface as long as the point is hidden from fewer than half of the views.
-    """
+    """(P, 3) median colour over the views whose picture a point falls into, 0.5 where there is none."""
     colours = np.full((len(views), len(positions), 3), np.nan, np.float32)
     for colour, view in zip(colours, views, strict=True):
         rows, columns, inside = project(view.camera, positions)
@@ -147,11 +141,7 @@ LEAST_ANGLE = np.radians(1.0)  # between two rays of a track
 
 
 def triangulate(views: Sequence[View]) -> Points:
-    """The points of the views' SIFT tracks, and their median colours.
-
-    Features are matched between neighbouring views, matches that share a feature are joined to tracks, and each track
-    is triangulated and checked (`intersect`).
-    """
+    """The points of the tracks of SIFT features over neighbouring views (`intersect`), and their median colours."""
     features = [_features(view) for view in views]
     first = np.concatenate([[0], np.cumsum([len(f[0]) for f in features])])
     links = [
@@ -234,10 +224,7 @@ def intersect(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray
 def project(
     camera: Camera, points: NDArray[np.floating]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Rows (n,) and columns (n,) of the pixels that points (P, 3) fall into, and which points (n,) those are.
-
-    Points that are nearer than the camera's near plane, or outside its picture, are left out.
-    """
+    """Rows (n,) and columns (n,) of the pixels that points (P, 3) ahead fall into, and which (n,) they are."""
     view = camera.world_to_camera
     x, y, z = (points @ view[:3, :3].T + view[:3, 3]).T
     ahead = z > camera.near
@@ -373,10 +360,7 @@ def _between(cameras: Sequence[Camera], places: NDArray[np.float64]) -> NDArray[
 def _disagreement(
     views: Sequence[View], places: NDArray[np.float64]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(D, L) summed differences, up to 1 each, of what views see at places (D, L, 3) to one of them, and their number.
-
-    Both are 0 where fewer than two see one.
-    """
+    """(D, L) summed differences, up to 1 each, of views at places (D, L, 3), and their number; 0 for fewer than two."""
     cost, pairs = np.zeros(places.shape[:2], np.float32), np.zeros(places.shape[:2], np.float32)
     pictures = [_texture(view) for view in views]
     for part in np.array_split(np.arange(len(places)), -(-len(places) // 500)):
