@@ -113,6 +113,7 @@ def train(options: Train) -> int:
     opened = _frames(options) if has_gaussians(options.scene) else _scene(options)
 
     from airgs_codec.render.backend import open_renderer
+    from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
     from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.report import write_report
 
@@ -129,6 +130,9 @@ def train(options: Train) -> int:
             raise ConfigError(f"{shared}: {words}")
         scene = _in_step(options, opened, settings, folder)
     run = open_run(scene, folder, settings, resume=options.resume, device=device)
+    cameras = [] if scene.given else [camera for camera in scene.cameras if not camera.held_out]
+    if cameras and (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
+        say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 
     def page() -> None:
         exposed = run.capture.pictures.with_exposure(run.model.record.exposure)
@@ -164,18 +168,13 @@ def _scene(options: Train) -> MultiviewScene:
 
 
 def _in_step(options: Train, scene: MultiviewScene, settings: TrainSettings, folder: Path) -> MultiviewScene:
-    from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
     from airgs_codec.trainer.record import known_offsets
 
-    cameras = [camera for camera in scene.cameras if not camera.held_out]
     if settings.background is None and scene.background != BLACK and not options.json:
         colour = ",".join(f"{c:g}" for c in scene.background)
         say(f"{options.scene}: its pictures are before a background of {colour}")
     known = known_offsets(folder) if options.resume else None
-    scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
-    if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
-        say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
-    return scene
+    return match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
 
 
 def match_cameras(
