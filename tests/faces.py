@@ -42,7 +42,6 @@ from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
-from airgs_codec.encoder.track import tracked
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
 from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, to_codes, with_step
 
@@ -94,17 +93,19 @@ from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, de
 # Training
 from airgs_codec.trainer import train
 from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
-from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.data.multiview import (
-    MultiviewScene, Points, Shot, content_of, read_contents, with_held_out, with_near,
+    MultiviewScene, Points, Shot, with_held_out, with_near,
 )  # fmt: skip
 from airgs_codec.trainer.data.pictures import PICTURE_BYTES, Pictures, TARGET_BYTES, Target, View
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
-from airgs_codec.trainer.fit.first import fit_first
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.data.pictures import FrameViews
+from airgs_codec.trainer.fit.trainer import Trainer, fit_first
+from airgs_codec.trainer.fit.losses import ATTRIBUTES, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.fit.optimise import Adam
 from airgs_codec.trainer.fit.points import from_points, scene_extent
-from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_in_jobs
+from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, rested, train_frames, train_in_jobs
+from airgs_codec.trainer.track import tracked
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
 
 # Playing

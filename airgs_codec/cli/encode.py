@@ -39,7 +39,6 @@ from airgs_codec.encoder.publish import ENDING, EncodeReport
 from airgs_codec.encoder.publish import encode as publish
 from airgs_codec.encoder.search import DELTA_E, PSNR, SIZE, Goal
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings, as_in_paper, as_preview
-from airgs_codec.encoder.track import decide
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.report import write_report
 from airgs_codec.inspect.summary import format_ladder
@@ -53,6 +52,7 @@ from airgs_codec.render import cpu_kernels
 from airgs_codec.scene.beside import read_attribution
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
 from airgs_codec.trainer.data.readers import is_multiview
+from airgs_codec.trainer.track import decide
 
 PRESETS: dict[str, Callable[[EncodeSettings], EncodeSettings]] = {
     "default": replace,
@@ -140,7 +140,8 @@ def encode(options: Encode) -> int:
     if (free := shutil.disk_usage(tempfile.gettempdir()).free) < waiting:
         raise ConfigError(f"{tempfile.gettempdir()}: expected {waiting / 1e9:.1f} GB of room, got {free / 1e9:.1f} GB")
     sequence = hold_frames(sequence)
-    settings, line = decide(sequence, settings)
+    track, line = decide(sequence, settings.track, settings.rows)
+    settings = replace(settings, track=track)
     if line:
         warn(line)
     folder = cpu_kernels.blend.stats.cache_path  # None where numba cannot write one

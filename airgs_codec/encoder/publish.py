@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,8 +17,8 @@ from airgs_codec.encoder.prepare import hold_frames, order_rows, prepare
 from airgs_codec.encoder.repair import encode_repaired
 from airgs_codec.encoder.search import DELTA_E, Goal, search_quality, weigh_colours
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
+from airgs_codec.encoder.survey import plan_views
 from airgs_codec.encoder.tables import add_sound
-from airgs_codec.encoder.track import tracked
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
@@ -31,6 +31,7 @@ from airgs_codec.places.place import Folder, Place, place_at
 from airgs_codec.places.whole import expect_folder_name
 from airgs_codec.progress import Progress, Stopwatch, silent, told
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.trainer.track import decide, tracked
 
 ENDING = ".airgs"  # of the names of packages, which may have none
 NO_FILES: Mapping[str, bytes] = {}
@@ -135,10 +136,16 @@ def _encode(
 ) -> EncodeReport:
     """Track a sequence where its settings say so, encode it and write its files to a place."""
     attribution, sound = sequence.attribution, sequence.sound_track
-    with tracked(hold_frames(sequence), settings, work) as found, closing(hold_frames(found.sequence)) as held:
+    with ExitStack() as stack:
+        given, views, notes = hold_frames(sequence), None, []
+        if settings.track is not False and decide(given, settings.track, settings.rows)[0]:
+            plan = plan_views(given, settings)
+            found, note = stack.enter_context(tracked(given, plan.deciding, plan.renderer, work))
+            given, views, notes = found, plan if found is not given else None, [note]
+        held = stack.enter_context(closing(hold_frames(given)))
         watch = Stopwatch()
         ordered, rows_s = order_rows(held, settings, work), watch.lap()
-        original = prepare(ordered, settings, work, attribution, found.views)
+        original = prepare(ordered, settings, work, attribution, views)
         progress = EncodeProgress(work.progress, original, settings)
         work = replace(work, progress=progress)
         if goal and goal.metric == DELTA_E:
@@ -157,7 +164,7 @@ def _encode(
             measured = measure_encoded(encoded, original, settings.measure_pictures)
         measure_s = watch.lap()
         progress.end()
-    decisions = [*found.notes, *measured.manifest.decisions, *calibrated.decisions, *repairs]
+    decisions = [*notes, *measured.manifest.decisions, *calibrated.decisions, *repairs]
     manifest, files = replace(measured.manifest, decisions=decisions), NO_FILES
     if sound:
         manifest, files = add_sound(manifest, sound)
@@ -165,7 +172,7 @@ def _encode(
     return EncodeReport(
         manifest,
         size,
-        replace(ordered.rows, sequence=found.sequence),
+        replace(ordered.rows, sequence=given),
         rows_s,
         survey_s,
         calibrate_s,

@@ -11,10 +11,8 @@ import torch
 from airgs_codec.render import cuda
 from airgs_codec.render.backend import Renderer
 from airgs_codec.render.cuda import AbsGrad, OnCuda, rasterize_views
-from airgs_codec.trainer.fit.losses import mean_psnr
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import render, render_views
-from airgs_codec.trainer.fit.variables import PerGaussian
+from airgs_codec.trainer.fit.losses import mean_psnr, render, render_views
+from airgs_codec.trainer.fit.optimise import PerGaussian, Schedule, optimise
 from tests.faces import ATTRIBUTES, CPU, RasterInputs, View, from_gaussians
 from tests.support import fake_gsplat
 from tests.support.scenes import random_gaussians
@@ -115,7 +113,7 @@ def test_pictures_and_rows_left_out_are_those_of_the_cpu_and_an_empty_scene_is_i
         np.testing.assert_allclose(b.transmittance, a.transmittance, atol=1e-5)
     for rows in (None, np.arange(200) % 3 > 0, np.zeros(200, bool)):
         np.testing.assert_allclose(here.without(VIEW)(rows), there.without(VIEW)(rows), atol=1e-5)
-    none = Renderer("cuda").load(random_gaussians(3, 1).take(np.arange(0)))
+    _, none = loaded(random_gaussians(3, 1).take(np.arange(0)))
     assert (none.draw(VIEW).rgb == np.float32([0.2, 0.4, 0.6])).all()
     contribution, gradients = none.contribution_and_gradients(VIEW, np.ones((56, 72, 3), np.float32))
     assert len(contribution.total) == 0 and gradients.sh.shape == (0, 4, 3)

@@ -24,7 +24,6 @@ QUICK = replace(SETTINGS, first_iterations=10, key_iterations=2, frame_iteration
 
 @pytest.fixture
 def run(model_of):
-    """The shared run with `SETTINGS` over all frames."""
     return faces.read_model(model_of("blobs"))
 
 
@@ -97,7 +96,6 @@ def test_what_is_there_is_never_lost_and_a_finished_run_is_left_alone(run, blobs
 
 
 def exposed(blobs, folder, camera, gain):
-    """The scene with brighter or darker pictures of one camera."""
     scene = shutil.copytree(blobs, folder / "scene")
     for path in (scene / "images" / camera).glob("*.png"):
         cv2.imwrite(str(path), np.clip(cv2.imread(str(path)) * gain, 0, 255).astype(np.uint8))
@@ -189,7 +187,7 @@ def test_python_trains_a_path_into_a_folder_beside_it_and_encodes_that(blobs, tm
     whole = [words[1:] for words in told if words[0].startswith("training: frame ")]
     assert whole == sorted(whole) and whole[-1][0] == whole[-1][1] and whole[0][1] < whole[-1][1]  # a keyframe more
     assert [frame.frame for frame in model.record.frames] == list(range(len(airgs.open_sequence(model.folder))))
-    with pytest.raises(ConfigError, match="scene: expected a multi-view scene or the path of one, got int 5"):
+    with pytest.raises(ConfigError, match=r"scene: expected a multi-view scene, .* the path of one, got int 5"):
         airgs.train(5)
 
 
@@ -239,7 +237,6 @@ def test_the_quality_of_a_run_is_said_with_exposure_matched_where_it_differs(run
 
 
 def frame(number, psnr, held_out=None, **changes):
-    """A record of a frame that moved, the first one but for number 0."""
     kind, exposed = "frame" if number else "first", None if held_out is None else held_out + 0.1
     return replace(FrameRecord(number, kind, 900, 0, psnr, held_out, exposed, None, None, 2.0), **changes)
 
