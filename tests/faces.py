@@ -45,7 +45,9 @@ from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
 from airgs_codec.encoder.track import tracked
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
-from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, to_codes, with_step
+from airgs_codec.coding.atlas import from_codes, to_codes
+from airgs_codec.coding.channels import pack_matrix, unpack_matrix
+from airgs_codec.coding.motion import StepSettings, get_step, with_step
 
 # Packages: tables, paths, the MPD, validation
 from airgs_codec.package.layout import (
@@ -54,7 +56,7 @@ from airgs_codec.package.layout import (
 )  # fmt: skip
 from airgs_codec.package.tables import (
     Atlas, FileEntry, Grid, Group, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
-    Sound, StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
+    Sound, StateSteps, World, digest, file_entry,
 )  # fmt: skip
 from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
 from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
@@ -88,8 +90,9 @@ from airgs_codec.inspect.compare import (
 )  # fmt: skip
 
 # Decoding
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_segment
-from airgs_codec.decoder.states import decode_pictures
+from airgs_codec.decoder.decode import (
+    decode, decode_canonical, decode_frames, decode_key, decode_pictures, decode_segment,
+)  # fmt: skip
 
 # Rendering and measuring pictures
 from airgs_codec.render import render

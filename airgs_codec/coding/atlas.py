@@ -1,5 +1,6 @@
-"""Atlases: planes tiled into one picture. T frames, P planes, N rows; a plane holds one channel, one sample a row.
+"""Values <-> whole codes, `gain` codes a step <-> atlases: planes tiled into one picture.
 
+T frames, C channels, P planes, N rows; a plane holds one channel, one sample a row.
 Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, blocks run row by row over the plane.
 """
 
@@ -13,12 +14,55 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import UNIT, Bases
-from airgs_codec.coding.quantize import scale_codes
 from airgs_codec.coding.rangecoder import worth_compiling
+from airgs_codec.errors import SceneError
 from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
 
 CELLS = BLOCK * BLOCK
 GREY = 128
+CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
+STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
+
+
+class UncodableError(SceneError):
+    """A value that no code holds."""
+
+
+def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:
+    """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
+
+    `first` is the number of the first channel, for errors. Raises UncodableError for a value 2^30 codes or more from 0,
+    since nothing is clipped, SceneError for a step that is not within STEP_LIMITS.
+    """
+    low, high = STEP_LIMITS
+    if not ((steps >= low) & (steps <= high)).all():
+        channel = int(np.argmin((steps >= low) & (steps <= high)))
+        raise SceneError(f"channel {first + channel}: expected a step of {low:g} to {high:g}, got {steps[channel]:g}")
+    codes = values * (gain / steps)[:, None]
+    np.rint(codes, out=codes)
+    if codes.size and not max(-codes.min(), codes.max()) < CODE_LIMIT:
+        channel = int(np.unravel_index(np.abs(codes).argmax(), codes.shape)[1])
+        largest = float(np.abs(values[:, channel]).max())
+        got = f"value {largest:g} at step {steps[channel]:g}"
+        raise UncodableError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
+    return codes.astype(np.int32)
+
+
+def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
+    """(C, N) codes, (C,) steps -> (C, N) values."""
+    return scale_codes(codes, code_units(steps, gain))
+
+
+def code_units(steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
+    """(C,) steps -> (C,) values of a code."""
+    return (steps / gain).astype(np.float32)
+
+
+def scale_codes(codes: NDArray[np.int32], units: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(C, N) codes, (C,) values of a code -> (C, N) values."""
+    values = codes.astype(np.float32)
+    values *= units[:, None]
+    return values
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:

@@ -134,11 +134,3 @@ def unpack_segment(
     frames = read_columns(reader, shape)
     reader.close()
     return slopes, frames
-
-
-def unpack(data: bytes | None, shape: tuple[int, int, int], where: str) -> Escapes:
-    """Inverse of `pack` for bases of `shape` (T, P, N), None for no jumps; `where` names the file.
-
-    Raises FormatError(bad_sidecar).
-    """
-    return unpack_segment(data, shape, False, where)[1]

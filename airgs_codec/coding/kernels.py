@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from airgs_codec._settings import available_cores
-from airgs_codec.coding.rangecoder import worth_compiling
-from airgs_codec.scene.gaussians import multiply
+from airgs_codec.coding.rangecoder import Loop, worth_compiling
 
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
@@ -31,7 +30,6 @@ Floats = NDArray[np.float32]
 Columns = tuple[NDArray[np.floating], Floats, Floats, Floats]
 
 _SMALL_ANGLE = np.float32(1e-8)  # radians; below it sin(a/2)/a is 1/2, as in `scene.gaussians`
-_TURN = 2  # place of rotations among columns
 _STRIP = 1 << 18  # numbers that colours are summed up in at a time: they stay in the cache of a core
 
 
@@ -93,27 +91,18 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
 
 
-def add_states(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Columns) -> None:
-    """Write to some rows (n,), n > 0, of `out` those of `base` with (c, n) changes; of rotations those are vectors.
-
-    Where changes of rotations or colours have no channels, these columns are not touched.
-    """
-    vectors = changes[_TURN]
-    if loop := worth_compiling(_add_states, 0):
-        turns = _half_turns(vectors) if len(vectors) else (vectors.ravel(), vectors.ravel())
-        loop(changes, turns, base, rows, out)
-        return
-    some = consecutive(rows)
-    for place, (column, before, change) in enumerate(zip(out, base, changes, strict=True)):
-        if len(change):
-            turned = place == _TURN
-            column[some] = multiply(to_quaternions(change), before[some]) if turned else before[some] + change.T
+def compiled_addition() -> Loop | None:
+    """Return `_add_states` compiled, where numba is loaded."""
+    return worth_compiling(_add_states, 0)
 
 
 def _add_states(
     changes: Columns, turns: tuple[Floats, Floats], base: Columns, rows: NDArray[np.intp], out: Columns
 ) -> None:
-    """The same, where `turns` are the `_half_turns` of the rotation vectors."""
+    """Write to some rows (n,) of `out` those of `base` with (c, n) changes; of rotations those are vectors.
+
+    `turns` are the `half_turns` of the vectors. Without them, or without changes of colours, these columns stay.
+    """
     (moves, sizes, vectors, dyes), (cosine, factor) = changes, turns
     (old_means, old_scales, old_turns, old_colours), (means, scales, quaternions, colours) = base, out
     for i in range(len(rows)):
@@ -121,7 +110,7 @@ def _add_states(
         for axis in range(3):
             means[row, axis] = old_means[row, axis] + moves[axis, i]
             scales[row, axis] = old_scales[row, axis] + sizes[axis, i]
-        if len(vectors):
+        if len(cosine):
             aw, ax, ay, az = cosine[i], factor[i] * vectors[0, i], factor[i] * vectors[1, i], factor[i] * vectors[2, i]
             bw, bx, by, bz = old_turns[row, 0], old_turns[row, 1], old_turns[row, 2], old_turns[row, 3]
             quaternions[row, 0] = aw * bw - ax * bx - ay * by - az * bz
@@ -134,14 +123,14 @@ def _add_states(
 
 def to_quaternions(vectors: Floats) -> Floats:
     """Rotation vectors (3, n) -> unit quaternions (n, 4)."""
-    cosine, factor = _half_turns(vectors)
+    cosine, factor = half_turns(vectors)
     quaternions = np.empty((len(cosine), 4), np.float32)
     quaternions[:, 0] = cosine
     quaternions[:, 1:] = (factor * vectors).T
     return quaternions
 
 
-def _half_turns(vectors: Floats) -> tuple[Floats, Floats]:
+def half_turns(vectors: Floats) -> tuple[Floats, Floats]:
     """The cosines (n,) of half the angles of rotation vectors (3, n), and their sines over the angles.
 
     Both are taken in float64 and rounded: float32 ones differ from one machine to the next.

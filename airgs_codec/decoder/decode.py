@@ -1,14 +1,16 @@
 """Package -> Gaussians, from the whole to its parts: frames, canonical spaces and segments, codes of pictures.
 
-N rows of a group, n rows of a key tier or of a level, P planes of an atlas, C colour channels.
+T frames, N rows of a group, n rows of a key tier or of a level, P planes of an atlas, C colour channels.
 """
 
 from __future__ import annotations
 
 import functools
+import itertools
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -18,24 +20,17 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import read_codes, read_values
-from airgs_codec.coding.channels import (
-    Canonical,
-    StateApplier,
-    add_difference,
-    dequantise_parts,
-    join_canonical,
-    no_rows,
-)
-from airgs_codec.coding.quantize import code_units
+from airgs_codec.coding.atlas import add_slopes, code_units, line_times, read_codes, read_values
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key, join_canonical, unpack_matrix
+from airgs_codec.coding.escapes import Escapes
+from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
-from airgs_codec.decoder.states import decode_pictures, expect_size, state_units
 from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, STATE, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
-from airgs_codec.package.tables import STATIC, Atlas, unpack_matrix
+from airgs_codec.package.tables import STATIC, Atlas
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -70,8 +65,7 @@ def decode(
 
 
 # Of an open package: canonical spaces by group, key quality and tiers.
-_Which = tuple[int, int, int]
-_decoded: WeakKeyDictionary[Package, dict[_Which, Canonical]] = WeakKeyDictionary()
+_decoded: WeakKeyDictionary[Package, dict[tuple[int, int, int], Canonical]] = WeakKeyDictionary()
 
 
 def _canonical_again(package: Package, group: int, quality: int, tiers: int) -> Canonical:
@@ -136,26 +130,24 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
     m, g = package.manifest, package.manifest.groups[group]
     if tiers is not None and not 1 <= tiers <= m.tiers:
         raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
-    parts = [_decode_tier(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.count]
     transform = unpack_matrix(g.colour_transform, m.colour_channels)
-    return join_canonical(parts, transform) if parts else no_rows(transform)
+    parts = [
+        _decode_tier(package, group, t, quality, transform) for t, tier in enumerate(g.tiers[:tiers]) if tier.count
+    ]
+    return join_canonical(parts, transform)
 
 
-def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Canonical:
-    """The rows of a key tier, which has some."""
+def _decode_tier(package: Package, group: int, tier: int, quality: int, transform: NDArray[np.float64]) -> Canonical:
+    """The rows of a key tier, which has some; `transform` is the KLT of the group, and so of its base."""
     m, g = package.manifest, package.manifest.groups[group]
     base, units = m.base_of(group), key_units(package, group, tier, quality)
     shown, sidecar = _read_key(package, group, tier, quality)
 
     def values(rows: slice) -> NDArray[np.float32]:
-        if shown is None:
-            return np.zeros((len(units), rows.stop - rows.start), np.float32)
-        return read_values(shown[0], g.tiers[tier].qualities[quality], shown[1], rows, units)
+        return shown.values(rows, units) if shown else np.zeros((len(units), rows.stop - rows.start), np.float32)
 
-    if base is not None:
-        return add_difference(_decode_tier(package, base, tier, quality), values, g.difference_steps, sidecar.depths)
-    transform = unpack_matrix(g.colour_transform, m.colour_channels)
-    return dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
+    before = None if base is None else _decode_tier(package, base, tier, quality, transform)
+    return dequantise_key(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser, before)
 
 
 def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[np.float32]:
@@ -165,18 +157,45 @@ def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[
     return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
 
 
-_Picture = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) luma, and its bases
+def state_units(package: Package, index: int, level: int) -> NDArray[np.float32]:
+    """(10 + C,) values of a code of the states of a segment in a level."""
+    m = package.manifest
+    steps = STATE.steps(m.groups[m.group_of(index)].state_steps, m.colour_channels)
+    return code_units(steps * m.levels[level].factor, m.state_gain)
+
+
+_Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and the bases in force until the next
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What the channels of a key tier or of a frame are made of; bases are in force until the next."""
+
+    atlas: Atlas
+    luma: _Luma
+    slopes: _Luma | None = None
+    time: float = 0.0  # x: how often slopes count
+
+    def codes(self) -> NDArray[np.int32]:
+        """(c, n) codes, without slopes."""
+        return read_codes(self.luma[0], self.atlas, self.luma[1])
+
+    def values(self, rows: slice, units: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(c, n) values of some rows; `units` (c,) are those of a code."""
+        values = read_values(self.luma[0], self.atlas, self.luma[1], rows, units)
+        if self.slopes:
+            add_slopes(values, self.slopes[0], self.atlas, self.slopes[1], rows, units * np.float32(self.time))
+        return values
 
 
 def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(channels, n) codes of a key tier, n = 0 without a picture, and its sidecar in that quality. FormatError."""
-    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
+    """(c, n) codes of a key tier, n = 0 without a picture, and its sidecar in that quality. Raises FormatError."""
     shown, sidecar = _read_key(package, group, tier, quality)
-    codes = np.empty((len(atlas.centres), 0), np.int32) if shown is None else read_codes(shown[0], atlas, shown[1])
-    return codes, sidecar
+    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
+    return shown.codes() if shown else np.empty((len(atlas.centres), 0), np.int32), sidecar
 
 
-def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[_Picture | None, KeySidecar]:
+def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[Shown | None, KeySidecar]:
     """The picture of a key tier, None where it has none, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
@@ -196,11 +215,18 @@ def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[_P
         sidecar = shared if differs else read_detail(reader, shared, g.grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
-        picture = coming.result()
+    picture = _expect_picture(coming.result(), atlas, media)
+    return Shown(atlas, (picture, next(jumps.running()))), sidecar
+
+
+def _expect_picture(picture: NDArray[np.uint8] | None, atlas: Atlas, where: str) -> NDArray[np.uint8]:
+    """Raise FormatError(bad_picture) unless there is a (pages * H, W) picture of the size that its atlas says."""
     if picture is None:
-        raise FormatError("bad_picture", media, "expected one picture, got none")
-    expect_size(picture, atlas, media)
-    return (picture, next(jumps.running())), sidecar
+        raise FormatError("bad_picture", where, "expected one picture, got none")
+    if picture.shape != (atlas.pages * atlas.height, atlas.width):
+        got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
+        raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")
+    return picture
 
 
 def decode_segment(
@@ -222,15 +248,65 @@ def decode_segment(
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
         raise FormatError("count_mismatch", media[0], f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
-    varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
-    applier = StateApplier.of(base, rows, group.state_steps, *varies)
+    named = {"quaternions": "quaternions", "colours": COLOUR}
+    constant = [column for column, name in named.items() if not _varies(atlas, STATE.slice(name))]
+    applier = StateApplier.of(base, rows, group.state_steps, constant)
     frames = range(places[0], places[-1] + 1)
     for place, state in zip(frames, decode_pictures(package, index, level, frames), strict=True):
         if place in places:
-            yield applier.apply_parts(functools.partial(state.values, units=units))
+            yield applier.apply(functools.partial(state.values, units=units))
 
 
 def _varies(atlas: Atlas, channels: slice) -> bool:
     """Whether any of these channels may decode to something else than 0."""
     places = range(len(atlas.centres))[channels]
     return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
+
+
+AHEAD = 6  # pictures that are decoded before they are needed
+# Of an open package: the segment and level decoded last, its escapes of slopes, if there are any, and of frames.
+_escapes: WeakKeyDictionary[Package, tuple[tuple[int, int], tuple[Escapes | None, Escapes]]] = WeakKeyDictionary()
+
+
+def decode_pictures(package: Package, index: int, level: int, frames: range) -> Iterator[Shown]:
+    """Consecutive frames of a segment with a file, counted from its start. Raises FormatError."""
+    m, first, last = package.manifest, frames.start, frames.stop
+    segment = m.segments[index]
+    count, lined = segment.stop - segment.start, bool(segment.levels[level].line)
+    (media,) = m.state_files(index, level)
+    atlas = m.groups[m.group_of(index)].levels[level]
+    columns, pictures = open_segment(package.read(media), media, atlas.pages)
+    front, pictures = pictures.cut() if lined else (None, pictures)
+    coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
+    shape = count, len(atlas.planes), atlas.rows
+    known = _escapes.get(package)
+    if known is None or known[0] != (index, level):
+        known = _escapes[package] = (index, level), escapes.unpack_segment(columns, shape, lined, media)
+    rising, jumps = known[1]
+    slopes = None
+    if front is not None and rising is not None:
+        slopes = _expect_picture(next(iter(front), None), atlas, media), next(rising.running())
+    times = line_times(count) if lined else np.zeros(count)
+    bases, shown = jumps.running(), 0
+    for shown, picture in enumerate(coming, 1):
+        now = next(bases)
+        if shown > first:
+            yield Shown(atlas, (_expect_picture(picture, atlas, media), now), slopes, float(times[shown - 1]))
+    if shown < last:
+        raise FormatError("bad_picture", media, f"expected {count} pictures, got {shown}")
+
+
+def decode_ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
+    """The same pictures, of which another thread decodes the next AHEAD from now on: P-pictures take twice as long."""
+    pool = ThreadPoolExecutor(1)
+    coming = deque(pool.submit(next, pictures, None) for _ in range(AHEAD))
+
+    def shown() -> Iterator[NDArray[np.uint8]]:
+        try:
+            while (picture := coming.popleft().result()) is not None:
+                coming.append(pool.submit(next, pictures, None))
+                yield picture
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    return shown()

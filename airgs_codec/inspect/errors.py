@@ -17,10 +17,16 @@ from scipy.spatial import cKDTree
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
+from airgs_codec.coding.atlas import scale_codes
 from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
-from airgs_codec.coding.quantize import scale_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, key_units
-from airgs_codec.decoder.states import decode_pictures, state_units
+from airgs_codec.decoder.decode import (
+    decode_canonical,
+    decode_key,
+    decode_pictures,
+    decode_segment,
+    key_units,
+    state_units,
+)
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package

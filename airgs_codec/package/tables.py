@@ -16,10 +16,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
-from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import SH_REST
 
 VERSION = 6
@@ -459,17 +456,3 @@ def shorten(sha256: bytes) -> str:
 def file_entry(data: bytes) -> FileEntry:
     """Length and digest of a file with these bytes."""
     return FileEntry(len(data), digest(data))
-
-
-def pack_matrix(matrix: NDArray[np.float64]) -> str:
-    """Entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
-    return base64.b64encode(np.rint(matrix * TRANSFORM_UNITS).astype("<i2").tobytes()).decode("ascii")
-
-
-def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
-    """Inverse of `pack_matrix`: (side, side). Raises FormatError(bad_value)."""
-    try:
-        raw = base64.b64decode(text, validate=True)
-        return np.frombuffer(raw, "<i2").reshape(side, side) / TRANSFORM_UNITS
-    except ValueError as error:
-        raise FormatError("bad_value", "colour_transform", f"expected {side}x{side} int16: {error}") from error
