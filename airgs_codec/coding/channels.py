@@ -46,7 +46,7 @@ class Canonical:
     quaternions: NDArray[np.float32]  # (N, 4) unit
     log_scales: NDArray[np.float32]  # (N, 3) ln(world units)
     opacity: NDArray[np.float32]  # (N,) alpha; may leave [0, 1] by coding error
-    colours: NDArray[np.float32]  # (N, C)
+    colour: NDArray[np.float32]  # (N, C)
     depths: NDArray[np.uint8]  # (N,) deepest level that carries the row; STATIC: none
     transform: NDArray[np.float64]  # (C, C) KLT, as stored
 
@@ -56,61 +56,49 @@ class Canonical:
 
     def to_gaussians(self) -> Gaussians:
         """The canonical space as a frame: what is shown where no state says otherwise."""
-        dc, rest = split_colours(self.colours)
+        dc, rest = split_colours(self.colour)
         logits, dc = from_opacity(self.opacity), np.ascontiguousarray(dc)
         return Gaussians(self.means.astype(np.float32), self.quaternions, self.log_scales, logits, dc, rest)
 
 
-@dataclass(frozen=True, slots=True)
-class Attribute:
-    """The channels of an attribute of rows g over a canonical space b; s (C,) are the steps of colours before the KLT.
-
-    `make(g, b, s)` gives (N, c) values in float64, and `put(x, b, s)` the column that (c, N) decoded channels x make.
-    """
-
-    column: str  # of `Canonical`
-    make: Callable[[Gaussians, Canonical, NDArray[np.float64]], NDArray[np.float64]]
-    put: Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.floating]]
-
-
-ATTRIBUTES = {
-    "means": Attribute(
-        "means",
+Make = Callable[[Gaussians, Canonical, NDArray[np.float64]], NDArray[np.floating]]
+Put = Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.floating]]
+# How rows g become (N, c) channels of an attribute over a canonical space b, and what decoded channels x (c, N) make of
+# its column in b; s (C,) are the steps of colours before the KLT. Decoders keep the order of operations.
+ATTRIBUTES: dict[str, tuple[Make, Put]] = {
+    "means": (
         lambda g, b, s: (g.means - b.means) / b.motion_units[:, None],
         lambda x, b, s: b.means + (x * b.motion_units).T,
     ),
-    "log_scales": Attribute(
-        "log_scales",
+    "log_scales": (
         lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales,
         lambda x, b, s: b.log_scales + x.T,
     ),
-    "quaternions": Attribute(
-        "quaternions",
+    "quaternions": (
         lambda g, b, s: to_rotation_vector(multiply(g.quaternions, conjugate(b.quaternions.astype(np.float64)))),
         lambda x, b, s: multiply(kernels.to_quaternions(x), b.quaternions),
     ),
-    "opacity": Attribute(
-        "opacity",
+    "opacity": (
         lambda g, b, s: (sigmoid(g.opacity_logits.astype(np.float64)) - b.opacity)[:, None],
         lambda x, b, s: b.opacity + x[0],
     ),
-    COLOUR: Attribute(
-        "colours",
-        lambda g, b, s: to_klt((colours(g.sh_dc, g.sh_rest) - b.colours.astype(np.float64)) / s, b.transform),
-        lambda x, b, s: b.colours + kernels.klt_colours(x, b.transform.astype(np.float32), s).T,
+    COLOUR: (
+        lambda g, b, s: to_klt((colours(g.sh_dc, g.sh_rest) - b.colour.astype(np.float64)) / s, b.transform),
+        lambda x, b, s: b.colour + kernels.klt_colours(x, b.transform.astype(np.float32), s).T,
     ),
 }
 
 
 def blank_space(
-    means: NDArray[np.floating], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
+    means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
 ) -> Canonical:
     """Rows at `means` (N, 3) of one size, without rotation, opacity or colour: what key channels are differences to."""
-    count, colour = len(means), len(transform)
-    identity = np.broadcast_to(np.array([1, 0, 0, 0], np.float32), (count, 4))
-    sizes = np.broadcast_to(np.float32(log_scale), (count, 3))
-    zeros = [np.broadcast_to(np.float32(0), shape) for shape in [(count,), (count, colour)]]
-    return Canonical(means, units, identity, sizes, *zeros, np.broadcast_to(np.uint8(0), count), transform)
+    row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
+    quaternions, sizes, opacity, colour = (
+        np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row
+    )
+    depths = np.zeros(len(means), np.uint8)
+    return Canonical(means, units, quaternions, sizes, opacity, colour, depths, transform)
 
 
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
@@ -122,15 +110,17 @@ def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -
 
 def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps, unit: float) -> NDArray[np.float64]:
     """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored, `unit` that of the grid."""
-    base = blank_space(g.means, np.ones(len(g), np.float32), 0.0, transform)
+    base = blank_space(g.means.astype(np.float64), np.ones(len(g), np.float32), 0.0, transform)
     return _make(KEY, replace(g, log_scales=g.log_scales - math.log(unit)), base, steps)
 
 
 def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeySteps | StateSteps) -> NDArray[np.float64]:
     """(c, N) channels of one frame."""
-    scale, out = colour_steps(steps, len(base.transform)), np.empty((kind.width(len(base.transform)), len(base.means)))
+    width = len(base.transform)
+    scale, out = colour_steps(steps, width), np.empty((kind.width(width), len(base.means)))
     for name in kind.attributes:
-        out[kind.slice(name)] = ATTRIBUTES[name].make(g, base, scale).T
+        make, _ = ATTRIBUTES[name]
+        out[kind.slice(name)] = make(g, base, scale).T
     return out
 
 
@@ -148,21 +138,22 @@ def dequantise_key(
     Of (7 + C, N) channels; or of (10 + C, N), which are differences to `base`, the canonical space of another group.
     `coarser` is that of the key quality; the codes of the sidecar may be those of finer cells.
     """
-    kind, count = KEY if base is None else STATE, len(sidecar.depths)
+    kind = KEY if base is None else STATE
     if base is None:
         means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, coarser)
         base = blank_space(means, motion_units(sidecar.classes), math.log(grid.unit), transform)
-    before, scale = base, colour_steps(steps, len(base.transform)).astype(np.float32)
-    columns = {name: getattr(base, ATTRIBUTES[name].column) for name in kind.attributes}
+    before, scale = base, colour_steps(steps, len(transform)).astype(np.float32)
+    columns = {name: getattr(base, name) for name in kind.attributes}
     out = {name: np.empty(column.shape, column.dtype) for name, column in columns.items()}
 
     def fill(rows: slice) -> None:
         channels, part = read(rows), before.part(rows)
         for name, column in out.items():
-            column[rows] = ATTRIBUTES[name].put(channels[kind.slice(name)], part, scale)
+            _, put = ATTRIBUTES[name]
+            column[rows] = put(channels[kind.slice(name)], part, scale)
 
-    kernels.for_chunks(fill, count, WIDTH)
-    return replace(base, depths=sidecar.depths, **{ATTRIBUTES[name].column: column for name, column in out.items()})
+    kernels.for_chunks(fill, len(sidecar.depths), WIDTH)
+    return replace(base, depths=sidecar.depths, **out)
 
 
 def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
@@ -172,7 +163,7 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
     last drawn: changes that nobody sees cost nothing. Before it is first drawn they hold that first value, and 0 if it
     is never drawn.
     """
-    out = np.empty((len(frames), STATE.width(base.colours.shape[1]), len(base.means)))
+    out = np.empty((len(frames), STATE.width(len(base.transform)), len(base.means)))
     drawn = np.empty((len(frames), len(base.means)), bool)
     for t, g in enumerate(frames):
         out[t], drawn[t] = frame_channels(g, base, steps)
@@ -212,15 +203,14 @@ class StateApplier:
     shown: Gaussians  # the canonical space as a frame
     rows: NDArray[np.intp]  # (n,) the level's rows among the N, ascending
     colour_steps: NDArray[np.float32]  # (C,)
-    constant: Sequence[str]  # of rotations and colours: what all frames have from the canonical space
+    constant: Sequence[str]  # of quaternions and colour: what no frame changes
     memory: kernels.FrameMemory = field(default_factory=kernels.FrameMemory)
 
     @staticmethod
     def of(base: Canonical, rows: NDArray[np.intp], steps: StateSteps, constant: Sequence[str] = ()) -> StateApplier:
-        """An applier for these rows (n,); all channels of quaternions or colours that are `constant` are 0."""
-        return StateApplier(
-            base, base.to_gaussians(), rows, colour_steps(steps, len(base.transform)).astype(np.float32), constant
-        )
+        """An applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
+        scale = colour_steps(steps, len(base.transform)).astype(np.float32)
+        return StateApplier(base, base.to_gaussians(), rows, scale, constant)
 
     def apply(self, read: ReadChannels) -> Gaussians:
         """The frame that decoded state channels of the n rows make of the canonical space: all N rows.
@@ -229,8 +219,8 @@ class StateApplier:
         """
         shown, base = self.shown, self.base
         before = {"means": shown.means, "log_scales": base.log_scales, "opacity": shown.opacity_logits}
-        before |= {"quaternions": base.quaternions, "colours": base.colours}
-        out = {n: self.memory.empty(column.shape) for n, column in before.items() if n not in self.constant}
+        before |= {name: getattr(base, name) for name in ("quaternions", COLOUR) if name not in self.constant}
+        out = {name: self.memory.empty(column.shape) for name, column in before.items()}
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
@@ -242,31 +232,31 @@ class StateApplier:
 
         kernels.for_chunks(fill, len(shown), WIDTH)
         dc, rest = shown.sh_dc, shown.sh_rest
-        if "colours" in out:
-            found, rest = split_colours(out["colours"])
+        if COLOUR in out:
+            found, rest = split_colours(out[COLOUR])
             dc = self.memory.empty(found.shape)
             dc[:] = found
-        quaternions = out.get("quaternions", base.quaternions)
-        return Gaussians(out["means"], quaternions, out["log_scales"], out["opacity"], dc, rest)
+        return Gaussians(
+            out["means"], out.get("quaternions", base.quaternions), out["log_scales"], out["opacity"], dc, rest
+        )
 
     def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], x: NDArray[np.float32]) -> None:
         """Write what (10 + C, n) channels make of these rows (n,)."""
-        base, some, loop = self.base, kernels.consecutive(rows), kernels.compiled_addition()
-        if loop is None:
+        base, some = self.base, kernels.consecutive(rows)
+        if not kernels.is_compiled():
             part = base.part(some)
-            for name, attribute in ATTRIBUTES.items():
-                if attribute.column in out:
-                    out[attribute.column][some] = attribute.put(x[STATE.slice(name)], part, self.colour_steps)
+            for name, column in out.items():
+                _, put = ATTRIBUTES[name]
+                column[some] = put(x[STATE.slice(name)], part, self.colour_steps)
             out["opacity"][some] = from_opacity(out["opacity"][some])
             return
         out["opacity"][some] = from_opacity(base.opacity[some] + x[_OPACITY][0])
-        dyes, transform = x[_COLOUR], base.transform.astype(np.float32)
-        dyes = kernels.klt_colours(dyes, transform, self.colour_steps) if "colours" in out else dyes[:0]
-        turns = kernels.half_turns(x[_ROTATION] if "quaternions" in out else x[_ROTATION][:, :0])
-        moves = x[_MEANS] * base.motion_units[some]
-        columns = {name: getattr(base, name) for name in ("means", "log_scales", "quaternions", "colours")}
-        written = tuple(out.get(name, column) for name, column in columns.items())
-        loop((moves, x[_SCALES], x[_ROTATION], dyes), turns, tuple(columns.values()), rows, written)
+        transform, dyes = base.transform.astype(np.float32), x[_COLOUR] if COLOUR in out else x[:0]
+        changes = x[_MEANS] * base.motion_units[some], x[_SCALES], x[_ROTATION] if "quaternions" in out else x[:0]
+        columns = {name: getattr(base, name) for name in ("means", "log_scales", "quaternions", COLOUR)}
+        written = (out.get(name, column) for name, column in columns.items())
+        dyes = kernels.klt_colours(dyes, transform, self.colour_steps) if len(dyes) else dyes
+        kernels.add_states((*changes, dyes), tuple(columns.values()), rows, tuple(written))
 
 
 def parts_of(channels: NDArray[np.float32]) -> ReadChannels:

@@ -91,18 +91,26 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
 
 
-def compiled_addition() -> Loop | None:
-    """Return `_add_states` compiled, where numba is loaded."""
-    return worth_compiling(_add_states, 0)
+def is_compiled() -> bool:
+    """Whether `add_states` runs as machine code, as it does where numba is loaded."""
+    return worth_compiling(_add_states, 0) is not None
+
+
+def add_states(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Columns) -> None:
+    """Write to some rows (n,), n > 0, of `out` those of `base` with (c, n) changes; of rotations those are vectors.
+
+    Where changes of rotations or colours have no channels, these columns are not touched.
+    """
+    vectors = changes[2]
+    turns = _half_turns(vectors) if len(vectors) else (vectors.ravel(), vectors.ravel())
+    loop: Loop = worth_compiling(_add_states, 0) or _add_states
+    loop(changes, turns, base, rows, out)
 
 
 def _add_states(
     changes: Columns, turns: tuple[Floats, Floats], base: Columns, rows: NDArray[np.intp], out: Columns
 ) -> None:
-    """Write to some rows (n,) of `out` those of `base` with (c, n) changes; of rotations those are vectors.
-
-    `turns` are the `half_turns` of the vectors. Without them, or without changes of colours, these columns stay.
-    """
+    """The same, where `turns` are the `_half_turns` of the rotation vectors."""
     (moves, sizes, vectors, dyes), (cosine, factor) = changes, turns
     (old_means, old_scales, old_turns, old_colours), (means, scales, quaternions, colours) = base, out
     for i in range(len(rows)):
@@ -110,7 +118,7 @@ def _add_states(
         for axis in range(3):
             means[row, axis] = old_means[row, axis] + moves[axis, i]
             scales[row, axis] = old_scales[row, axis] + sizes[axis, i]
-        if len(cosine):
+        if len(vectors):
             aw, ax, ay, az = cosine[i], factor[i] * vectors[0, i], factor[i] * vectors[1, i], factor[i] * vectors[2, i]
             bw, bx, by, bz = old_turns[row, 0], old_turns[row, 1], old_turns[row, 2], old_turns[row, 3]
             quaternions[row, 0] = aw * bw - ax * bx - ay * by - az * bz
@@ -123,14 +131,14 @@ def _add_states(
 
 def to_quaternions(vectors: Floats) -> Floats:
     """Rotation vectors (3, n) -> unit quaternions (n, 4)."""
-    cosine, factor = half_turns(vectors)
+    cosine, factor = _half_turns(vectors)
     quaternions = np.empty((len(cosine), 4), np.float32)
     quaternions[:, 0] = cosine
     quaternions[:, 1:] = (factor * vectors).T
     return quaternions
 
 
-def half_turns(vectors: Floats) -> tuple[Floats, Floats]:
+def _half_turns(vectors: Floats) -> tuple[Floats, Floats]:
     """The cosines (n,) of half the angles of rotation vectors (3, n), and their sines over the angles.
 
     Both are taken in float64 and rounded: float32 ones differ from one machine to the next.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, astuple, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -46,7 +46,8 @@ class StepSettings:
 
     def scaled(self, quality: float) -> StepSettings:
         """These steps times a quality factor; `rows`, an error of pictures, stays."""
-        key, state = (replace(of, **{n: v * quality for n, v in asdict(of).items()}) for of in (self.key, self.state))
+        key = KeySteps(*(step * quality for step in astuple(self.key)))
+        state = StateSteps(*(step * quality for step in astuple(self.state)))
         return replace(self, key=key, state=state, grid=self.grid * quality)
 
 

@@ -60,7 +60,7 @@ def decode(
     base = _canonical_again(package, m.group_of(index), q, m.levels[j].tiers)
     shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
     columns = (getattr(shown, field.name) for field in fields(shown))
-    coded = base.quaternions, base.log_scales, base.colours  # which a frame may show as they are
+    coded = base.quaternions, base.log_scales, base.colour  # which a frame may show as they are
     return Gaussians(*(c.copy() if any(np.may_share_memory(c, of) for of in coded) else c for c in columns))
 
 
@@ -248,8 +248,7 @@ def decode_segment(
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
         raise FormatError("count_mismatch", media[0], f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
-    named = {"quaternions": "quaternions", "colours": COLOUR}
-    constant = [column for column, name in named.items() if not _varies(atlas, STATE.slice(name))]
+    constant = [name for name in ("quaternions", COLOUR) if not _varies(atlas, STATE.slice(name))]
     applier = StateApplier.of(base, rows, group.state_steps, constant)
     frames = range(places[0], places[-1] + 1)
     for place, state in zip(frames, decode_pictures(package, index, level, frames), strict=True):

@@ -134,7 +134,7 @@ class CalibrationSample:
         grid = fit_grid(self.key.means, self.classes, steps.grid)
         of = difference_steps(steps.key, grid)
         values = state_channels([other], base, of)
-        sizes, _ = encode_and_decode(values, STATE.steps(of, base.colours.shape[1]), key_codec(PRESET))
+        sizes, _ = encode_and_decode(values, STATE.steps(of, base.colour.shape[1]), key_codec(PRESET))
         return self.row_ratio * sizes[0]
 
     def _code_key_channels(
@@ -166,7 +166,7 @@ class CalibrationSample:
     def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
         values = state_channels([self.key, *self.frames], base, steps.state)
-        return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
+        return values / STATE.steps(steps.state, base.colour.shape[1])[:, None]
 
     def with_line(self, states: NDArray[np.float64], steps: StepSettings, most: int) -> CalibrationSample:
         """The same sample, with a line in time if at most so many blocks of it take fewer bytes with one.

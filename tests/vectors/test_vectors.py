@@ -170,7 +170,7 @@ def test_keys(case):
     transform = unpack_matrix(case["colour_transform"], width)
     of = sidecar.KeySidecar(*nowhere), transform, Grid(**case["grid"]), steps
     key = channels.dequantise_key(channels.parts_of(values), *of)
-    names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colours}
+    names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colour}
     assert_near(names, case)
 
 
@@ -183,7 +183,8 @@ def test_states(case):
         opacity=np.array(space["alpha"], np.float32),
         depths=np.array(space["depths"], np.uint8),
         transform=unpack_matrix(case["colour_transform"], width),
-        **{name: np.array(space[name], np.float32) for name in ("quaternions", "log_scales", "colours")},
+        **{name: np.array(space[name], np.float32) for name in ("quaternions", "log_scales")},
+        colour=np.array(space["colours"], np.float32),
     )
     rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
     assert rows.tolist() == case["rows"]
