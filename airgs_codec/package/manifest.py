@@ -1,18 +1,19 @@
-"""A package's tables as one value: the root and its groups, whose tables are read when they are asked for.
+"""A package's tables as one value: the root and its groups, found by its index and read when they are asked for.
 
 Groups, segments, key tiers, qualities and levels are counted from 0; groups and segments in paths from 1.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
-from typing import TYPE_CHECKING, Any, overload
+from itertools import accumulate
+from typing import TYPE_CHECKING, Literal, overload
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import Entry, GroupIndex, ReadPage
 from airgs_codec.package.layout import (
     INIT_NAME,
     POSTER_NAME,
@@ -21,17 +22,197 @@ from airgs_codec.package.layout import (
     key_media_path,
     key_sidecar_path,
     locate,
+    page_path,
     sound_path,
     state_media_path,
 )
-from airgs_codec.package.parse import build_index, pack_group
-from airgs_codec.package.references import check_base
-from airgs_codec.package.tables import MAX_PSNR, FileEntry, Group, Header, Segment, Spans
+from airgs_codec.package.parse import check_base, pack_group, pack_json
+from airgs_codec.package.tables import (
+    MAX_PSNR,
+    PAGE,
+    Entry,
+    FileEntry,
+    Group,
+    Header,
+    Segment,
+    Spans,
+    file_entry,
+)
 
 if TYPE_CHECKING:  # decoding compares no pictures
     from airgs_codec.media.metrics import Quality
 
 KEPT = 1024  # tables of groups
+EMPTY = Spans([], [], [], "")
+Count = Literal["groups", "frames", "segments"]
+
+
+def count_groups(index: Sequence[Spans]) -> int:
+    """How many groups an index leads to."""
+    return sum(len(spans) * PAGE**level for level, spans in enumerate(index))
+
+
+def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
+    """The index of groups whose tables are these bytes, and its pages by their paths."""
+    index: list[Spans] = []
+    pages: dict[str, Spans] = {}
+    for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
+        index, filled = extend_index(index, number, group, table)
+        pages |= filled
+    return index, pages
+
+
+def extend_index(
+    index: Sequence[Spans], number: int, group: Group, table: bytes
+) -> tuple[list[Spans], dict[str, Spans]]:
+    """The index with one more group, counted from 0, whose table is these bytes, and the pages that it has filled.
+
+    As with the digits of a number in base PAGE: a level that would have PAGE entries has none, and the one above has
+    one more, which is the page that they stand on.
+    """
+    frames, segments, file = group.stop - group.start, len(group.segments), file_entry(table)
+    pages: dict[str, Spans] = {}
+    for level, s in enumerate([*index, EMPTY]):
+        full = Spans([*s.frames, frames], [*s.segments, segments], [*s.bytes, file.bytes], s.sha256 + file.sha256)
+        if len(full) < PAGE:
+            return [*[EMPTY] * level, full, *index[level + 1 :]], pages
+        pages[page_path(level + 1, (number + 1) // PAGE ** (level + 1))] = full
+        frames, segments, file = sum(full.frames), sum(full.segments), file_entry(pack_json(full))
+    raise AssertionError("the level above all others has one entry")
+
+
+class _Block:
+    """Parts that follow each other: those of a level in the root, or those on a page. `level` 0: they are groups."""
+
+    def __init__(self, spans: Spans, level: int, group: int, frame: int, segment: int) -> None:
+        """The last three are where the first part begins."""
+        self.level, self.spans = level, spans
+        self.groups = range(group, group + PAGE**level * len(spans), PAGE**level)
+        self.frames = list(accumulate(spans.frames, initial=frame))[:-1]
+        self.segments = list(accumulate(spans.segments, initial=segment))[:-1]
+
+    def place(self, count: Count, number: int) -> int:
+        """The place of the last part that begins at a group, frame or segment or before; -1 where all are later."""
+        return bisect_right(getattr(self, count), number) - 1
+
+    def path(self, place: int) -> str:
+        return page_path(self.level, self.groups[place] // PAGE**self.level + 1)
+
+    def entry(self, place: int) -> Entry:
+        start, spans = self.frames[place], self.spans
+        return Entry(start, start + spans.frames[place], self.segments[place], spans.segments[place], spans.file(place))
+
+
+class GroupIndex:
+    """Finds groups by descending from the root. `read_page` gives the page at a path; each is asked for once.
+
+    What is asked for may raise what `read_page` raises, and IndexError for what is outside the sequence.
+    """
+
+    def __init__(self, index: Sequence[Spans], read_page: Callable[[str, Entry], Spans]) -> None:
+        self._read_page = read_page
+        self._pages: dict[str, _Block] = {}
+        self._top: list[_Block] = []  # those of the root, the last groups first
+        self.groups = self.frames = self.segments = 0
+        for level in reversed(range(len(index))):
+            spans = index[level]
+            self._top.insert(0, _Block(spans, level, self.groups, self.frames, self.segments))
+            self.groups += PAGE**level * len(spans)
+            self.frames += sum(spans.frames)
+            self.segments += sum(spans.segments)
+
+    def entry(self, group: int) -> Entry:
+        *_, (block, place) = self._descend("groups", group)
+        return block.entry(place)
+
+    def at_frame(self, frame: int) -> int:
+        """The group that shows a frame."""
+        *_, (block, place) = self._descend("frames", frame)
+        return block.groups[place]
+
+    def at_segment(self, segment: int) -> int:
+        """The group that a segment belongs to."""
+        *_, (block, place) = self._descend("segments", segment)
+        return block.groups[place]
+
+    def pages(self) -> Iterator[str]:
+        """The paths of all pages, those that lead to others first."""
+        for level in reversed(range(1, len(self._top) + 1)):
+            yield from (page_path(level, number) for number in range(1, self.groups // PAGE**level + 1))
+
+    def sweep(self, blocks: Iterable[_Block] | None = None) -> Iterator[int | FormatError]:
+        """Every group, in order; in place of those that a page would lead to that cannot be read, why not."""
+        for block in reversed(self._top) if blocks is None else blocks:
+            for place, group in enumerate(block.groups):
+                if not block.level:
+                    yield group
+                    continue
+                try:
+                    page = self._page(block, place)
+                except FormatError as error:
+                    yield error
+                else:
+                    yield from self.sweep([page])
+
+    def page_file(self, level: int, number: int) -> FileEntry:
+        """The file of a page, counted from 0 in its level."""
+        for block, place in self._descend("groups", number * PAGE**level):
+            if block.level == level:
+                return block.entry(place).file
+        raise IndexError(f"page {number} of level {level}: there is none")
+
+    def check_page(self, level: int, number: int) -> None:
+        """Read a page, counted from 0 in its level."""
+        next(block for block, _ in self._descend("groups", number * PAGE**level) if block.level < level)
+
+    def pages_to(self, count: Count, number: int) -> Iterator[str]:
+        """The pages that lead to a group, frame or segment, from the root on; each is read when the next is wanted."""
+        return (block.path(place) for block, place in self._descend(count, number) if block.level)
+
+    def missing_pages(self, segments: range, there: Container[str]) -> list[str]:
+        """Pages with some of these segments that are not there, as far as pages that are there lead to them."""
+        missing, blocks = [], [block for block in self._top if block.level]
+        while blocks:
+            block = blocks.pop()
+            for place, first in enumerate(block.segments):
+                if first >= segments.stop or first + block.spans.segments[place] <= segments.start:
+                    continue
+                if block.path(place) not in there:
+                    missing.append(block.path(place))
+                elif block.level > 1:
+                    blocks.append(self._page(block, place))
+        return missing
+
+    def guess_span(self, segment: int) -> tuple[int, int]:
+        """Frames [start, stop) of a segment as if those of its group were of one length, or those of a page that
+        cannot be read.
+        """
+        with suppress(FormatError):
+            for block, place in self._descend("segments", segment):
+                entry = block.entry(place)
+        before, frames = segment - entry.first_segment, entry.stop - entry.start
+        return entry.start + frames * before // entry.segments, entry.start + frames * (before + 1) // entry.segments
+
+    def _descend(self, count: Count, number: int) -> Iterator[tuple[_Block, int]]:
+        """The blocks that lead to a group, frame or segment, and the places in them; the first is of the root."""
+        total: int = getattr(self, count)
+        if not 0 <= number < total:
+            raise IndexError(f"{count}: expected 0 to {total - 1}, got {number}")
+        block = next(block for block in self._top if block.place(count, number) >= 0)
+        while True:
+            place = block.place(count, number)
+            yield block, place
+            if not block.level:
+                return
+            block = self._page(block, place)
+
+    def _page(self, block: _Block, place: int) -> _Block:
+        """Return what stands on the page at a place of a block."""
+        path, entry = block.path(place), block.entry(place)
+        if path not in self._pages:
+            page, group = self._read_page(path, entry), block.groups[place]
+            self._pages[path] = _Block(page, block.level - 1, group, entry.start, entry.first_segment)
+        return self._pages[path]
 
 
 class Groups(Sequence[Group]):
@@ -39,7 +220,9 @@ class Groups(Sequence[Group]):
     refused is not, as it is what its digest says.
     """
 
-    def __init__(self, index: list[Spans], read_page: ReadPage, read: Callable[[int, Entry], Group]) -> None:
+    def __init__(
+        self, index: list[Spans], read_page: Callable[[str, Entry], Spans], read: Callable[[int, Entry], Group]
+    ) -> None:
         self.columns = index
         self.places = GroupIndex(index, read_page)
         self._read = read
@@ -49,7 +232,7 @@ class Groups(Sequence[Group]):
     @staticmethod
     def of(groups: Sequence[Group]) -> Groups:
         index, pages = build_index(groups, [pack_group(group) for group in groups])
-        return Groups(index, partial(_stored, pages), partial(_stored, groups))
+        return Groups(index, lambda path, _: pages[path], lambda number, _: groups[number])
 
     def __len__(self) -> int:
         return self.places.groups
@@ -81,10 +264,6 @@ class Groups(Sequence[Group]):
         self._kept[number] = group
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
-
-
-def _stored(tables: Any, which: str | int, _entry: Entry) -> Any:
-    return tables[which]
 
 
 class Segments(Sequence[Segment]):
@@ -129,9 +308,10 @@ class Manifest(Header):
 
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
         """Sidecar and picture of one key tier; no picture of an atlas without rows, nothing of a tier without."""
-        entry = self.groups[group].tiers[tier]
-        files = [key_sidecar_path(tier, group + 1), key_media_path(tier, quality, group + 1)]
-        return files[: (entry.count > 0) + (entry.count > 0 and entry.qualities[quality].rows > 0)]
+        entry, files = self.groups[group].tiers[tier], [key_sidecar_path(tier, group + 1)]
+        if entry.qualities[quality].rows:
+            files.append(key_media_path(tier, quality, group + 1))
+        return files if entry.count else []
 
     def base_of(self, group: int) -> int | None:
         """The group whose rows a group keeps, counted from 0 as well; None where it keeps none.
@@ -180,13 +360,10 @@ class Manifest(Header):
 
     def entry(self, path: str) -> FileEntry:
         """Length and digest of a file. Raises FormatError(missing_entry) for one that the tables do not have."""
-        try:
-            found = self._entry(path)
-        except IndexError:
-            found = None
-        if found is None or not found.bytes:
-            raise FormatError("missing_entry", path, "no table has such a file")
-        return found
+        with suppress(IndexError):
+            if (found := self._entry(path)) and found.bytes:
+                return found
+        raise FormatError("missing_entry", path, "no table has such a file")
 
     def _entry(self, path: str) -> FileEntry | None:
         match locate(path):
@@ -210,9 +387,8 @@ class Manifest(Header):
 
     def media_bytes(self) -> int:
         """Length of all files but the tables and manifest.mpd."""
-        return self.bytes_of(self.shared_files()) + sum(
-            self.bytes_of(self.group_files(group)) for group in range(len(self.groups))
-        )
+        groups = (self.bytes_of(self.group_files(group)) for group in range(len(self.groups)))
+        return self.bytes_of(self.shared_files()) + sum(groups)
 
     def rung_files(self, quality: int, level: int, groups: Sequence[int] | None = None) -> list[str]:
         """Every file a viewer of one rung fetches of some groups, by default of all, without tables."""
@@ -240,9 +416,10 @@ def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
     sizes = [manifest_bytes + m.bytes_of(m.rung_files(q, j)) for q, j in places]
     measured = [pooled_quality(m, j, q) for q, j in places]
     psnr = [None if one is None else one.psnr for one in measured]
+    best = on_ladder(list(zip(sizes, psnr, strict=True)))
     names = [(m.qualities[q].id, m.levels[j].id) for q, j in places]
-    rest = zip(names, sizes, psnr, on_ladder(list(zip(sizes, psnr, strict=True))), strict=True)
-    return tuple(Rung("+".join(name), *name, *figures) for name, *figures in rest)  # type: ignore[arg-type]
+    rungs = zip(names, sizes, psnr, best, strict=True)
+    return tuple(Rung(f"{q}+{j}", q, j, size, db, chosen) for (q, j), size, db, chosen in rungs)
 
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:

@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import Entry
 from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_NAME, ROOTS, group_path, locate
 from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
-from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
+from airgs_codec.package.tables import Entry, FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, got_words, is_address, place_at, split_query
 from airgs_codec.scene.origin import ZERO, Origin
 

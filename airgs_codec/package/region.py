@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.references import LEAST_SCALE, MOST_SCALE, fault_of
+from airgs_codec.package.parse import LEAST_SCALE, MOST_SCALE, fault_of
 from airgs_codec.package.tables import Place, Region, World
 from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at

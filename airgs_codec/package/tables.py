@@ -10,8 +10,6 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
-import re
-from collections.abc import Sized
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated
@@ -51,14 +49,10 @@ TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A number from `low` to `high`, both included."""
+    """A number from `low` to `high`, both included. What this and other constraints refuse, `parse` says."""
 
     low: float
     high: float
-
-    def refusal(self, value: float) -> str | None:
-        """Return what was expected and what came; None for a value that may stand. So do the other constraints."""
-        return None if self.low <= value <= self.high else f"expected {self.low} to {self.high}, got {value}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +62,10 @@ class Length:
     low: int
     high: int
 
-    def refusal(self, value: Sized) -> str | None:
-        """See `Range.refusal`."""
-        fits = self.low <= len(value) <= self.high
-        return None if fits else f"expected {self.low} to {self.high} values, got {len(value)}"
-
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
     words: tuple[str, ...]
-
-    def refusal(self, value: str) -> str | None:
-        """See `Range.refusal`."""
-        return None if value in self.words else f"expected one of {', '.join(self.words)}, got {value!r}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,10 +74,6 @@ class Pattern:
 
     expression: str
     what: str  # such texts are, for people
-
-    def refusal(self, value: str) -> str | None:
-        """See `Range.refusal`."""
-        return None if re.fullmatch(self.expression, value) else f"expected {self.what}, got {value!r}"
 
 
 Digest = Annotated[str, Pattern("([A-Za-z0-9_-]{32})?", "a digest of 32 characters of base64url")]  # "": no file
@@ -368,6 +349,17 @@ class Spans:
 
     def file(self, place: int) -> FileEntry:
         return FileEntry(self.bytes[place], self.sha256[DIGEST * place : DIGEST * (place + 1)])
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What the index says of a group, or of the groups on a page."""
+
+    start: int  # the first frame
+    stop: int
+    first_segment: int
+    segments: int  # how many
+    file: FileEntry  # the table of the group, or the page
 
 
 @dataclass(frozen=True, slots=True)
