@@ -61,7 +61,7 @@ from airgs_codec.package.tables import (
 from airgs_codec.package.manifest import (
     GroupIndex, Groups, Manifest, build_index, count_groups, extend_index, on_ladder, pooled_quality,
 )  # fmt: skip
-from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
+from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, largest_picture, still_files, write_mpd
 from airgs_codec.package.package import (
     Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest,
     root_of, write_file,
@@ -75,7 +75,6 @@ from airgs_codec.package.region import (
     up_of, upright, world_from,
 )  # fmt: skip
 from airgs_codec.package.views import set_view
-from airgs_codec.package.dash_check import check_mpd, largest_picture
 from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.plot import plot_ladder

@@ -83,7 +83,7 @@ def parse_page(text: bytes, entry: Entry, where: str) -> Spans:
     _check_columns(where, page)
     got = len(page), sum(page.frames), sum(page.segments)
     expected = PAGE, entry.stop - entry.start, entry.segments
-    _expect(got == expected, where, f"expected {expected} entries, frames and segments, got {got}")
+    expect(got == expected, where, f"expected {expected} entries, frames and segments, got {got}")
     return page
 
 
@@ -96,7 +96,7 @@ def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group
     group: Group = _parse(Group, _load(inflate(data, where), where), where)
     check_group(header, entry, group, where)
     early = group.keeps is None or group.keeps <= number
-    _expect(early, f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
+    expect(early, f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
     return group
 
 
@@ -191,13 +191,13 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
 def _check_constraint(constraint: Range | Length | OneOf | Pattern, value: Any, where: str) -> None:
     match constraint:
         case Range(low, high):
-            _expect(low <= value <= high, where, f"expected {low} to {high}, got {value}")
+            expect(low <= value <= high, where, f"expected {low} to {high}, got {value}")
         case Length(low, high):
-            _expect(low <= len(value) <= high, where, f"expected {low} to {high} values, got {len(value)}")
+            expect(low <= len(value) <= high, where, f"expected {low} to {high} values, got {len(value)}")
         case OneOf(words):
-            _expect(value in words, where, f"expected one of {', '.join(words)}, got {value!r}")
+            expect(value in words, where, f"expected one of {', '.join(words)}, got {value!r}")
         case Pattern(expression, what):
-            _expect(bool(re.fullmatch(expression, value)), where, f"expected {what}, got {value!r}")
+            expect(re.fullmatch(expression, value), where, f"expected {what}, got {value!r}")
 
 
 def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
@@ -231,7 +231,7 @@ def _parse_float(data: Any, where: str) -> float:
         number = float(data if type(data) is int else _typed(float, data, where))
     except OverflowError:  # an integer of hundreds of digits
         number = math.inf
-    _expect(math.isfinite(number), where, "expected a finite number")
+    expect(math.isfinite(number), where, "expected a finite number")
     return number
 
 
@@ -242,27 +242,28 @@ def _typed(kind: type, data: Any, where: str) -> Any:
     return data
 
 
-def _expect(fits: bool, where: str, detail: str) -> None:
+def expect(fits: object, where: str, detail: str, reason: str = "bad_value") -> None:
+    """Raise FormatError unless something fits."""
     if not fits:
-        raise FormatError("bad_value", where, detail)
+        raise FormatError(reason, where, detail)
 
 
 def _check_bounds(where: str, bounds: Iterable[Bound]) -> None:
     for name, value, low, high in bounds:
-        _expect(low <= value <= high, f"{where}.{name}", f"expected {low} to {high}, got {value}")
+        expect(low <= value <= high, f"{where}.{name}", f"expected {low} to {high}, got {value}")
 
 
 def check_root(m: Root) -> None:
     """Raise FormatError (bad_value, missing_entry) unless what airgs.json says fits together."""
     ids = [*(q.id for q in m.qualities), *(v.id for v in m.levels)]
     expected = [*(f"Q{i}" for i in range(len(m.qualities))), *(f"L{i}" for i in range(len(m.levels)))]
-    _expect(ids == expected, f"{JSON_NAME}.levels", f"expected {expected}, got {ids}")
+    expect(ids == expected, f"{JSON_NAME}.levels", f"expected {expected}, got {ids}")
     _check_bounds(JSON_NAME, _root_bounds(m))
     _check_region(m.region, f"{JSON_NAME}.region")
     if m.world and (fault := fault_of(m.world.transform)):
         raise FormatError("bad_value", f"{JSON_NAME}.world.transform", fault)
     whole = m.timescale * m.frame_rate[1] % m.frame_rate[0] == 0
-    _expect(whole, f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
+    expect(whole, f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
     _check_file(f"{JSON_NAME}.init", m.init, True)
     if m.poster:
         _check_file(f"{JSON_NAME}.poster", m.poster, True)
@@ -275,12 +276,12 @@ def check_root(m: Root) -> None:
 def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
     """Raise FormatError (bad_value, missing_entry) unless the table of a group fits the package and itself."""
     got, expected = (group.start, group.stop, len(group.segments)), (entry.start, entry.stop, entry.segments)
-    _expect(got == expected, where, f"expected the start, stop and number of segments {expected}, got {got}")
+    expect(got == expected, where, f"expected the start, stop and number of segments {expected}, got {got}")
     for name, length, wanted in _shapes(m, group):
-        _expect(length == wanted, f"{where}.{name}", f"expected {wanted}, got {length}")
+        expect(length == wanted, f"{where}.{name}", f"expected {wanted}, got {length}")
     _check_bounds(where, _group_bounds(m, group))
     words = "expected an entry where, and only where, airgs.json has sound"
-    _expect((group.sound is None) == (m.sound is None), f"{where}.sound", words)
+    expect((group.sound is None) == (m.sound is None), f"{where}.sound", words)
     if group.sound:  # there is a file where a packet starts in the time of the group
         _check_file(f"{where}.sound", group.sound, len(m.packets(group.start, group.stop)) > 0)
     for t, tier in enumerate(group.tiers):
@@ -290,22 +291,22 @@ def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
     stop = group.start
     for s, segment in enumerate(group.segments):
         fits, here = segment.start == stop < segment.stop <= group.stop, f"{where}.segments[{s}]"
-        _expect(fits, here, f"expected a start at {stop}, got [{segment.start}, {segment.stop})")
+        expect(fits, here, f"expected a start at {stop}, got [{segment.start}, {segment.stop})")
         stop = segment.stop
         _check_segment(m, group, segment, here)
-    _expect(stop == group.stop, f"{where}.segments", f"end at {stop}, the group at {group.stop}")
+    expect(stop == group.stop, f"{where}.segments", f"end at {stop}, the group at {group.stop}")
 
 
 def check_base(group: Group, base: Group, where: str) -> None:
     """Raise FormatError (bad_value) unless `base`, whose rows a group keeps, keeps none and is laid out alike."""
     words = f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}"
-    _expect(base.keeps is None, f"{where}.keeps", words)
+    expect(base.keeps is None, f"{where}.keeps", words)
     alike = [
         (g.grid, g.key_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
         for g in (group, base)
     ]
     words = f"expected a group of equal tiers, grid, key_steps and colours, got {group.keeps}"
-    _expect(alike[0] == alike[1], f"{where}.keeps", words)
+    expect(alike[0] == alike[1], f"{where}.keeps", words)
 
 
 def _check_region(region: Region, where: str) -> None:
@@ -313,7 +314,7 @@ def _check_region(region: Region, where: str) -> None:
     for p, place in enumerate(region.places):
         for name, other in (("focus", place.position), ("up", [0.0, 0.0, 0.0])):
             apart = np.linalg.norm(np.subtract(got := getattr(place, name), other)) != 0
-            _expect(bool(apart), f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
+            expect(apart, f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
 
 
 def fault_of(transform: Sequence[float]) -> str | None:
@@ -334,7 +335,7 @@ def fault_of(transform: Sequence[float]) -> str | None:
 
 def _check_columns(where: str, spans: Spans) -> None:
     lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / DIGEST]
-    _expect(len(set(lengths)) == 1, where, f"expected columns of one length, got {lengths}")
+    expect(len(set(lengths)) == 1, where, f"expected columns of one length, got {lengths}")
 
 
 def _check_index(where: str, m: Root) -> None:
@@ -342,22 +343,22 @@ def _check_index(where: str, m: Root) -> None:
     for level, spans in enumerate(m.index):
         here, fewest = f"{where}[{level}]", PAGE**level
         _check_columns(here, spans)
-        _expect(len(spans) < PAGE, here, f"expected at most {PAGE - 1} entries, got {len(spans)}")
+        expect(len(spans) < PAGE, here, f"expected at most {PAGE - 1} entries, got {len(spans)}")
         least = min([*spans.frames, *spans.segments], default=fewest)
         words = f"expected {fewest} frames and segments or more in each entry, got {least}"
-        _expect(least >= fewest, here, words)
-    _expect(len(m.index[-1]) > 0, where, "expected an entry in the last level, got none")
+        expect(least >= fewest, here, words)
+    expect(len(m.index[-1]) > 0, where, "expected an entry in the last level, got none")
     total = sum(sum(spans.frames) for spans in m.index)
-    _expect(total == m.frames, where, f"covers {total} of {m.frames} frames")
+    expect(total == m.frames, where, f"covers {total} of {m.frames} frames")
 
 
 def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:
     """A file is there where one is wanted, and only there; a length and a digest come together."""
-    _expect(wanted or not entry.bytes, where, "expected no file: nothing is to be fetched")
+    expect(wanted or not entry.bytes, where, "expected no file: nothing is to be fetched")
     if wanted and not entry.bytes:
         raise FormatError("missing_entry", where, "expected a file")
     words = f"expected both a length and a digest or neither, got {entry.bytes} and {entry.sha256!r}"
-    _expect(bool(entry.bytes) == bool(entry.sha256), where, words)
+    expect(bool(entry.bytes) == bool(entry.sha256), where, words)
 
 
 def _root_bounds(m: Header) -> Iterator[Bound]:
@@ -429,6 +430,6 @@ def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> Non
         wanted |= dict.fromkeys(("psnr", "worst", "ssim", "delta_e"), measured)
         for name, expected in wanted.items():
             got = len(getattr(level, name))
-            _expect(got == expected, f"{here}.{name}", f"expected {expected} values, got {got}")
+            expect(got == expected, f"{here}.{name}", f"expected {expected} values, got {got}")
         frames = len(level.frame_bytes)
-        _expect(not level.line or frames > 1, f"{here}.line", f"expected at least 2 frames, got {frames}")
+        expect(not level.line or frames > 1, f"{here}.line", f"expected at least 2 frames, got {frames}")

@@ -22,10 +22,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.dash_check import check_mpd
 from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
 from airgs_codec.package.manifest import Manifest, build_index, extend_index
-from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
+from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, still_files, write_mpd
 from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
 from airgs_codec.package.parse import pack_group, pack_json, parse_root
 from airgs_codec.package.tables import FileEntry, Group
