@@ -74,7 +74,7 @@ from airgs_codec.package.region import (
     FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, place_view, read_world,
     up_of, upright, world_from,
 )  # fmt: skip
-from airgs_codec.package.views import set_view
+from airgs_codec.package.publish import set_view
 from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.plot import plot_ladder

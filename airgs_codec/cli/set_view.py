@@ -9,8 +9,8 @@ from airgs_codec.cli.common import package, read_up
 from airgs_codec.cli.options import takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
+from airgs_codec.package.publish import set_view as change
 from airgs_codec.package.region import world_words
-from airgs_codec.package.views import set_view as change
 
 
 def read_point(text: str) -> tuple[float, ...]:

@@ -14,30 +14,10 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Literal, overload
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.layout import (
-    INIT_NAME,
-    POSTER_NAME,
-    SOUND_INIT_NAME,
-    group_path,
-    key_media_path,
-    key_sidecar_path,
-    locate,
-    page_path,
-    sound_path,
-    state_media_path,
-)
+from airgs_codec.package import layout
+from airgs_codec.package.layout import group_path, page_path
 from airgs_codec.package.parse import check_base, pack_group, pack_json
-from airgs_codec.package.tables import (
-    MAX_PSNR,
-    PAGE,
-    Entry,
-    FileEntry,
-    Group,
-    Header,
-    Segment,
-    Spans,
-    file_entry,
-)
+from airgs_codec.package.tables import MAX_PSNR, PAGE, Entry, FileEntry, Group, Header, Segment, Spans, file_entry
 
 if TYPE_CHECKING:  # decoding compares no pictures
     from airgs_codec.media.metrics import Quality
@@ -308,9 +288,9 @@ class Manifest(Header):
 
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
         """Sidecar and picture of one key tier; no picture of an atlas without rows, nothing of a tier without."""
-        entry, files = self.groups[group].tiers[tier], [key_sidecar_path(tier, group + 1)]
+        entry, files = self.groups[group].tiers[tier], [layout.key_sidecar_path(tier, group + 1)]
         if entry.qualities[quality].rows:
-            files.append(key_media_path(tier, quality, group + 1))
+            files.append(layout.key_media_path(tier, quality, group + 1))
         return files if entry.count else []
 
     def base_of(self, group: int) -> int | None:
@@ -328,12 +308,12 @@ class Manifest(Header):
     def state_files(self, segment: int, level: int) -> list[str]:
         """The file of one state segment; none where there is nothing to fetch."""
         there = self.segments[segment].levels[level].file.bytes > 0
-        return [state_media_path(level, segment + 1)] if there else []
+        return [layout.state_media_path(level, segment + 1)] if there else []
 
     def sound_files(self, group: int) -> list[str]:
         """The sound of a group; none where there is nothing to fetch."""
         entry = self.groups[group].sound
-        return [sound_path(group + 1)] if entry and entry.bytes else []
+        return [layout.sound_path(group + 1)] if entry and entry.bytes else []
 
     def group_files(self, group: int) -> list[str]:
         """Every file that the table of a group lists."""
@@ -344,7 +324,11 @@ class Manifest(Header):
 
     def shared_files(self) -> list[str]:
         """Files of the whole sequence that are no tables."""
-        return [INIT_NAME] + [POSTER_NAME] * (self.poster is not None) + [SOUND_INIT_NAME] * (self.sound is not None)
+        return (
+            [layout.INIT_NAME]
+            + [layout.POSTER_NAME] * (self.poster is not None)
+            + [layout.SOUND_INIT_NAME] * (self.sound is not None)
+        )
 
     def table_files(self) -> Iterator[str]:
         """Pages of the index and tables of the groups."""
@@ -366,7 +350,7 @@ class Manifest(Header):
         raise FormatError("missing_entry", path, "no table has such a file")
 
     def _entry(self, path: str) -> FileEntry | None:
-        match locate(path):
+        match layout.locate(path):
             case "sidecar", [tier, number]:
                 return self.groups[number - 1].tiers[tier].sidecar
             case "key", [tier, quality, number]:
@@ -380,7 +364,7 @@ class Manifest(Header):
             case "page", [level, number]:
                 return self.groups.places.page_file(level, number - 1)
         sound = self.sound.init if self.sound else None
-        return {INIT_NAME: self.init, POSTER_NAME: self.poster, SOUND_INIT_NAME: sound}.get(path)
+        return {layout.INIT_NAME: self.init, layout.POSTER_NAME: self.poster, layout.SOUND_INIT_NAME: sound}.get(path)
 
     def bytes_of(self, paths: Iterable[str]) -> int:
         return sum(self.entry(path).bytes for path in paths)

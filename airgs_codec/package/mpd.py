@@ -23,27 +23,10 @@ from datetime import datetime
 from itertools import accumulate
 
 from airgs_codec.errors import CodecError, ConfigError, FormatError
+from airgs_codec.media import mp4
 from airgs_codec.media.image import decode_jpeg
-from airgs_codec.media.mp4 import (
-    CODECS,
-    OPUS,
-    check_boxes,
-    init_segment,
-    read_samples,
-    sound_init,
-    sound_segment,
-    still_segment,
-)
-from airgs_codec.package.layout import (
-    INIT_NAME,
-    JSON_NAME,
-    MPD_NAME,
-    POSTER_NAME,
-    SOUND_INIT_NAME,
-    key_media_path,
-    sound_path,
-    state_media_path,
-)
+from airgs_codec.package import layout
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, POSTER_NAME, SOUND_INIT_NAME
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.package.parse import expect
@@ -96,9 +79,9 @@ class Representation:
 
     id: str
     media: str  # template with $Number$
-    init: str = INIT_NAME
     timeline: list[Run] = field(default_factory=list)  # no two of which could be one
-    rate: float = field(default=0.0, compare=False)  # bit/s
+    init: str = INIT_NAME
+    rate: float = field(default=0.0, compare=False, repr=False)  # bit/s
 
     @property
     def bandwidth(self) -> int:
@@ -144,12 +127,12 @@ class Streams:
     def __init__(self, m: Header) -> None:
         """`m`: the package, whose groups are added one by one."""
         self._header = m
-        self._states = [Representation(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
+        self._states = [Representation(f"L{j}", layout.state_media_path(j, NUMBER)) for j in range(len(m.levels))]
         self._keys = [
-            [Representation(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
+            [Representation(f"T{t}/Q{q}", layout.key_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
             for t in range(m.tiers)
         ]
-        self._sound = Representation(SOUND, sound_path(NUMBER), SOUND_INIT_NAME)
+        self._sound = Representation(SOUND, layout.sound_path(NUMBER), init=SOUND_INIT_NAME)
         self._groups = self._segments = 0  # so far
         self.longest = 0  # frames of a group
 
@@ -176,7 +159,7 @@ class Streams:
                 size = level.file.bytes
                 if not size and stream.timeline:
                     ticks = m.frame_ticks
-                    data = still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
+                    data = mp4.still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
                     stills[stream.media.replace(NUMBER, str(self._segments))], size = data, len(data)
                 stream.add(m, self._segments, segment, size)
         self.longest = max(self.longest, group.stop - group.start)
@@ -245,7 +228,7 @@ def _write_set(period: ET.Element, m: Manifest, number: int, row: AdaptationSet)
 
 
 def _kind_of(sound: bool) -> dict[str, str]:
-    kind, codecs = ("audio", OPUS) if sound else ("video", CODECS)
+    kind, codecs = ("audio", mp4.OPUS) if sound else ("video", mp4.CODECS)
     return {"contentType": kind, "mimeType": f"{kind}/mp4", "codecs": codecs}
 
 
@@ -394,7 +377,7 @@ def _read(row: ET.Element, element: ET.Element, m: Manifest, name: str) -> Repre
     init, media = (template.get(which, "").replace(ID, name) for which in ("initialization", "media"))
     ticks = _whole(template.get("timescale"), where)
     expect(ticks == m.timescale, where, f"expected timescale {m.timescale}", "mpd_mismatch")
-    out, end, number = Representation(name, media, init), 0, _whole(template.get("startNumber", "1"), where)
+    out, end, number = Representation(name, media, init=init), 0, _whole(template.get("startNumber", "1"), where)
     for s in template.iter(f"{{{DASH}}}S"):
         start, duration, repeats = (_whole(a, where) for a in (s.get("t", str(end)), s.get("d"), s.get("r", "0")))
         number = _whole(s.get("n", str(number)), where)
@@ -427,10 +410,10 @@ def check_shared(package: Package, path: str) -> None:
         except ValueError as error:
             raise FormatError("bad_picture", path, f"expected a JPEG: {error}") from error
         return
-    wanted = [sound_init(m.sound.channels, m.sound.pre_skip)] if m.sound and path == SOUND_INIT_NAME else _inits(m)
+    wanted = [mp4.sound_init(m.sound.channels, m.sound.pre_skip)] if m.sound and path == SOUND_INIT_NAME else _inits(m)
     try:
         if data not in wanted:
-            check_boxes(wanted[-1], data)
+            mp4.check_boxes(wanted[-1], data)
     except CodecError as error:
         raise FormatError("bad_picture" if path == INIT_NAME else "bad_sound", path, str(error)) from error
 
@@ -438,7 +421,7 @@ def check_shared(package: Package, path: str) -> None:
 def _inits(m: Manifest) -> list[bytes]:
     """What init.mp4 may be: it is made for the largest picture of the groups that were there when it was written."""
     sizes = accumulate((largest_picture([g]) for g in m.groups), lambda a, b: (max(a[0], b[0]), max(a[1], b[1])))
-    return [init_segment(m.timescale, *size) for size in dict.fromkeys(sizes)]
+    return [mp4.init_segment(m.timescale, *size) for size in dict.fromkeys(sizes)]
 
 
 def check_sound(package: Package, group: int) -> None:
@@ -448,6 +431,6 @@ def check_sound(package: Package, group: int) -> None:
     for path in m.sound_files(group):
         data = package.read(path)
         try:
-            check_boxes(sound_segment(read_samples(data), span.start), data)
+            mp4.check_boxes(mp4.sound_segment(mp4.read_samples(data), span.start), data)
         except CodecError as error:
             raise FormatError("bad_sound", path, str(error)) from error

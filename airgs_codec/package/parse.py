@@ -22,32 +22,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from airgs_codec.errors import FormatError, SceneError
+from airgs_codec.package import tables
 from airgs_codec.package.layout import JSON_NAME, STATE, Layout, group_path, key_layout
-from airgs_codec.package.tables import (
-    BLOCK,
-    DIGEST,
-    GRID_BITS,
-    MAX_MACROBLOCKS,
-    MAX_PAGES,
-    MAX_PICTURE_SIDE,
-    MAX_POSTER_BYTES,
-    MIN_PICTURE_SIDE,
-    PAGE,
-    VERSION,
-    Atlas,
-    Entry,
-    FileEntry,
-    Group,
-    Header,
-    Length,
-    OneOf,
-    Pattern,
-    Range,
-    Region,
-    Root,
-    Segment,
-    Spans,
-)
+from airgs_codec.package.tables import Atlas, Entry, FileEntry, Group, Header, Region, Root, Segment, Spans
 from airgs_codec.places.place import got_words
 
 MAX_TABLE_BYTES = 1 << 24  # of JSON: what it may cost is known before it is read
@@ -67,8 +44,10 @@ def parse_root(text: bytes) -> Root:
     data = _load(text, JSON_NAME)
     if not isinstance(data, dict):
         raise FormatError("wrong_type", JSON_NAME, f"expected an object, got {type(data).__name__}")
-    if data.get("version") != VERSION:
-        raise FormatError("unknown_version", JSON_NAME, f"expected version {VERSION}, got {data.get('version')!r}")
+    if data.get("version") != tables.VERSION:
+        raise FormatError(
+            "unknown_version", JSON_NAME, f"expected version {tables.VERSION}, got {data.get('version')!r}"
+        )
     root: Root = _parse(Root, data, JSON_NAME)
     check_root(root)
     return root
@@ -82,7 +61,7 @@ def parse_page(text: bytes, entry: Entry, where: str) -> Spans:
     page: Spans = _parse(Spans, _load(text, where), where)
     _check_columns(where, page)
     got = len(page), sum(page.frames), sum(page.segments)
-    expected = PAGE, entry.stop - entry.start, entry.segments
+    expected = tables.PAGE, entry.stop - entry.start, entry.segments
     expect(got == expected, where, f"expected {expected} entries, frames and segments, got {got}")
     return page
 
@@ -188,15 +167,17 @@ def _parse(kind: Any, data: Any, where: str) -> Any:
     return _typed(kind, data, where)
 
 
-def _check_constraint(constraint: Range | Length | OneOf | Pattern, value: Any, where: str) -> None:
+def _check_constraint(
+    constraint: tables.Range | tables.Length | tables.OneOf | tables.Pattern, value: Any, where: str
+) -> None:
     match constraint:
-        case Range(low, high):
+        case tables.Range(low, high):
             expect(low <= value <= high, where, f"expected {low} to {high}, got {value}")
-        case Length(low, high):
+        case tables.Length(low, high):
             expect(low <= len(value) <= high, where, f"expected {low} to {high} values, got {len(value)}")
-        case OneOf(words):
+        case tables.OneOf(words):
             expect(value in words, where, f"expected one of {', '.join(words)}, got {value!r}")
-        case Pattern(expression, what):
+        case tables.Pattern(expression, what):
             expect(re.fullmatch(expression, value), where, f"expected {what}, got {value!r}")
 
 
@@ -267,7 +248,7 @@ def check_root(m: Root) -> None:
     _check_file(f"{JSON_NAME}.init", m.init, True)
     if m.poster:
         _check_file(f"{JSON_NAME}.poster", m.poster, True)
-        _check_bounds(JSON_NAME, [("poster.bytes", m.poster.bytes, 1, MAX_POSTER_BYTES)])
+        _check_bounds(JSON_NAME, [("poster.bytes", m.poster.bytes, 1, tables.MAX_POSTER_BYTES)])
     if m.sound:
         _check_file(f"{JSON_NAME}.sound.init", m.sound.init, True)
     _check_index(f"{JSON_NAME}.index", m)
@@ -334,16 +315,16 @@ def fault_of(transform: Sequence[float]) -> str | None:
 
 
 def _check_columns(where: str, spans: Spans) -> None:
-    lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / DIGEST]
+    lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / tables.DIGEST]
     expect(len(set(lengths)) == 1, where, f"expected columns of one length, got {lengths}")
 
 
 def _check_index(where: str, m: Root) -> None:
     """What fills no page, level by level, with no empty level at the end; the groups have all frames."""
     for level, spans in enumerate(m.index):
-        here, fewest = f"{where}[{level}]", PAGE**level
+        here, fewest = f"{where}[{level}]", tables.PAGE**level
         _check_columns(here, spans)
-        expect(len(spans) < PAGE, here, f"expected at most {PAGE - 1} entries, got {len(spans)}")
+        expect(len(spans) < tables.PAGE, here, f"expected at most {tables.PAGE - 1} entries, got {len(spans)}")
         least = min([*spans.frames, *spans.segments], default=fewest)
         words = f"expected {fewest} frames and segments or more in each entry, got {least}"
         expect(least >= fewest, here, words)
@@ -363,7 +344,12 @@ def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:
 
 def _root_bounds(m: Header) -> Iterator[Bound]:
     for q, quality in enumerate(m.qualities):
-        yield f"qualities[{q}].coarser", quality.coarser, m.qualities[q - 1].coarser if q else 0, GRID_BITS if q else 0
+        yield (
+            f"qualities[{q}].coarser",
+            quality.coarser,
+            m.qualities[q - 1].coarser if q else 0,
+            tables.GRID_BITS if q else 0,
+        )
     finest, most = 0, m.tiers  # every tier is some level's: the first level has all of them
     for j, level in enumerate(m.levels):
         yield f"levels[{j}].tiers", level.tiers, 1 if j else most, most
@@ -408,16 +394,16 @@ def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Ite
     for i, plane in enumerate(atlas.planes):
         yield f"{where}.planes[{i}]", plane, atlas.planes[i - 1] + 1 if i else 0, channels - 1
     if atlas.planes:
-        yield f"{where}.plane_width", atlas.plane_width, BLOCK, MAX_PICTURE_SIDE
-        yield f"{where}.plane_width % {BLOCK}", atlas.plane_width % BLOCK, 0, 0
+        yield f"{where}.plane_width", atlas.plane_width, tables.BLOCK, tables.MAX_PICTURE_SIDE
+        yield f"{where}.plane_width % {tables.BLOCK}", atlas.plane_width % tables.BLOCK, 0, 0
         yield f"{where}.columns", atlas.columns, 1, len(atlas.planes)
-        yield f"{where}.height", atlas.height, BLOCK, MAX_PICTURE_SIDE
-        yield f"{where}.width", atlas.width, BLOCK, max(MIN_PICTURE_SIDE, atlas.size[0])
-        yield f"{where}.width % {BLOCK}", atlas.width % BLOCK, 0, 0
-        yield f"{where}.height % {BLOCK}", atlas.height % BLOCK, 0, 0
-        yield f"{where} macroblocks", atlas.width * atlas.height // BLOCK**2, 1, MAX_MACROBLOCKS
-        yield f"{where} width of the planes", atlas.size[0], BLOCK, atlas.width
-        yield f"{where} pages", atlas.pages, 1, MAX_PAGES
+        yield f"{where}.height", atlas.height, tables.BLOCK, tables.MAX_PICTURE_SIDE
+        yield f"{where}.width", atlas.width, tables.BLOCK, max(tables.MIN_PICTURE_SIDE, atlas.size[0])
+        yield f"{where}.width % {tables.BLOCK}", atlas.width % tables.BLOCK, 0, 0
+        yield f"{where}.height % {tables.BLOCK}", atlas.height % tables.BLOCK, 0, 0
+        yield f"{where} macroblocks", atlas.width * atlas.height // tables.BLOCK**2, 1, tables.MAX_MACROBLOCKS
+        yield f"{where} width of the planes", atlas.size[0], tables.BLOCK, atlas.width
+        yield f"{where} pages", atlas.pages, 1, tables.MAX_PAGES
 
 
 def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:
