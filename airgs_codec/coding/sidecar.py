@@ -69,7 +69,8 @@ def grid_means(
     """(N,) Morton codes of cells as fine or finer -> (N, 3) middles of the cells of a key quality in world units."""
     cells = classes - wider
     half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
-    away = morton_decode(coarse_codes(codes, cells, grid, coarser)) + half - HALF
+    codes = coarse_codes(codes, cells, grid, coarser)
+    away = morton_decode(codes) + half - HALF
     return grid.step * (_middle(grid) + np.ldexp(away, wider[:, None].astype(np.int32)))
 
 
@@ -138,7 +139,8 @@ def unpack_key_sidecar(
     reader = ColumnReader(data, where)
     placed = 0 if depths_alone else rows
     first = reader.column(2 if placed else 0, 0)
-    _expect_cells(first[:1], coarsest, where)
+    if (first[:1] != coarsest).any():  # all codes would be wrong
+        raise FormatError("bad_sidecar", where, f"expected coarser {coarsest}, got {first[0]}")
     classes = LEAST_CLASS + int(first[1:].sum()) + reader.column(placed, 1)
     gaps, carried = reader.column(placed, 0), reader.column(rows, 1)
     wider = read_columns(reader, (1, 1, placed)).bases(0)[0] if placed else np.empty(0, np.int32)
@@ -171,15 +173,10 @@ def read_detail(reader: ColumnReader, sidecar: KeySidecar, grid: Grid, coarser: 
     """
     if coarser == coarsest:
         return sidecar
-    _expect_cells(reader.column(1, 0), coarser, reader.where)
+    if (found := int(reader.column(1, 0)[0])) != coarser:
+        raise FormatError("bad_sidecar", reader.where, f"expected coarser {coarser}, got {found}")
+    detail = reader.column(len(sidecar.codes), 0)
     low, high = (3 * cell_bits(sidecar.cells, grid, r) for r in (coarser, coarsest))
-    detail = reader.column(len(low), 0)
     if (detail >> (high - low)).any():
         raise FormatError("bad_sidecar", reader.where, "the detail of a position leaves its cell")
     return replace(sidecar, codes=sidecar.codes | (detail << low).astype(np.uint64))
-
-
-def _expect_cells(told: NDArray[np.int64], coarser: int, where: str) -> None:
-    """Raise FormatError(bad_sidecar) where a file is of cells other than airgs.json says: all codes would be wrong."""
-    if (told != coarser).any():
-        raise FormatError("bad_sidecar", where, f"expected coarser {coarser}, got {told[0]}")

@@ -202,20 +202,20 @@ def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[Sh
     """
     m, g = package.manifest, package.manifest.groups[group]
     entry, differs, coarsest = g.tiers[tier], g.keeps is not None, m.qualities[-1].coarser
-    sidecar_path, *media_paths = m.key_files(group, tier, quality)
-    shape = package.read(sidecar_path), entry.count, g.grid, coarsest, sidecar_path, differs
-    if not media_paths:
-        return None, unpack_key_sidecar(*shape)
-    (media,), atlas = media_paths, entry.qualities[quality]
-    columns, pictures = open_segment(package.read(media), media, atlas.pages)
+    (where, *paths), atlas = m.key_files(group, tier, quality), entry.qualities[quality]
+    data, *media = [package.read(path) for path in (where, *paths)]
+    columns, pictures = open_segment(media[0], paths[0], atlas.pages) if media else (None, ())
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, iter(pictures), None)
-        shared = unpack_key_sidecar(*shape)
-        reader = ColumnReader(columns, media)  # a difference has no detail of positions
-        sidecar = shared if differs else read_detail(reader, shared, g.grid, m.qualities[quality].coarser, coarsest)
+        sidecar = unpack_key_sidecar(data, entry.count, g.grid, coarsest, where, differs)
+        if not media:
+            return None, sidecar
+        reader = ColumnReader(columns, paths[0])
+        if not differs:  # a difference has no detail of positions
+            sidecar = read_detail(reader, sidecar, g.grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
-    picture = _expect_picture(coming.result(), atlas, media)
+    picture = _expect_picture(coming.result(), atlas, paths[0])
     return Shown(atlas, (picture, next(jumps.running()))), sidecar
 
 
@@ -237,17 +237,22 @@ def decode_segment(
     `base` is that of the first key tiers, as many as viewers of the level fetch or others: its rows tell. H.264 is
     decoded up to the last frame. Raises FormatError.
     """
-    m = package.manifest
-    media = m.state_files(index, level)
-    if not (places and len(base.means) and media):
-        frame = base.to_gaussians()
-        yield from (frame for _ in places)
-        return
+    if places and len(base.means) and package.manifest.state_files(index, level):
+        yield from _decode_states(package, index, base, level, places)
+    else:
+        yield from itertools.repeat(base.to_gaussians(), len(places))
+
+
+def _decode_states(
+    package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
+) -> Iterator[Gaussians]:
+    """The same of a segment that has a file."""
+    m, (media,) = package.manifest, package.manifest.state_files(index, level)
     group, units = m.groups[m.group_of(index)], state_units(package, index, level)
     atlas, rows = group.levels[level], np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
-        raise FormatError("count_mismatch", media[0], f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
+        raise FormatError("count_mismatch", media, f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
     constant = [name for name in ("quaternions", COLOUR) if not _varies(atlas, STATE.slice(name))]
     applier = StateApplier.of(base, rows, group.state_steps, constant)
     frames = range(places[0], places[-1] + 1)
