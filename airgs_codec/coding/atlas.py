@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec.coding.escapes import UNIT, Bases
 from airgs_codec.coding.rangecoder import worth_compiling
 from airgs_codec.errors import SceneError
-from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
+from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
 CELLS = BLOCK * BLOCK
 GREY = 128
@@ -49,17 +49,14 @@ def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: floa
 
 
 def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
-    """(C, N) codes, (C,) steps -> (C, N) values."""
     return scale_codes(codes, code_units(steps, gain))
 
 
 def code_units(steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
-    """(C,) steps -> (C,) values of a code."""
     return (steps / gain).astype(np.float32)
 
 
 def scale_codes(codes: NDArray[np.int32], units: NDArray[np.float32]) -> NDArray[np.float32]:
-    """(C, N) codes, (C,) values of a code -> (C, N) values."""
     values = codes.astype(np.float32)
     values *= units[:, None]
     return values
@@ -108,7 +105,6 @@ def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:
 
 
 def make_atlas(rows: int, centres: list[int], planes: list[int]) -> Atlas:
-    """The atlas of so many rows with a centre for every channel and planes of some."""
     width, columns = choose_layout(rows, len(planes)) if planes else (0, 0)
     return Atlas(rows, centres, planes, width, columns)
 
@@ -137,7 +133,7 @@ def row_places(rows: int, plane_width: int, stride: int) -> NDArray[np.intp]:
 
 def plane_starts(atlas: Atlas, stride: int) -> list[int]:
     """(P,) place of the first sample of each plane in a picture of `stride` samples a line."""
-    height = plane_height(atlas.rows, atlas.plane_width)
+    height = atlas.plane_height
     down_across = (divmod(plane, atlas.columns) for plane in range(len(atlas.planes)))
     return [down * height * stride + across * atlas.plane_width for down, across in down_across]
 
@@ -154,7 +150,6 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 
 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
-    """(pages * height, width) picture -> (P, n) samples of some rows."""
     start, stop, _ = rows.indices(atlas.rows)
     samples = np.empty((len(atlas.planes), stop - start), np.uint8)
     for line, plane in zip(samples, _read_planes(picture, atlas, rows), strict=True):
@@ -242,7 +237,6 @@ def _fill_line(
 
 
 def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Iterator[NDArray[np.uint8]]:
-    """The (n,) samples of some rows in one plane after another."""
     return (samples.take(places) for samples, places in _find_planes(picture, atlas, rows))
 
 

@@ -51,7 +51,6 @@ class Canonical:
     transform: NDArray[np.float64]  # (C, C) KLT, as stored
 
     def part(self, rows: slice | NDArray[np.intp]) -> Canonical:
-        """Some of its rows; of a slice nothing is copied."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
 
     def to_gaussians(self) -> Gaussians:
@@ -102,7 +101,6 @@ def blank_space(
 
 
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
-    """The rows of several canonical spaces, or of none, as those of one group, whose (C, C) KLT `transform` is."""
     parts = parts or [blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)]
     names = [f.name for f in fields(Canonical) if f.name != "transform"]
     return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
@@ -115,7 +113,6 @@ def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps, 
 
 
 def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeySteps | StateSteps) -> NDArray[np.float64]:
-    """(c, N) channels of one frame."""
     width = len(base.transform)
     scale, out = colour_steps(steps, width), np.empty((kind.width(width), len(base.means)))
     for name in kind.attributes:
@@ -241,7 +238,6 @@ class StateApplier:
         )
 
     def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], x: NDArray[np.float32]) -> None:
-        """Write what (10 + C, n) channels make of these rows (n,)."""
         base, some = self.base, kernels.consecutive(rows)
         if not kernels.is_compiled():
             part = base.part(some)
@@ -260,7 +256,6 @@ class StateApplier:
 
 
 def parts_of(channels: NDArray[np.float32]) -> ReadChannels:
-    """Return what gives the channels of some of the rows."""
     return lambda rows: channels[:, rows]
 
 

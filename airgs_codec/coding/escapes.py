@@ -56,7 +56,6 @@ class Escapes:
 
     @staticmethod
     def of(bases: NDArray[np.int32]) -> Escapes:
-        """The jumps of (T, P, N) bases."""
         jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
         index = np.flatnonzero(jumps)
         frames, planes, rows = bases.shape
@@ -121,7 +120,6 @@ def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
 
 
 def pack(*found: Escapes) -> bytes:
-    """The column file of jumps alone; empty where there are none."""
     return encode_some([column for one in found for column in one.columns()])
 
 

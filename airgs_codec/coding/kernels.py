@@ -69,7 +69,6 @@ class FrameMemory:
         self._arrays: list[NDArray[Any]] = []
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
-        """Return an array with any content, which nobody else has."""
         for array, held in zip(self._arrays, _references(self._arrays), strict=True):
             if array.shape == shape and array.dtype == dtype and held <= _OURS:
                 return array
@@ -110,7 +109,6 @@ def add_states(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Col
 def _add_states(
     changes: Columns, turns: tuple[Floats, Floats], base: Columns, rows: NDArray[np.intp], out: Columns
 ) -> None:
-    """The same, where `turns` are the `_half_turns` of the rotation vectors."""
     (moves, sizes, vectors, dyes), (cosine, factor) = changes, turns
     (old_means, old_scales, old_turns, old_colours), (means, scales, quaternions, colours) = base, out
     for i in range(len(rows)):

@@ -86,7 +86,6 @@ def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float 
 
 
 def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
-    """(N,) motion classes -> (N,) motion units 2^c in world units."""
     return np.exp2(classes.astype(np.float32))
 
 
@@ -94,7 +93,8 @@ def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float
     """(N,) motion classes by (N,) `sensitivity`, as in `motion_classes`; where no row is seen, by the median size."""
     seen = sensitivity[sensitivity > 0]
     if not len(seen):  # nothing is visible: every row counts alike
-        return np.full(len(g), round(math.log2(_median_size(g) / scale)), np.int16)
+        size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
+        return np.full(len(g), round(math.log2(size / scale)), np.int16)
     return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
 
 
@@ -136,15 +136,10 @@ def _transform_bits(samples: NDArray[np.floating]) -> float:
 
 @functools.cache
 def _hadamard(order: int) -> NDArray[np.float64]:
-    """The orthonormal Hadamard matrix of an order that is a power of 2."""
     matrix = np.ones((1, 1))
     while len(matrix) < order:
         matrix = np.block([[matrix, matrix], [matrix, -matrix]]) / math.sqrt(2)
     return matrix
-
-
-def _median_size(g: Gaussians) -> float:
-    return float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
 
 
 def channel_weights(

@@ -53,7 +53,6 @@ def grid_codes(
 
 
 def _middle(grid: Grid) -> NDArray[np.float64]:
-    """(3,) steps from the origin of the world to the middle of the grid."""
     return np.asarray(grid.origin, np.float64) + HALF
 
 
@@ -107,7 +106,6 @@ class KeySidecar:
 
     @property
     def cells(self) -> NDArray[np.int16]:
-        """(N,) what cells know of the rows."""
         return self.classes - self.wider
 
 

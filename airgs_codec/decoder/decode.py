@@ -151,7 +151,6 @@ def _decode_tier(package: Package, group: int, tier: int, quality: int, transfor
 
 
 def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[np.float32]:
-    """Return the value of a code of each channel of the picture of a key tier."""
     m, g = package.manifest, package.manifest.groups[group]
     factor = m.qualities[quality].factor * g.tiers[tier].factor
     return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
@@ -177,7 +176,6 @@ class Shown:
     time: float = 0.0  # x: how often slopes count
 
     def codes(self) -> NDArray[np.int32]:
-        """(c, n) codes, without slopes."""
         return read_codes(self.luma[0], self.atlas, self.luma[1])
 
     def values(self, rows: slice, units: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -246,7 +244,6 @@ def decode_segment(
 def _decode_states(
     package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
 ) -> Iterator[Gaussians]:
-    """The same of a segment that has a file."""
     m, (media,) = package.manifest, package.manifest.state_files(index, level)
     group, units = m.groups[m.group_of(index)], state_units(package, index, level)
     atlas, rows = group.levels[level], np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
@@ -262,7 +259,6 @@ def _decode_states(
 
 
 def _varies(atlas: Atlas, channels: slice) -> bool:
-    """Whether any of these channels may decode to something else than 0."""
     places = range(len(atlas.centres))[channels]
     return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
 

@@ -1,6 +1,7 @@
 """How a package is laid out: its files by their paths, and the channels of its key and state atlases.
 
-FORMAT.md, sections 2 and 5. Numbers in paths count from 1. A channel is one scalar of an attribute and, where it
+FORMAT.md, sections 2 and 5. Numbers in paths, and levels of the index, count from 1; that of a media file may be the
+placeholder of a template. A channel is one scalar of an attribute and, where it
 varies, one plane of an atlas. The channels of an attribute follow each other; colour comes last, since only its width,
 C channels, depends on the scene. This is the one place that knows their order, steps and units.
 """
@@ -58,13 +59,8 @@ class FileKind(StrEnum):
     MANIFESTS = "manifests"  # airgs.json, the MPD, pages of the index and tables of groups
 
 
-_FIXED = {
-    JSON_NAME: FileKind.MANIFESTS,
-    MPD_NAME: FileKind.MANIFESTS,
-    INIT_NAME: FileKind.INIT,
-    SOUND_INIT_NAME: FileKind.INIT,
-    POSTER_NAME: FileKind.POSTER,
-}
+_FIXED = dict.fromkeys(ROOTS, FileKind.MANIFESTS) | {POSTER_NAME: FileKind.POSTER}
+_FIXED |= dict.fromkeys((INIT_NAME, SOUND_INIT_NAME), FileKind.INIT)
 _LOCATED = {"sidecar": FileKind.SIDECARS, "key": FileKind.KEY, "state": FileKind.STATE, "sound": FileKind.SOUND}
 
 
@@ -83,27 +79,22 @@ def file_kind(path: str) -> FileKind:
 
 
 def belongs(path: str) -> bool:
-    """Whether a file of a package can have this path."""
     return path in _FIXED or locate(path)[0] != ""
 
 
 def key_sidecar_path(tier: int, number: int) -> str:
-    """Sidecar of a key tier, the same for all its qualities."""
     return f"key/T{tier}/{number}.bin"
 
 
 def key_media_path(tier: int, quality: int, number: int | str) -> str:
-    """Picture of a key tier with its detail; `number` may be the placeholder of a template."""
     return f"key/T{tier}/Q{quality}/{number}.m4s"
 
 
 def state_media_path(level: int, number: int | str) -> str:
-    """Pictures of a state segment with its escapes; `number` may be the placeholder of a template."""
     return f"state/L{level}/{number}.m4s"
 
 
 def sound_path(number: int | str) -> str:
-    """Sound of a group; `number` may be the placeholder of a template."""
     return f"sound/{number}.m4a"
 
 
@@ -112,7 +103,6 @@ def group_path(number: int) -> str:
 
 
 def page_path(level: int, number: int) -> str:
-    """Page of the index; the level counts from 1 as well."""
     return f"index/{level}/{number}.json"
 
 
@@ -145,7 +135,6 @@ class Layout:
         return [run.attribute for run in self.runs for _ in run.axes] + [COLOUR] * colours
 
     def width(self, colours: int) -> int:
-        """Channels in all, of which `colours` are of colour."""
         return len(self.names(colours))
 
     def slice(self, attribute: str) -> slice:
@@ -164,15 +153,13 @@ class Layout:
 
 
 _XYZ = ("x", "y", "z")
-KEY = Layout(
-    "key",
-    (
-        ChannelRun("log_scales", _XYZ, "ln(world units)"),
-        ChannelRun("quaternions", _XYZ, "radians"),
-        ChannelRun("opacity", ("alpha",), "of [0, 1]"),
-    ),
+_RUNS = (
+    ChannelRun("means", _XYZ, "motion units"),
+    ChannelRun("log_scales", _XYZ, "ln(world units)"),
+    ChannelRun("quaternions", _XYZ, "radians"),
+    ChannelRun("opacity", ("alpha",), "of [0, 1]"),
 )
-STATE = Layout("state", (ChannelRun("means", _XYZ, "motion units"), *KEY.runs))
+KEY, STATE = Layout("key", _RUNS[1:]), Layout("state", _RUNS)  # canonical means travel in the sidecar
 
 
 def key_layout(group: Group) -> Layout:

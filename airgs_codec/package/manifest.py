@@ -9,7 +9,7 @@ from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 from typing import TYPE_CHECKING, Literal, overload
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:  # decoding compares no pictures
 KEPT = 1024  # tables of groups
 EMPTY = Spans([], [], [], "")
 Count = Literal["groups", "frames", "segments"]
+ReadPage = Callable[[str, Entry], Spans]  # path and what is said of a page -> the page
 
 
 def count_groups(index: Sequence[Spans]) -> int:
-    """How many groups an index leads to."""
     return sum(len(spans) * PAGE**level for level, spans in enumerate(index))
 
 
@@ -89,7 +89,7 @@ class GroupIndex:
     What is asked for may raise what `read_page` raises, and IndexError for what is outside the sequence.
     """
 
-    def __init__(self, index: Sequence[Spans], read_page: Callable[[str, Entry], Spans]) -> None:
+    def __init__(self, index: Sequence[Spans], read_page: ReadPage) -> None:
         self._read_page = read_page
         self._pages: dict[str, _Block] = {}
         self._top: list[_Block] = []  # those of the root, the last groups first
@@ -106,12 +106,10 @@ class GroupIndex:
         return block.entry(place)
 
     def at_frame(self, frame: int) -> int:
-        """The group that shows a frame."""
         *_, (block, place) = self._descend("frames", frame)
         return block.groups[place]
 
     def at_segment(self, segment: int) -> int:
-        """The group that a segment belongs to."""
         *_, (block, place) = self._descend("segments", segment)
         return block.groups[place]
 
@@ -135,14 +133,12 @@ class GroupIndex:
                     yield from self.sweep([page])
 
     def page_file(self, level: int, number: int) -> FileEntry:
-        """The file of a page, counted from 0 in its level."""
         for block, place in self._descend("groups", number * PAGE**level):
             if block.level == level:
                 return block.entry(place).file
         raise IndexError(f"page {number} of level {level}: there is none")
 
     def check_page(self, level: int, number: int) -> None:
-        """Read a page, counted from 0 in its level."""
         next(block for block, _ in self._descend("groups", number * PAGE**level) if block.level < level)
 
     def pages_to(self, count: Count, number: int) -> Iterator[str]:
@@ -187,7 +183,6 @@ class GroupIndex:
             block = self._page(block, place)
 
     def _page(self, block: _Block, place: int) -> _Block:
-        """Return what stands on the page at a place of a block."""
         path, entry = block.path(place), block.entry(place)
         if path not in self._pages:
             page, group = self._read_page(path, entry), block.groups[place]
@@ -200,9 +195,7 @@ class Groups(Sequence[Group]):
     refused is not, as it is what its digest says.
     """
 
-    def __init__(
-        self, index: list[Spans], read_page: Callable[[str, Entry], Spans], read: Callable[[int, Entry], Group]
-    ) -> None:
+    def __init__(self, index: list[Spans], read_page: ReadPage, read: Callable[[int, Entry], Group]) -> None:
         self.columns = index
         self.places = GroupIndex(index, read_page)
         self._read = read
@@ -219,10 +212,8 @@ class Groups(Sequence[Group]):
 
     @overload
     def __getitem__(self, place: int) -> Group: ...
-
     @overload
     def __getitem__(self, place: slice) -> list[Group]: ...
-
     def __getitem__(self, place: int | slice) -> Group | list[Group]:
         if isinstance(place, slice):
             return [self[i] for i in range(len(self))[place]]
@@ -240,15 +231,12 @@ class Groups(Sequence[Group]):
         return self._kept[number]
 
     def keep(self, number: int, group: Group) -> None:
-        """Keep a table that is known, counted from 0, so that it need not be read."""
         self._kept[number] = group
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
 
 
 class Segments(Sequence[Segment]):
-    """The segments of all groups, one after another."""
-
     def __init__(self, groups: Groups) -> None:
         self._groups = groups
 
@@ -263,8 +251,6 @@ class Segments(Sequence[Segment]):
 
 @dataclass(frozen=True, slots=True)
 class Manifest(Header):
-    """Everything a decoder needs that is not pixels."""
-
     init: FileEntry
     groups: Groups
 
@@ -273,7 +259,6 @@ class Manifest(Header):
         return Segments(self.groups)
 
     def group_of(self, segment: int) -> int:
-        """The group that a segment belongs to. Raises IndexError."""
         return self.groups.places.at_segment(segment)
 
     def segments_of(self, group: int) -> range:
@@ -306,32 +291,27 @@ class Manifest(Header):
         return table.keeps - 1
 
     def state_files(self, segment: int, level: int) -> list[str]:
-        """The file of one state segment; none where there is nothing to fetch."""
         there = self.segments[segment].levels[level].file.bytes > 0
         return [layout.state_media_path(level, segment + 1)] if there else []
 
     def sound_files(self, group: int) -> list[str]:
-        """The sound of a group; none where there is nothing to fetch."""
         entry = self.groups[group].sound
         return [layout.sound_path(group + 1)] if entry and entry.bytes else []
 
     def group_files(self, group: int) -> list[str]:
-        """Every file that the table of a group lists."""
         tiers, qualities, levels = range(self.tiers), range(len(self.qualities)), range(len(self.levels))
         keys = [path for t in tiers for q in qualities for path in self.key_files(group, t, q)]
         states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
         return sorted({*self.sound_files(group), *keys, *states})
 
     def shared_files(self) -> list[str]:
-        """Files of the whole sequence that are no tables."""
-        return (
-            [layout.INIT_NAME]
-            + [layout.POSTER_NAME] * (self.poster is not None)
-            + [layout.SOUND_INIT_NAME] * (self.sound is not None)
-        )
+        return [path for path, entry in self._shared().items() if entry]
+
+    def _shared(self) -> dict[str, FileEntry | None]:
+        sound = self.sound.init if self.sound else None
+        return {layout.INIT_NAME: self.init, layout.POSTER_NAME: self.poster, layout.SOUND_INIT_NAME: sound}
 
     def table_files(self) -> Iterator[str]:
-        """Pages of the index and tables of the groups."""
         yield from self.groups.places.pages()
         yield from (group_path(number + 1) for number in range(len(self.groups)))
 
@@ -363,8 +343,7 @@ class Manifest(Header):
                 return self.groups.places.entry(number - 1).file
             case "page", [level, number]:
                 return self.groups.places.page_file(level, number - 1)
-        sound = self.sound.init if self.sound else None
-        return {layout.INIT_NAME: self.init, layout.POSTER_NAME: self.poster, layout.SOUND_INIT_NAME: sound}.get(path)
+        return self._shared().get(path)
 
     def bytes_of(self, paths: Iterable[str]) -> int:
         return sum(self.entry(path).bytes for path in paths)
@@ -396,14 +375,14 @@ class Rung:
 
 def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
     """The rungs of a package whose tables and manifest.mpd have `manifest_bytes` together, quality by quality."""
-    places = [(q, j) for q in range(len(m.qualities)) for j in range(len(m.levels))]
-    sizes = [manifest_bytes + m.bytes_of(m.rung_files(q, j)) for q, j in places]
-    measured = [pooled_quality(m, j, q) for q, j in places]
-    psnr = [None if one is None else one.psnr for one in measured]
-    best = on_ladder(list(zip(sizes, psnr, strict=True)))
-    names = [(m.qualities[q].id, m.levels[j].id) for q, j in places]
-    rungs = zip(names, sizes, psnr, best, strict=True)
-    return tuple(Rung(f"{q}+{j}", q, j, size, db, chosen) for (q, j), size, db, chosen in rungs)
+    rungs = []
+    for q, quality in enumerate(m.qualities):
+        for j, level in enumerate(m.levels):
+            size, pooled = manifest_bytes + m.bytes_of(m.rung_files(q, j)), pooled_quality(m, j, q)
+            name, psnr = f"{quality.id}+{level.id}", pooled.psnr if pooled else None
+            rungs.append(Rung(name, quality.id, level.id, size, psnr, False))
+    best = on_ladder([(rung.bytes, rung.psnr) for rung in rungs])
+    return tuple(replace(rung, best=chosen) for rung, chosen in zip(rungs, best, strict=True))
 
 
 def pooled_quality(m: Manifest, level: int, quality: int) -> Quality | None:
@@ -441,6 +420,5 @@ def on_ladder(rungs: Sequence[tuple[float, float | None]]) -> list[bool]:
 
 
 def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Change of the mean squared error for each byte from one point (bytes, PSNR) to a larger one."""
     errors = [10.0 ** (-psnr / 10) for _, psnr in (a, b)]
     return (errors[1] - errors[0]) / (b[0] - a[0])

@@ -68,7 +68,6 @@ class Run:
     count: int = 1
 
     def follows(self, before: Run) -> bool:
-        """Whether it begins, in number and in time, where another run ends."""
         end = before.number + before.count, before.start + before.count * before.duration
         return (self.number, self.start) == end
 
@@ -89,7 +88,6 @@ class Representation:
         return int(self.rate) + 1
 
     def append(self, run: Run) -> None:
-        """Add what plays next, as part of the last run where it goes on like that."""
         last = self.timeline[-1] if self.timeline else None
         if last and run.follows(last) and run.duration == last.duration:
             self.timeline[-1] = replace(last, count=last.count + run.count)
@@ -138,7 +136,6 @@ class Streams:
 
     @staticmethod
     def of(m: Manifest) -> Streams:
-        """Those of all groups of a package."""
         streams = Streams(m)
         for group in m.groups:
             streams.add(group)
@@ -174,7 +171,6 @@ class Streams:
 
 
 def still_files(m: Manifest) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of every still file of a package, for which no table has an entry."""
     streams = Streams(m)
     for group in m.groups:
         yield from streams.add(group).items()
@@ -187,9 +183,18 @@ def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | No
     """
     streams = streams or Streams.of(m)
     ET.register_namespace("", DASH)
-    duration = f"PT{float(m.frames / m.fps):.6f}S"
-    root = _element(None, "MPD", **_presentation(m, duration, clock, streams.longest))
-    period = _element(root, "Period", id="p0", start="PT0S", **({} if m.live else {"duration": duration}))
+    duration = {} if m.live else {"duration": f"PT{float(m.frames / m.fps):.6f}S"}
+    about = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
+    if not m.live:
+        about = {"type": "static", **about, "mediaPresentationDuration": duration["duration"]}
+    elif clock is None:
+        raise ConfigError("the MPD of a growing package: expected the time from which it is available")
+    else:
+        update = f"PT{float(streams.longest / m.fps):.6f}S"
+        times = {"availabilityStartTime": clock.available.isoformat(), "publishTime": clock.published.isoformat()}
+        about = {"type": "dynamic", **about, **times, "minimumUpdatePeriod": update}
+    root = _element(None, "MPD", **about)
+    period = _element(root, "Period", id="p0", start="PT0S", **duration)
     for number, adaptation_set in enumerate(streams.sets(), 1):
         _write_set(period, m, number, adaptation_set)
     _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:2", value=JSON_NAME)
@@ -197,21 +202,6 @@ def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | No
         _element(root, "UTCTiming", schemeIdUri="urn:mpeg:dash:utc:http-head:2014", value=MPD_NAME)
     ET.indent(root, "")  # a line for each element
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
-
-
-def _presentation(m: Manifest, duration: str, clock: LiveClock | None, longest: int) -> dict[str, str]:
-    common = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
-    if not m.live:
-        return {"type": "static", **common, "mediaPresentationDuration": duration}
-    if clock is None:
-        raise ConfigError("the MPD of a growing package: expected the time from which it is available")
-    return {
-        "type": "dynamic",
-        **common,
-        "availabilityStartTime": clock.available.isoformat(),
-        "publishTime": clock.published.isoformat(),
-        "minimumUpdatePeriod": f"PT{float(longest / m.fps):.6f}S",
-    }
 
 
 def _write_set(period: ET.Element, m: Manifest, number: int, row: AdaptationSet) -> None:
@@ -325,7 +315,6 @@ def _check_child(parent: str, child: ET.Element) -> None:
 
 
 def _check_times(root: ET.Element, period: ET.Element, m: Manifest) -> None:
-    """How long the presentation is, where the Period begins, and how much is fetched before anything plays."""
     kind, text = root.get("type", "static"), root.get("mediaPresentationDuration")
     words = f"airgs.json says live: {m.live}, got a {kind} presentation"
     expect(kind == ("dynamic" if m.live else "static"), MPD_NAME, words, "mpd_mismatch")
@@ -358,7 +347,6 @@ def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
 
 
 def _check_kind(row: ET.Element, rows: list[ET.Element]) -> None:
-    """A player decides by these whether it can play an AdaptationSet, and which of its Representations."""
     expected = _kind_of(any(r.get("id") == SOUND for r in rows))
     got = {name: row.get(name) for name in expected}
     expect(got == expected, f"{MPD_NAME} AdaptationSet", f"expected {expected}, got {got}", "mpd_mismatch")
@@ -393,7 +381,6 @@ def _whole(text: str | None, where: str) -> int:
 
 
 def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
-    """Give the width and height that no picture of the groups exceeds."""
     atlases = [a for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for a in row]
     return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)
 

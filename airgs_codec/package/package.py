@@ -30,8 +30,6 @@ Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Package:
-    """An open package: its tables, and its files by their relative paths."""
-
     files: Place
     manifest: Manifest
     root_bytes: int  # of airgs.json
@@ -56,7 +54,6 @@ class Package:
 
     @property
     def rungs(self) -> tuple[Rung, ...]:
-        """What viewers can choose among, key quality by key quality. Raises FormatError as `read` does."""
         return rungs_of(self.manifest, self.manifest_bytes)
 
     def __repr__(self) -> str:
@@ -74,7 +71,6 @@ class Package:
 
 
 def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
-    """A file of a package whose length and digest are known; `Package.read` says what is raised."""
     size, read = find_file(files, relative)
     if size > max(entry.bytes, SHORT):
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
@@ -103,7 +99,6 @@ def check_file(relative: str, data: bytes, entry: FileEntry) -> None:
 
 
 def is_unpacked(relative: str, data: bytes) -> bool:
-    """Whether a table that is packed in a package is plain JSON."""
     return relative.endswith(".gz") and data.startswith(b"{")
 
 

@@ -99,7 +99,6 @@ def check_written(region: Region) -> None:
 
 
 def pack_json(table: Root | Spans | Group | Region) -> bytes:
-    """The JSON of a table; fields that may be missing are left out where they are None."""
     return json.dumps(table, default=_as_dict, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -193,7 +192,6 @@ def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
 
 @cache
 def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
-    """The types of a dataclass's fields, and which fields may be missing: None stands for them."""
     hints = typing.get_type_hints(kind, include_extras=True)
     required = {name: as_required(hint) for name, hint in hints.items()}
     return required, frozenset(name for name in hints if required[name] is not hints[name])
@@ -358,7 +356,6 @@ def _root_bounds(m: Header) -> Iterator[Bound]:
 
 
 def _shapes(m: Header, group: Group) -> Iterator[tuple[str, int, int]]:
-    """The lengths of lists, and what they must be."""
     yield "tiers", len(group.tiers), m.tiers
     yield "levels", len(group.levels), len(m.levels)
     for t, tier in enumerate(group.tiers):

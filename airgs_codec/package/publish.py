@@ -114,7 +114,6 @@ class GrowingPackage:
         self._write_root()
 
     def _read(self, path: str, entry: FileEntry) -> bytes:
-        """A page or a table of a group."""
         return self._unwritten[path] if path in self._unwritten else read_file(self.files, path, entry)
 
     def _write_root(self) -> None:
@@ -136,7 +135,6 @@ def staged_package(place: Place) -> AbstractContextManager[Path]:
 
 
 def _is_package(folder: Path) -> bool:
-    """Return whether a package, and nothing else, lies in a folder; files of it may be unfinished."""
     files = Folder(folder)
     try:
         parse_root(files.read(JSON_NAME) or b"")
@@ -225,38 +223,31 @@ def set_view(
     Raises ConfigError for nothing to change or a package that is still growing, FormatError for values that no reader
     takes, OSError where nothing can be written.
     """
-    place = place_at(path)
-    with written_alone(place.path) if isinstance(place, Folder) and place.path.is_dir() else nullcontext():
-        return _change(path, up, view, name)
-
-
-def _change(
-    path: str | Path, up: Sequence[float] | None, view: tuple[Sequence[float], Sequence[float]] | None, name: str | None
-) -> Root:
-    package = open_package(path)
-    root = root_of(package.manifest)
-    if root.live:
-        raise ConfigError(f"{path}: expected a package that is whole, got one that is still growing")
     if up is None and view is None:
         raise ConfigError(f"{path}: expected a way up or a view, got nothing to change")
-    if up is not None:
-        root = replace(root, world=world_from(up, unit_of(root.world) if root.world else None))
-    if view is not None:
-        if not np.isfinite(view).all():
-            raise ConfigError(f"view: expected finite numbers, got {view[0]} and {view[1]}")
-        root = replace(root, region=_with_view(root, view, name))
-    if up is not None or name is None:
-        root = replace(root, poster=None)
-    text = pack_json(root)
-    parse_root(text)
-    write_file(package.files, JSON_NAME, text)
-    if root.poster is None:  # a run that was killed here may have left it
-        package.files.delete([POSTER_NAME])
+    place = place_at(path)
+    with written_alone(place.path) if isinstance(place, Folder) and place.path.is_dir() else nullcontext():
+        package = open_package(path)
+        root = root_of(package.manifest)
+        if root.live:
+            raise ConfigError(f"{path}: expected a package that is whole, got one that is still growing")
+        if up is not None:
+            root = replace(root, world=world_from(up, unit_of(root.world) if root.world else None))
+        if view is not None:
+            if not np.isfinite(view).all():
+                raise ConfigError(f"view: expected finite numbers, got {view[0]} and {view[1]}")
+            root = replace(root, region=_with_view(root, view, name))
+        if up is not None or name is None:
+            root = replace(root, poster=None)
+        text = pack_json(root)
+        parse_root(text)
+        write_file(package.files, JSON_NAME, text)
+        if root.poster is None:  # a run that was killed here may have left it
+            package.files.delete([POSTER_NAME])
     return root
 
 
 def _with_view(root: Root, view: tuple[Sequence[float], Sequence[float]], name: str | None) -> Region:
-    """The region with another place, the first one unless it has a name."""
     position, focus = (list(map(float, point)) for point in view)
     region = levelled(root.region, root.world)
     away = [float(np.linalg.norm(np.subtract(place.position, position))) for place in region.places]

@@ -1,16 +1,14 @@
 """The tables of a package as frozen values: airgs.json (the root), the pages of its index, and a table a group.
 
-T key tiers, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What
-a field may hold beside its type is a constraint in its annotation; `parse` reads the JSON back and refuses everything
-else. `manifest` is a package's tables as one value.
+FORMAT.md says what each field means. What a field may hold beside its type is a constraint in its annotation; `parse`
+reads the JSON back and refuses everything else. `manifest` is a package's tables as one value.
 """
 
 from __future__ import annotations
 
 import base64
-import dataclasses
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Annotated
 
@@ -49,7 +47,7 @@ TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A number from `low` to `high`, both included. What this and other constraints refuse, `parse` says."""
+    """Bounds of a number, both included."""
 
     low: float
     high: float
@@ -57,7 +55,7 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """A list of at least `low` and at most `high` values."""
+    """How many values a list may have, at least and at most."""
 
     low: int
     high: int
@@ -70,9 +68,7 @@ class OneOf:
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A text that a regular expression matches from its start to its end."""
-
-    expression: str
+    expression: str  # that matches a text from its start to its end
     what: str  # such texts are, for people
 
 
@@ -230,7 +226,6 @@ class StateSteps:
 
 
 def difference_steps(key: KeySteps, grid: Grid) -> StateSteps:
-    """The steps of keys that are differences to those of another group: of means the finest cells in motion units."""
     return StateSteps(grid.unit, *(getattr(key, name) for name in KEY_ATTRIBUTES))
 
 
@@ -245,24 +240,22 @@ class Atlas:
     columns: int  # planes side by side
     width: Side = 0  # of the pictures, samples; 0 where there are none
     height: Side = 0
-    max_error: list[Annotated[float, Range(0, 1e38)]] = dataclasses.field(default_factory=list)  # for each attribute
+    max_error: list[Annotated[float, Range(0, 1e38)]] = field(default_factory=list)  # for each attribute
+
+    @property
+    def plane_height(self) -> int:
+        blocks = -(-self.rows // BLOCK**2)
+        return BLOCK * -(-blocks // (self.plane_width // BLOCK))
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in samples of what the planes cover together."""
-        height = plane_height(self.rows, self.plane_width) * -(-len(self.planes) // self.columns)
-        return self.plane_width * self.columns, height
+        return self.plane_width * self.columns, self.plane_height * -(-len(self.planes) // self.columns)
 
     @property
     def pages(self) -> int:
         """How many pictures show it together, each the next `height` lines."""
         return -(-self.size[1] // self.height)
-
-
-def plane_height(rows: int, plane_width: int) -> int:
-    """Samples from the top to the bottom of a plane of `rows` rows."""
-    blocks = -(-rows // BLOCK**2)
-    return BLOCK * -(-blocks // (plane_width // BLOCK))
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,7 +324,6 @@ class Group:
 
     @property
     def difference_steps(self) -> StateSteps:
-        """Quantiser steps at factor 1 of keys that are differences."""
         return difference_steps(self.key_steps, self.grid)
 
 
@@ -389,12 +381,10 @@ class Header:
 
     @property
     def fps(self) -> Fraction:
-        """Frames a second, exact."""
         return Fraction(*self.frame_rate)
 
     @property
     def frame_ticks(self) -> int:
-        """Duration of a frame in ticks of `timescale`."""
         return self.timescale * self.frame_rate[1] // self.frame_rate[0]
 
     def packets(self, start: int, stop: int) -> range:
@@ -441,10 +431,8 @@ def digest(data: bytes | bytearray) -> str:
 
 
 def shorten(sha256: bytes) -> str:
-    """The digest of a file with this SHA-256, as `digest` gives it."""
     return base64.urlsafe_b64encode(sha256[:24]).decode("ascii")
 
 
 def file_entry(data: bytes) -> FileEntry:
-    """Length and digest of a file with these bytes."""
     return FileEntry(len(data), digest(data))
