@@ -152,8 +152,8 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
     start, stop, _ = rows.indices(atlas.rows)
     samples = np.empty((len(atlas.planes), stop - start), np.uint8)
-    for line, plane in zip(samples, _read_planes(picture, atlas, rows), strict=True):
-        line[:] = plane
+    for line, (plane, places) in zip(samples, _find_planes(picture, atlas, rows), strict=True):
+        line[:] = plane.take(places)
     return samples
 
 
@@ -167,9 +167,9 @@ def read_codes(
     start, stop, _ = rows.indices(atlas.rows)
     codes = np.empty((len(atlas.centres), stop - start), np.int32)
     codes[:] = np.array(atlas.centres, np.int32)[:, None]
-    for plane, samples in enumerate(_read_planes(picture, atlas, rows)):
+    for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
         line = codes[atlas.planes[plane]]
-        line += samples
+        line += samples.take(places)
         line -= GREY
         if (base := bases[plane]) is not None:
             line += UNIT * base[rows]
@@ -234,10 +234,6 @@ def _fill_line(
     else:
         for i in range(len(values)):
             values[i] = np.float32(np.int32(samples[np.uintp(places[i])]) + centre) * unit
-
-
-def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Iterator[NDArray[np.uint8]]:
-    return (samples.take(places) for samples, places in _find_planes(picture, atlas, rows))
 
 
 def _find_planes(

@@ -34,7 +34,7 @@ WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
 LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
 # Decoded opacities stay inside [2^-20, 1 - 2^-20]: outside, the logit of a stored .ply is infinite.
 OPACITY_MARGIN = np.float32(2.0**-20)
-ReadChannels = Callable[[slice], NDArray[np.float32]]  # some rows -> their (c, n) channels
+Channels = NDArray[np.float32] | Callable[[slice], NDArray[np.float32]]  # (c, N), or what gives those of some rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +122,7 @@ def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeySteps | StateSt
 
 
 def dequantise_key(
-    read: ReadChannels,
+    channels: Channels,
     sidecar: KeySidecar,
     transform: NDArray[np.float64],
     grid: Grid,
@@ -144,10 +144,10 @@ def dequantise_key(
     out = {name: np.empty(column.shape, column.dtype) for name, column in columns.items()}
 
     def fill(rows: slice) -> None:
-        channels, part = read(rows), before.part(rows)
+        some, part = _some(channels, rows), before.part(rows)
         for name, column in out.items():
             _, put = ATTRIBUTES[name]
-            column[rows] = put(channels[kind.slice(name)], part, scale)
+            column[rows] = put(some[kind.slice(name)], part, scale)
 
     kernels.for_chunks(fill, len(sidecar.depths), WIDTH)
     return replace(base, depths=sidecar.depths, **out)
@@ -209,10 +209,10 @@ class StateApplier:
         scale = colour_steps(steps, len(base.transform)).astype(np.float32)
         return StateApplier(base, base.to_gaussians(), rows, scale, constant)
 
-    def apply(self, read: ReadChannels) -> Gaussians:
+    def apply(self, channels: Channels) -> Gaussians:
         """The frame that decoded state channels of the n rows make of the canonical space: all N rows.
 
-        `read` gives the (10 + C, m) channels of some of them; it is called on several threads.
+        What gives (10 + C, m) channels of some of them is called on several threads.
         """
         shown, base = self.shown, self.base
         before = {"means": shown.means, "log_scales": base.log_scales, "opacity": shown.opacity_logits}
@@ -225,7 +225,7 @@ class StateApplier:
                 for name, column in out.items():
                     column[rows] = before[name][rows]
             if start < stop:
-                self._add(out, self.rows[start:stop], read(slice(start, stop)))
+                self._add(out, self.rows[start:stop], _some(channels, slice(start, stop)))
 
         kernels.for_chunks(fill, len(shown), WIDTH)
         dc, rest = shown.sh_dc, shown.sh_rest
@@ -255,8 +255,8 @@ class StateApplier:
         kernels.add_states((*changes, dyes), tuple(columns.values()), rows, tuple(written))
 
 
-def parts_of(channels: NDArray[np.float32]) -> ReadChannels:
-    return lambda rows: channels[:, rows]
+def _some(channels: Channels, rows: slice) -> NDArray[np.float32]:
+    return channels[:, rows] if isinstance(channels, np.ndarray) else channels(rows)
 
 
 def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:

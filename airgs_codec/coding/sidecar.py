@@ -114,17 +114,13 @@ def pack_key_sidecar(sidecar: KeySidecar, grid: Grid, coarsest: int = 0) -> byte
     carried = sidecar.depths + np.uint8(1), 1  # static rows, 255, become 0
     if not len(sidecar.codes):
         return encode_columns([carried])
-    wider = Escapes.of(sidecar.wider.astype(np.int32)[None, None]).columns()
-    return encode_columns([*_position_columns(sidecar, grid, coarsest), carried, *wider])
-
-
-def _position_columns(sidecar: KeySidecar, grid: Grid, coarsest: int) -> list[Column]:
     low = (3 * cell_bits(sidecar.cells, grid, coarsest)).astype(np.uint64)
     codes = coarse_codes(sidecar.codes, sidecar.cells, grid, coarsest)
     before = np.concatenate([np.zeros(1, np.uint64), codes[:-1]])
     gaps = ((codes >> low) - (before >> low)).astype(np.int64)
     least = int(sidecar.classes.min())
-    return [(np.array([coarsest, least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
+    placed = [(np.array([coarsest, least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
+    return encode_columns([*placed, carried, *Escapes.of(sidecar.wider.astype(np.int32)[None, None]).columns()])
 
 
 def unpack_key_sidecar(

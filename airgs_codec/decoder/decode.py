@@ -5,7 +5,6 @@ T frames, N rows of a group, n rows of a key tier or of a level, P planes of an 
 
 from __future__ import annotations
 
-import functools
 import itertools
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -140,11 +139,11 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
 def _decode_tier(package: Package, group: int, tier: int, quality: int, transform: NDArray[np.float64]) -> Canonical:
     """The rows of a key tier, which has some; `transform` is the KLT of the group, and so of its base."""
     m, g = package.manifest, package.manifest.groups[group]
-    base, units = m.base_of(group), key_units(package, group, tier, quality)
+    base, width = m.base_of(group), len(g.tiers[tier].qualities[quality].centres)
     shown, sidecar = _read_key(package, group, tier, quality)
 
     def values(rows: slice) -> NDArray[np.float32]:
-        return shown.values(rows, units) if shown else np.zeros((len(units), rows.stop - rows.start), np.float32)
+        return shown.values(rows) if shown else np.zeros((width, rows.stop - rows.start), np.float32)
 
     before = None if base is None else _decode_tier(package, base, tier, quality, transform)
     return dequantise_key(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser, before)
@@ -156,13 +155,6 @@ def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[
     return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
 
 
-def state_units(package: Package, index: int, level: int) -> NDArray[np.float32]:
-    """(10 + C,) values of a code of the states of a segment in a level."""
-    m = package.manifest
-    steps = STATE.steps(m.groups[m.group_of(index)].state_steps, m.colour_channels)
-    return code_units(steps * m.levels[level].factor, m.state_gain)
-
-
 _Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and the bases in force until the next
 
 
@@ -172,17 +164,18 @@ class Shown:
 
     atlas: Atlas
     luma: _Luma
+    units: NDArray[np.float32]  # (c,) values of a code
     slopes: _Luma | None = None
     time: float = 0.0  # x: how often slopes count
 
     def codes(self) -> NDArray[np.int32]:
         return read_codes(self.luma[0], self.atlas, self.luma[1])
 
-    def values(self, rows: slice, units: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(c, n) values of some rows; `units` (c,) are those of a code."""
-        values = read_values(self.luma[0], self.atlas, self.luma[1], rows, units)
+    def values(self, rows: slice) -> NDArray[np.float32]:
+        """(c, n) values of some rows."""
+        values = read_values(self.luma[0], self.atlas, self.luma[1], rows, self.units)
         if self.slopes:
-            add_slopes(values, self.slopes[0], self.atlas, self.slopes[1], rows, units * np.float32(self.time))
+            add_slopes(values, self.slopes[0], self.atlas, self.slopes[1], rows, self.units * np.float32(self.time))
         return values
 
 
@@ -214,7 +207,7 @@ def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[Sh
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
     picture = _expect_picture(coming.result(), atlas, paths[0])
-    return Shown(atlas, (picture, next(jumps.running()))), sidecar
+    return Shown(atlas, (picture, next(jumps.running())), key_units(package, group, tier, quality)), sidecar
 
 
 def _expect_picture(picture: NDArray[np.uint8] | None, atlas: Atlas, where: str) -> NDArray[np.uint8]:
@@ -245,22 +238,19 @@ def _decode_states(
     package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
 ) -> Iterator[Gaussians]:
     m, (media,) = package.manifest, package.manifest.state_files(index, level)
-    group, units = m.groups[m.group_of(index)], state_units(package, index, level)
+    group = m.groups[m.group_of(index)]
     atlas, rows = group.levels[level], np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
         raise FormatError("count_mismatch", media, f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
-    constant = [name for name in ("quaternions", COLOUR) if not _varies(atlas, STATE.slice(name))]
+    names = STATE.names(m.colour_channels)
+    varying = {names[i] for i, centre in enumerate(atlas.centres) if centre or i in atlas.planes}
+    constant = [name for name in ("quaternions", COLOUR) if name not in varying]
     applier = StateApplier.of(base, rows, group.state_steps, constant)
     frames = range(places[0], places[-1] + 1)
     for place, state in zip(frames, decode_pictures(package, index, level, frames), strict=True):
         if place in places:
-            yield applier.apply(functools.partial(state.values, units=units))
-
-
-def _varies(atlas: Atlas, channels: slice) -> bool:
-    places = range(len(atlas.centres))[channels]
-    return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
+            yield applier.apply(state.values)
 
 
 AHEAD = 6  # pictures that are decoded before they are needed
@@ -274,7 +264,9 @@ def decode_pictures(package: Package, index: int, level: int, frames: range) -> 
     segment = m.segments[index]
     count, lined = segment.stop - segment.start, bool(segment.levels[level].line)
     (media,) = m.state_files(index, level)
-    atlas = m.groups[m.group_of(index)].levels[level]
+    group = m.groups[m.group_of(index)]
+    atlas, steps = group.levels[level], STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
+    units = code_units(steps, m.state_gain)
     columns, pictures = open_segment(package.read(media), media, atlas.pages)
     front, pictures = pictures.cut() if lined else (None, pictures)
     coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
@@ -291,7 +283,8 @@ def decode_pictures(package: Package, index: int, level: int, frames: range) -> 
     for shown, picture in enumerate(coming, 1):
         now = next(bases)
         if shown > first:
-            yield Shown(atlas, (_expect_picture(picture, atlas, media), now), slopes, float(times[shown - 1]))
+            luma = _expect_picture(picture, atlas, media), now
+            yield Shown(atlas, luma, units, slopes, float(times[shown - 1]))
     if shown < last:
         raise FormatError("bad_picture", media, f"expected {count} pictures, got {shown}")
 

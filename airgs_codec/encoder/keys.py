@@ -18,13 +18,7 @@ from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding import escapes
 from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, from_codes, read_codes, to_codes
-from airgs_codec.coding.channels import (
-    Canonical,
-    dequantise_key,
-    join_canonical,
-    parts_of,
-    state_channels,
-)
+from airgs_codec.coding.channels import Canonical, dequantise_key, join_canonical, state_channels
 from airgs_codec.coding.motion import classify_motion
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
 from airgs_codec.coding.sidecar import KeySidecar, coarse_codes, detail_columns, pack_key_sidecar, read_detail
@@ -261,7 +255,7 @@ def decode_keys(
         steps = layout.tier_steps(tier, STATE if base else KEY) * settings.key_factors[quality]
         values = from_codes(codes, steps, qp_step(KEY_QP))
         before, of = None if base is None else base.part(rows), (layout.transform, layout.grid, layout.key_steps)
-        parts.append(dequantise_key(parts_of(values), sidecar, *of, coarser, before))
+        parts.append(dequantise_key(values, sidecar, *of, coarser, before))
     return join_canonical(parts, layout.transform)
 
 

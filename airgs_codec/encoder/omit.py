@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.importance import CostSums, estimate_cost, pooled_error, pooled_within, select_omissions
-from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn, parts_of
+from airgs_codec.coding.channels import Canonical, StateApplier, frame_channels, hold_undrawn
 from airgs_codec.coding.kernels import row_chunks
 from airgs_codec.encoder.plan import GroupLayout
 from airgs_codec.encoder.settings import EncodeSettings
@@ -258,6 +258,6 @@ class StateOmissions:
 
         def frame(place: int) -> Gaussians:
             shown = self.values.frame(place)[:, self.applier.rows]
-            return self.applier.apply(parts_of(np.where(omitted[:, None], centres[:, None], shown).astype(np.float32)))
+            return self.applier.apply(np.where(omitted[:, None], centres[:, None], shown).astype(np.float32))
 
         return draw_frames(frame, self.layout.renderer)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import middle_frames
 from airgs_codec.analysis.importance import RowPruning, WrittenRows
 from airgs_codec.analysis.sensitivity import Sensitivity
-from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels, parts_of
+from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
 from airgs_codec.coding.motion import channel_weights, classify_motion, share_class, withheld_error
 from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
@@ -164,7 +164,7 @@ class GroupLayout:
     def canonical_space(self, channels: NDArray[np.float32], depths: NDArray[np.uint8]) -> Canonical:
         """The canonical space that (7 + C, N) decoded key channels and (N,) depths make, with the finest positions."""
         sidecar = self.sidecar(slice(None), depths)
-        return dequantise_key(parts_of(channels), sidecar, self.transform, self.grid, self.key_steps)
+        return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8]) -> KeySidecar:
         """Some rows with the finest positions, and of (N,) depths those of the rows."""

@@ -25,14 +25,7 @@ from airgs_codec.coding.atlas import (
     read_codes,
     to_codes,
 )
-from airgs_codec.coding.channels import (
-    Canonical,
-    colour_transform,
-    dequantise_key,
-    key_channels,
-    parts_of,
-    state_channels,
-)
+from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels, state_channels
 from airgs_codec.coding.motion import StepSettings, channel_weights, withheld_error
 from airgs_codec.coding.rangecoder import encode_columns
 from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes, pack_key_sidecar
@@ -124,9 +117,7 @@ class CalibrationSample:
             order = np.argsort(codes, kind="stable")
             sorted_rows = KeySidecar(codes[order], self.classes[order], wider[order], still)
             size += len(pack_key_sidecar(sorted_rows, grid))
-        base = dequantise_key(
-            parts_of(channels), KeySidecar(codes, self.classes, wider, still), transform, grid, steps.key
-        )
+        base = dequantise_key(channels, KeySidecar(codes, self.classes, wider, still), transform, grid, steps.key)
         return self.row_ratio * size / self.group_frames, base
 
     def code_difference(self, steps: StepSettings, base: Canonical, other: Gaussians) -> float:

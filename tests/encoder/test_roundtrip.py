@@ -9,7 +9,6 @@ import pytest
 from PIL import Image
 
 from airgs_codec.coding import channels, sidecar
-from airgs_codec.decoder.decode import state_units
 from airgs_codec.encoder.pipeline import draw_poster
 from airgs_codec.media.h264 import open_segment
 from tests import faces
@@ -90,7 +89,7 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
             values = channels.state_channels(shown_rows, base, group.state_steps)
             rows = (base.depths >= j) & (base.depths != 255)
             for t, shown in enumerate(faces.decode_pictures(fox, g, j, range(group.stop - group.start))):
-                error = shown.values(slice(None), state_units(fox, g, j)) - values[t][:, rows]
+                error = shown.values(slice(None)) - values[t][:, rows]
                 error /= (steps * level.factor)[:, None]
                 drawn = shown_rows[t].opacities()[rows] >= 1 / 255
                 assert np.abs(error[:, drawn]).max() <= 5

@@ -169,7 +169,7 @@ def test_keys(case):
     nowhere = (np.zeros(codes.shape[1], kind) for kind in (np.uint64, np.int16, np.int16, np.uint8))
     transform = unpack_matrix(case["colour_transform"], width)
     of = sidecar.KeySidecar(*nowhere), transform, Grid(**case["grid"]), steps
-    key = channels.dequantise_key(channels.parts_of(values), *of)
+    key = channels.dequantise_key(values, *of)
     names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colour}
     assert_near(names, case)
 
@@ -196,7 +196,7 @@ def test_states(case):
         if "slopes" in case:
             slopes = from_codes(np.array(case["slopes"], np.int32), widths, case["gain"])
             values += np.float32(atlas.line_times(len(case["frames"]))[place]) * slopes
-        assert_near(shown(applier.apply(channels.parts_of(values))), frame)
+        assert_near(shown(applier.apply(values)), frame)
     if not len(rows):  # without states it is shown alike
         assert_near(shown(base.to_gaussians()), case["frames"][0])
 

@@ -14,14 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.channels import (
-    colour_transform,
-    fit_colour_transform,
-    key_channels,
-    pack_matrix,
-    to_klt,
-    unpack_matrix,
-)
+from airgs_codec.coding.channels import colour_transform, fit_colour_transform, key_channels, pack_matrix, unpack_matrix
 from airgs_codec.coding.motion import FLOOR, StepSettings, classify_motion, get_step, motion_classes, motion_units
 from airgs_codec.coding.sidecar import fit_grid
 from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
@@ -207,7 +200,7 @@ def klt_error(decades: float, invert: bool) -> Judged:
     mixed = np.linalg.qr(rng.normal(size=(12, 12)))[0]
     scaled = (rng.normal(size=(ROWS, 12)) * spread) @ mixed
     stored = unpack_matrix(pack_matrix(fit_colour_transform(scaled)), 12)
-    channels = to_klt(scaled, stored) if invert else scaled @ stored.T
+    channels = scaled @ np.linalg.inv(stored) if invert else scaled @ stored.T
     back = channels.astype(np.float32) @ stored.astype(np.float32)
     error = float(np.abs(back - scaled).max() / np.abs(scaled).max())
     return error_end(error, 1e-6), error, f"condition of the stored transform {np.linalg.cond(stored):.5f}"
