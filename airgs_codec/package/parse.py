@@ -222,7 +222,7 @@ def _typed(kind: type, data: Any, where: str) -> Any:
 
 
 def expect(fits: object, where: str, detail: str, reason: str = "bad_value") -> None:
-    """Raise FormatError unless something fits."""
+    """Raise FormatError with a reason, a place and a detail unless `fits` is true."""
     if not fits:
         raise FormatError(reason, where, detail)
 

@@ -31,7 +31,7 @@ from airgs_codec.package.package import open_manifest, open_package, read_file, 
 from airgs_codec.package.parse import pack_group, pack_json, parse_root
 from airgs_codec.package.region import levelled, unit_of, upright, world_from
 from airgs_codec.package.tables import MAX_PLACES, FileEntry, Group, Region, Root
-from airgs_codec.package.tables import Place as Stand
+from airgs_codec.package.tables import Place as ViewPlace
 from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place, place_at
 from airgs_codec.places.whole import finished_path, staged_folder, written_alone
 
@@ -252,7 +252,7 @@ def _with_view(root: Root, view: tuple[Sequence[float], Sequence[float]], name: 
     region = levelled(root.region, root.world)
     away = [float(np.linalg.norm(np.subtract(place.position, position))) for place in region.places]
     reach = region.places[int(np.argmin(away))].reach
-    place = Stand(position, focus, upright(region).tolist(), reach, name)
+    place = ViewPlace(position, focus, upright(region).tolist(), reach, name)
     others = [other for other in root.region.places if name is None or other.name != name]
     if len(others) == MAX_PLACES:
         raise ConfigError(f"region: expected at most {MAX_PLACES} places, got one more")
