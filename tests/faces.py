@@ -43,7 +43,9 @@ from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measu
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
-from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, to_codes, with_step
+from airgs_codec.coding.atlas import from_codes, to_codes
+from airgs_codec.coding.channels import pack_matrix, unpack_matrix
+from airgs_codec.coding.motion import StepSettings, get_step, with_step
 
 # Packages: tables, paths, the MPD, validation
 from airgs_codec.package.layout import (
@@ -52,26 +54,25 @@ from airgs_codec.package.layout import (
 )  # fmt: skip
 from airgs_codec.package.tables import (
     Atlas, FileEntry, Grid, Group, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
-    Sound, StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
+    Sound, StateSteps, World, digest, file_entry,
 )  # fmt: skip
-from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
-from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
+from airgs_codec.package.manifest import (
+    GroupIndex, Groups, Manifest, build_index, count_groups, extend_index, on_ladder, pooled_quality,
+)  # fmt: skip
+from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, largest_picture, still_files, write_mpd
 from airgs_codec.package.package import (
     Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest,
     root_of, write_file,
 )  # fmt: skip
 from airgs_codec.package.parse import (
-    MAX_TABLE_BYTES, build_index, extend_index, pack_group, pack_json, parse_group, parse_root, read_region,
+    MAX_TABLE_BYTES, check_base, check_group, check_root, pack_group, pack_json, parse_group, parse_root, read_region,
 )  # fmt: skip
 from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
-from airgs_codec.package.references import check_base, check_group, check_root
 from airgs_codec.package.region import (
     FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, place_view, read_world,
     up_of, upright, world_from, world_words,
 )  # fmt: skip
-from airgs_codec.package.views import set_view
-from airgs_codec.package.dash_check import check_mpd, largest_picture
-from airgs_codec.package.index import GroupIndex, count_groups
+from airgs_codec.package.publish import set_view
 from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
 from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
@@ -81,8 +82,9 @@ from airgs_codec.inspect.compare import (
 )  # fmt: skip
 
 # Decoding
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_segment
-from airgs_codec.decoder.states import decode_pictures
+from airgs_codec.decoder.decode import (
+    decode, decode_canonical, decode_frames, decode_key, decode_pictures, decode_segment,
+)  # fmt: skip
 
 # Rendering and measuring pictures
 from airgs_codec.render import render

@@ -19,7 +19,7 @@ import numpy as np
 
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
-from airgs_codec.package import layout, parse, references, region, tables
+from airgs_codec.package import layout, parse, region, tables
 from airgs_codec.play import downloader, fetcher, http, ladder, offers, player, policies
 from airgs_codec.play.playout import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
@@ -73,8 +73,9 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         | {"PATHS": [[f"^{pattern}$", what] for pattern, what in layout.PATTERNS.items()]}
         | _channels(layout.KEY)
         | _channels(layout.STATE),
-        references: _same(references, "LEAST_SCALE", "MOST_SCALE") | {"WORLD_TOLERANCE": references.TOLERANCE},
-        region: _same(region, "AGREEMENT", "LEVELLING") | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
+        region: _same(region, "LEAST_SCALE", "MOST_SCALE")
+        | {"WORLD_TOLERANCE": parse.TOLERANCE}
+        | _same(region, "AGREEMENT", "LEVELLING", "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
         gaussians: _same(gaussians, "SMALL_ANGLE", "SH_C0"),
         atlas: _same(atlas, "GREY"),
         channels: _same(channels, "OPACITY_MARGIN"),

@@ -113,7 +113,7 @@ class SetView:
 @takes(SetView)
 def set_view(options: SetView) -> int:
     """Change where viewers begin, which way is up, and named views, without encoding again."""
-    from airgs_codec.package.views import set_view as change
+    from airgs_codec.package.publish import set_view as change
 
     position, focus = options.position, options.look_at
     if (position is None) != (focus is None) or (options.name and position is None):

@@ -55,7 +55,6 @@ def decode_group(package: Package, number: int, before: tuple[bytes, ...] = ()) 
 
 
 def _read_packets(package: Package, number: int) -> tuple[bytes, ...]:
-    """The packets of a group. Raises FormatError."""
     m = package.manifest
     span = m.packets(m.groups[number].start, m.groups[number].stop)
     for path in m.sound_files(number):

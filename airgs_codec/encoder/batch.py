@@ -43,9 +43,9 @@ from airgs_codec.encoder.tables import Provenance, build_manifest
 from airgs_codec.jobs.job import Job, digest
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.mp4 import init_segment
-from airgs_codec.package.dash_check import largest_picture
 from airgs_codec.package.layout import INIT_NAME, POSTER_NAME
 from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.mpd import largest_picture
 from airgs_codec.package.package import Package, root_of
 from airgs_codec.package.region import first_views
 from airgs_codec.package.tables import Group, Views, file_entry

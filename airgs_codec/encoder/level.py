@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas
+from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas, to_codes
 from airgs_codec.coding.channels import LEAST_DRAWN, hold_undrawn
 from airgs_codec.coding.escapes import Escapes
-from airgs_codec.coding.quantize import to_codes
 from airgs_codec.encoder.omit import StateValues
 from airgs_codec.encoder.representation import AtlasPictures, Clock, ErrorModel, encode_checked
 from airgs_codec.encoder.sample import block_rows, fit_slopes, worth_line

@@ -157,6 +157,6 @@ def _shown(package: Package, of: tuple[int, int], base: Canonical, pictures: Pic
     segment = m.segments[index]
     tiers = m.groups[m.group_of(index)].tiers[: m.levels[level].tiers]
     numbers = sorted({number for number, _ in pictures})
-    fewer = base.first(sum(tier.count for tier in tiers))
+    fewer = base.part(slice(sum(tier.count for tier in tiers)))
     frames = decode_segment(package, index, fewer, level, [number - segment.start for number in numbers])
     return draw_frames(in_order(numbers, frames), renderer)

@@ -17,13 +17,12 @@ from airgs_codec._sampling import middle_frames
 from airgs_codec.analysis.importance import RowPruning, WrittenRows
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
-from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, classify_motion, share_class, withheld_error
-from airgs_codec.coding.sidecar import KeySidecar
+from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import GroupSpan, Pictures, ShownPictures, Survey
 from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.tables import STATIC, Grid, KeySteps, StateSteps, difference_steps, unpack_matrix
+from airgs_codec.package.tables import STATIC, Grid, KeySteps, StateSteps, difference_steps
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
@@ -211,7 +210,7 @@ def lay_out(
         grid=grid,
         key_steps=steps.key,
         state_steps=steps.state,
-        transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
+        transform=transform,
         renderer=survey.renderer,
     )
     return replace(layout, factors=tier_factors(layout.key_weights().sum(axis=0), layout.tiers, len(settings.tiers)))

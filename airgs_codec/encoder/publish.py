@@ -22,9 +22,8 @@ from airgs_codec.encoder.tables import add_sound
 from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.jobs.job import Record
 from airgs_codec.jobs.work import Work, temporary_work
-from airgs_codec.package.dash_check import check_shared
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.mpd import LiveClock, check_shared
 from airgs_codec.package.package import find_faults, open_files, write_file
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.places.place import Folder, Place, place_at

@@ -20,7 +20,7 @@ from airgs_codec.analysis.importance import importance
 from airgs_codec.analysis.region import DATAPARSER, SEEN, in_trained_frame, region_around, see, seeing
 from airgs_codec.analysis.sensitivity import Sensitivity, measure_views
 from airgs_codec.analysis.viewpoints import find_viewpoints
-from airgs_codec.coding.quantize import UncodableError
+from airgs_codec.coding.atlas import UncodableError
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.package.parse import check_written

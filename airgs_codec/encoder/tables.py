@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
+from airgs_codec.coding.channels import pack_matrix
 from airgs_codec.coding.sidecar import pack_key_sidecar
 from airgs_codec.encoder.keys import CodedKeys, key_sidecar
 from airgs_codec.encoder.plan import GroupLayout
@@ -169,7 +170,7 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         grid=layout.grid,
         key_steps=layout.key_steps,
         state_steps=layout.state_steps,
-        colour_transform=tables.pack_matrix(layout.transform),
+        colour_transform=pack_matrix(layout.transform),
         tiers=[_tier_table(group, files, t) for t in range(len(layout.factors))],
         levels=[_bounded(level.atlas, level.error if of.gops else None, of, STATE) for level, of in levels],
         segments=_segment_tables(group, files),

@@ -17,10 +17,9 @@ from scipy.spatial import cKDTree
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
+from airgs_codec.coding.atlas import scale_codes
 from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
-from airgs_codec.coding.quantize import scale_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, key_units
-from airgs_codec.decoder.states import decode_pictures, state_units
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_pictures, decode_segment, key_units
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
@@ -220,9 +219,8 @@ def _states(
         sent = [s for s in m.segments_of(index) if m.state_files(s, j)]
         for s in sent:
             segment = m.segments[s]
-            frames, units = range(segment.stop - segment.start), state_units(package, s, j)
-            for t, state in enumerate(decode_pictures(package, s, j, frames)):
-                decoded = state.values(slice(None), units)
+            for t, state in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start))):
+                decoded = state.values(slice(None))
                 shown = [_shown(v, base, rows) for v in (values[segment.start - group.start + t][:, rows], decoded)]
                 worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
         if sent:

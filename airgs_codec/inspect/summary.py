@@ -190,7 +190,7 @@ def _constant(m: Manifest) -> Iterator[str]:
 def _without_plane(atlas: Atlas, layout: Layout) -> str:
     """Return how many channels of which attribute have no plane; empty when all have one."""
     missing = set(range(len(atlas.centres) if atlas.rows else 0)) - set(atlas.planes)
-    counts = Counter(layout.attribute_of(channel) for channel in sorted(missing))
+    counts = Counter(layout.names(1 + max(missing))[channel] for channel in sorted(missing))
     return ", ".join(f"{count} {attribute}" for attribute, count in counts.items())
 
 

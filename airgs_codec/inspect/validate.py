@@ -16,9 +16,8 @@ from airgs_codec.decoder.sound import decode_group
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.h264 import BRIGHTEST, DARKEST, check_segment, in_range, open_segment
-from airgs_codec.package.dash_check import check_mpd, check_shared, check_sound
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME, belongs, group_path
-from airgs_codec.package.mpd import still_files
+from airgs_codec.package.mpd import check_mpd, check_shared, check_sound, still_files
 from airgs_codec.package.package import Package, find_file, open_files, read_file
 from airgs_codec.package.parse import MAX_TABLE_BYTES
 from airgs_codec.package.tables import Atlas, file_entry

@@ -33,9 +33,8 @@ from yarl import URL
 
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.index import count_groups
 from airgs_codec.package.layout import JSON_NAME, group_path, locate
-from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.manifest import Manifest, count_groups
 from airgs_codec.package.package import (
     REPR_DIGEST,
     check_file,

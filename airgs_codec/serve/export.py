@@ -22,9 +22,8 @@ from pathlib import Path
 from urllib.parse import quote
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.dash_check import check_mpd, check_shared
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
-from airgs_codec.package.mpd import still_files
+from airgs_codec.package.mpd import check_mpd, check_shared, still_files
 from airgs_codec.package.package import Package, find_file, open_package, read_file, root_of, write_file
 from airgs_codec.package.parse import parse_root
 from airgs_codec.places.place import Folder, is_address

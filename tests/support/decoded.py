@@ -120,7 +120,7 @@ class _Writer:
         """The picture of a tier; None where it has none."""
         atlas = self.package.manifest.groups[group].tiers[tier].qualities[self.rung.quality]
         shown, _ = _read_key(self.package, group, tier, self.rung.quality)
-        return None if shown is None else self._picture(shown[0], atlas, _dense(atlas, shown[1]))
+        return None if shown is None else self._picture(shown.luma[0], atlas, _dense(atlas, shown.luma[1]))
 
     def _states(self, index: int) -> list[Json]:
         """Every frame of a segment; none where there is nothing to fetch."""

@@ -26,8 +26,7 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.motion import classify_motion, motion_units
-from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.coding.motion import StepSettings, classify_motion, motion_units
 from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.render.backend import CPU, Loaded, Renderer
 from airgs_codec.render.compare import compare

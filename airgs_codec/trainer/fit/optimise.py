@@ -51,8 +51,11 @@ EPSILON = 1e-12
 class Adam:
     """Adam (Kingma and Ba 2015) over named tensors whose rows may come and go."""
 
-    def __init__(self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float]) -> None:
+    def __init__(
+        self, parameters: Mapping[str, torch.Tensor], rates: Mapping[str, float], epsilon: float = EPSILON
+    ) -> None:
         """`parameters` are copied and made leaves; `rates` may be changed between steps through `self.rates`."""
+        self._epsilon = epsilon
         self.parameters = {name: p.detach().clone().requires_grad_(True) for name, p in parameters.items()}
         self.rates = dict(rates)
         self._first, self._second = zeros_like(parameters), zeros_like(parameters)  # moments
@@ -73,7 +76,7 @@ class Adam:
             first, second = self._first[name], self._second[name]
             first.lerp_(p.grad, 1 - BETAS[0])
             second.mul_(BETAS[1]).addcmul_(p.grad, p.grad, value=1 - BETAS[1])
-            scale = (second / bias[1]).sqrt_().add_(EPSILON)
+            scale = (second / bias[1]).sqrt_().add_(self._epsilon)
             p.addcdiv_(first, scale, value=-self.rates[name] / bias[0])
             if shrink and name in shrink:
                 threshold = self.rates[name] * shrink[name] / scale

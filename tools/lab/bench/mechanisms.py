@@ -35,7 +35,6 @@ from airgs_codec.encoder import batch, level, omit, pipeline, plan, repair, samp
 from airgs_codec.encoder.plan import WrittenRows
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
-from airgs_codec.package.tables import pack_matrix
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import read_cameras, render
 from airgs_codec.trainer import pipeline as training
@@ -122,8 +121,8 @@ def _free(of: Any) -> tuple[Any, str, Any]:
     return of, "planes", lambda self, price: choose(self, 0.0)
 
 
-def _identity(frame: Any, *_: Any) -> str:
-    return pack_matrix(np.eye(3 * (1 + frame.sh_rest.shape[1])))
+def _identity(frame: Any, *_: Any) -> Any:
+    return np.eye(3 * (1 + frame.sh_rest.shape[1]))
 
 
 MECHANISMS = (

@@ -32,12 +32,10 @@ export const STATE_ATTRIBUTES = ["means", "log_scales", "quaternions", "opacity"
 export const STATE_AT = {"means": 0, "log_scales": 3, "quaternions": 6, "opacity": 9, "colour": 10} as const;
 export const STATE_CHANNELS = ["means", "means", "means", "log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
 
-// airgs_codec.package.references
+// airgs_codec.package.region
 export const LEAST_SCALE = 1e-06;
 export const MOST_SCALE = 1000000.0;
 export const WORLD_TOLERANCE = 1e-05;
-
-// airgs_codec.package.region
 export const AGREEMENT = 0.1;
 export const LEVELLING = 100;
 export const FORGIVEN_DEGREES = 0.0001;
