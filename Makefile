@@ -17,7 +17,6 @@ unexport PYTHONDONTWRITEBYTECODE
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet torch==2.13.0
 	$(BIN)/pip install --quiet --editable '.[train,formats,dev]'
-	$(BIN)/python -m airgs_codec.cli.kernels
 	touch $@
 
 # Tests in a browser are skipped, and say so, where npm, node or chromium is not there.

@@ -18,59 +18,38 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from airgs_codec.decoder.decode import decode, decode_frames
-    from airgs_codec.encoder.publish import encode
-    from airgs_codec.encoder.search import Goal
-    from airgs_codec.encoder.settings import EncodeSettings
-    from airgs_codec.errors import AirgsError
-    from airgs_codec.inspect.compare import compare
-    from airgs_codec.inspect.errors import input_rows
-    from airgs_codec.inspect.validate import validate
-    from airgs_codec.package.package import Package, open_package
-    from airgs_codec.play.ladder import Decision
-    from airgs_codec.play.policies.state import PlayerState
-    from airgs_codec.play.session import simulate
-    from airgs_codec.play.settings import SessionSettings
-    from airgs_codec.play.trace import Trace
-    from airgs_codec.render.backend import draw
-    from airgs_codec.scene.camera import Camera
-    from airgs_codec.scene.formats.table import read, write
-    from airgs_codec.scene.gaussians import Gaussians
-    from airgs_codec.scene.sequence import GaussianSequence as Sequence
-    from airgs_codec.scene.sequence import open_sequence
-    from airgs_codec.trainer import train
-    from airgs_codec.trainer.settings import TrainSettings
+if TYPE_CHECKING:  # `as` tells type checkers that a name is public
+    from airgs_codec.decoder.decode import decode as decode
+    from airgs_codec.decoder.decode import decode_frames as decode_frames
+    from airgs_codec.encoder.decide import decide as decide
+    from airgs_codec.encoder.plan import Plan as Plan
+    from airgs_codec.encoder.publish import encode as encode
+    from airgs_codec.encoder.settings import EncodeSettings as EncodeSettings
+    from airgs_codec.encoder.target import Goal as Goal
+    from airgs_codec.errors import AirgsError as AirgsError
+    from airgs_codec.inspect.compare import compare as compare
+    from airgs_codec.inspect.errors import input_rows as input_rows
+    from airgs_codec.inspect.validate import validate as validate
+    from airgs_codec.package.package import Package as Package
+    from airgs_codec.package.package import open_package as open_package
+    from airgs_codec.play.ladder import Decision as Decision
+    from airgs_codec.play.playout import SessionSettings as SessionSettings
+    from airgs_codec.play.policies import PlayerState as PlayerState
+    from airgs_codec.play.session import simulate as simulate
+    from airgs_codec.play.trace import Trace as Trace
+    from airgs_codec.render.backend import draw as draw
+    from airgs_codec.scene.camera import Camera as Camera
+    from airgs_codec.scene.formats.table import read as read
+    from airgs_codec.scene.formats.table import write as write
+    from airgs_codec.scene.gaussians import Gaussians as Gaussians
+    from airgs_codec.scene.sequence import GaussianSequence
+    from airgs_codec.scene.sequence import open_sequence as open_sequence
+    from airgs_codec.trainer import train as train
+    from airgs_codec.trainer.settings import TrainSettings as TrainSettings
+
+    Sequence = GaussianSequence
 
 __version__ = "0.1.0"
-
-__all__ = [
-    "AirgsError",
-    "Camera",
-    "Decision",
-    "EncodeSettings",
-    "Gaussians",
-    "Goal",
-    "Package",
-    "PlayerState",
-    "Sequence",
-    "SessionSettings",
-    "Trace",
-    "TrainSettings",
-    "compare",
-    "decode",
-    "decode_frames",
-    "draw",
-    "encode",
-    "input_rows",
-    "open_package",
-    "open_sequence",
-    "read",
-    "simulate",
-    "train",
-    "validate",
-    "write",
-]
 
 _HOMES = {
     "AirgsError": "errors",
@@ -78,14 +57,16 @@ _HOMES = {
     "Decision": "play.ladder",
     "EncodeSettings": "encoder.settings",
     "Gaussians": "scene.gaussians",
-    "Goal": "encoder.search",
+    "Goal": "encoder.target",
+    "Plan": "encoder.plan",
     "Package": "package.package",
-    "PlayerState": "play.policies.state",
+    "PlayerState": "play.policies",
     "Sequence": "scene.sequence",
-    "SessionSettings": "play.settings",
+    "SessionSettings": "play.playout",
     "Trace": "play.trace",
     "TrainSettings": "trainer.settings",
     "compare": "inspect.compare",
+    "decide": "encoder.decide",
     "decode": "decoder.decode",
     "decode_frames": "decoder.decode",
     "draw": "render.backend",
@@ -100,6 +81,8 @@ _HOMES = {
     "write": "scene.formats.table",
 }
 _NAMES_THERE = {"Sequence": "GaussianSequence"}  # where it is another
+
+__all__ = list(_HOMES)
 
 
 def __getattr__(name: str) -> Any:

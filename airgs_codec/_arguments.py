@@ -47,16 +47,15 @@ def frame_argument(value: object, frames: int, least: int = 0) -> int:
 
 
 def brief(value: Any) -> str:
-    """A dataclass for people, as its `__repr__`: what is not as by default, arrays by their shape and extent."""
-    told = [(f, getattr(value, f.name)) for f in fields(value) if f.repr]
-    unlike = [f"{f.name}={_short(one)}" for f, one in told if type(one) is not type(f.default) or one != f.default]
-    return f"{type(value).__name__}({', '.join(unlike)})"
+    """A dataclass for people, as its `__repr__`: what is not as by default, shortened, arrays by their shape."""
+    shown = [(f, getattr(value, f.name)) for f in fields(value) if f.repr]
+    changed = [(f.name, one) for f, one in shown if type(one) is not type(f.default) or one != f.default]
+    return f"{type(value).__name__}({', '.join(f'{name}={_short(one)}' for name, one in changed)})"
 
 
 def _short(value: Any) -> str:
     if hasattr(value, "dtype") and value.ndim:
-        extent = f" from {value.min():.4g} to {value.max():.4g}" if value.size and value.dtype.kind in "fiu" else ""
-        return f"<{value.dtype} {value.shape}{extent}>"
+        return f"<{value.dtype} {value.shape}>"
     if isinstance(value, Sized) and not isinstance(value, str) and len(value) > SHOWN:
         return f"<{type(value).__name__} of {len(value)}>"
     text = repr(value)

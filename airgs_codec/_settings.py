@@ -6,7 +6,7 @@ import inspect
 import os
 import textwrap
 from collections.abc import Callable
-from dataclasses import MISSING, Field, field, fields, is_dataclass, replace
+from dataclasses import MISSING, Field, field, fields
 from numbers import Integral, Real
 from typing import Any, TypeVar, get_args, get_origin, get_type_hints
 
@@ -21,8 +21,9 @@ Settings = TypeVar("Settings")
 def setting(default: Any, about: str, /, **more: Any) -> Any:
     """Returns a field of settings with its default; `about` is a phrase that says what it means, with its unit.
 
-    `more`: what `airgs_codec.cli.options` has to know to make an option of it: `choices`, or `read`, a function from
-    text; `metavar`; `default`, the default in words; `short`, as -o; `topic`, if it is no everyday option.
+    `more`: what an option is that is made of it: arguments of `cyclopts.Parameter` (choices, metavar, name, alias);
+    `read`, a function from text; `least`, of a whole number; `default`, in words; `topic`, if it is no everyday option;
+    `option`: False, if it is none.
     """
     return field(default=default, metadata={"help": about, **more})
 
@@ -37,24 +38,9 @@ def required(about: str, **more: Any) -> Any:
     return field(metadata={"help": about, **more})
 
 
-def about(settings: type, name: str) -> str:
-    """Returns what the field `name` means. Raises KeyError for a name that is not a field."""
-    return {f.name: f for f in fields(settings)}[name].metadata["help"]
-
-
 def default_of(one: Field[Any]) -> Any:
     """Returns the default of a field, MISSING where it has none."""
     return one.default if one.default_factory is MISSING else one.default_factory()
-
-
-def applied(settings: Settings, given: dict[str, Any]) -> Settings:
-    """Returns the settings with the fields that were given; a dictionary is applied to the settings in its field."""
-    changes = {}
-    for name, value in given.items():
-        before = getattr(settings, name)
-        nested = isinstance(value, dict) and is_dataclass(before)
-        changes[name] = applied(before, value) if nested else value
-    return replace(settings, **changes)  # type: ignore[type-var]
 
 
 def documented(settings: type[Settings]) -> type[Settings]:
@@ -62,44 +48,40 @@ def documented(settings: type[Settings]) -> type[Settings]:
 
     Values of another kind than a field has are refused with a ConfigError that names it, when settings are made.
     """
-    lines = (textwrap.fill(_line(f), 100, subsequent_indent="    ") for f in fields(settings))  # type: ignore[arg-type]
-    settings.__doc__ = "\n".join([inspect.cleandoc(settings.__doc__ or ""), "", *lines])
+    defaults = {f.name: "" if f.default is MISSING else f" = {f.default!r}" for f in fields(settings)}  # type: ignore[arg-type]
+    lines = (f"{f.name}{defaults[f.name]}: {f.metadata['help']}." for f in fields(settings))  # type: ignore[arg-type]
+    paragraphs = (textwrap.fill(line, 100, subsequent_indent="    ") for line in lines)
+    settings.__doc__ = "\n".join([inspect.cleandoc(settings.__doc__ or ""), "", *paragraphs])
     check = getattr(settings, "__post_init__", lambda self: None)
 
     def made(self: Settings) -> None:
         for name, kind in get_type_hints(settings).items():
-            if not is_of(getattr(self, name), kind):
-                raise ConfigError(f"{name}: expected {words_of(kind)}, got {described(getattr(self, name))}")
+            if not _is_of(getattr(self, name), kind):
+                raise ConfigError(f"{name}: expected {_words_of(kind)}, got {described(getattr(self, name))}")
         check(self)
 
     settings.__post_init__ = made  # type: ignore[attr-defined]
     return settings
 
 
-def is_of(value: Any, kind: Any) -> bool:
+def _is_of(value: Any, kind: Any) -> bool:
     """Whether a value is of the kind that a field has; no whole number has more than 31 bits."""
     inner = get_args(kind)
     if get_origin(kind) is tuple:
         parts = inner[:1] * len(value) if inner[-1] is ... and isinstance(value, tuple | list) else inner
-        return isinstance(value, tuple | list) and len(value) == len(parts) and all(map(is_of, value, parts))
+        return isinstance(value, tuple | list) and len(value) == len(parts) and all(map(_is_of, value, parts))
     if inner:
-        return any(is_of(value, one) for one in inner)
+        return any(_is_of(value, one) for one in inner)
     if kind not in (int, float):
         return isinstance(value, kind)
     number = isinstance(value, Integral if kind is int else Real) and not isinstance(value, bool)
     return number and not (isinstance(value, Integral) and abs(int(value)) >= MOST)
 
 
-def words_of(kind: Any) -> str:
-    """What is expected of a value of a kind."""
+def _words_of(kind: Any) -> str:
     if get_args(kind) and get_origin(kind) is not tuple:
-        return " or ".join(words_of(one) for one in get_args(kind))
+        return " or ".join(_words_of(one) for one in get_args(kind))
     return KINDS.get(kind, "a tuple" if get_origin(kind) is tuple else kind.__name__)
-
-
-def _line(f: Field[Any]) -> str:
-    default = "" if f.default is MISSING else f" = {f.default!r}"
-    return f"{f.name}{default}: {f.metadata['help']}."
 
 
 def available_cores() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copyreg
 from typing import Any
 
 
@@ -23,13 +24,7 @@ class AirgsError(Exception):
     """
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuild, (type(self), self.args), self.__dict__
-
-
-def _rebuild(kind: type[AirgsError], words: tuple[Any, ...]) -> AirgsError:
-    error = kind.__new__(kind, *words)
-    error.args = words
-    return error
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # type: ignore[attr-defined]
 
 
 class SceneError(AirgsError, ValueError):

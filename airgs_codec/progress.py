@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any, Protocol
 
 
@@ -33,18 +34,21 @@ def silent(stage: str, done: int, total: int) -> None:
 
 def told(progress: Progress | type) -> Progress:
     """What `progress=` takes, as a function: a class of bars, such as tqdm.auto.tqdm, shows a bar for each stage."""
-    return _Bars(progress) if isinstance(progress, type) else progress
+    return Bars(progress) if isinstance(progress, type) else progress
 
 
-class _Bars:
-    def __init__(self, kind: Any) -> None:
+class Bars:
+    """A bar of `kind`, which is called as tqdm is, for each stage."""
+
+    def __init__(self, kind: Callable[..., Any]) -> None:
         self._kind, self._stage = kind, ""
         self._bar: Any = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         if self._bar is None or name_of(stage) != self._stage:
             self.close()
-            self._stage, self._bar = name_of(stage), self._kind(total=total, desc=name_of(stage))
+            self._stage, self._bar = name_of(stage), self._kind(total=total, initial=done, desc=stage)
+        self._bar.set_description(stage, refresh=False)
         self._bar.total = total
         self._bar.update(done - self._bar.n)
         if done == total:

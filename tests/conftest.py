@@ -39,8 +39,12 @@ def own_cache(tmp_path_factory, made_once):
     """Calibrations stay out of the user's cache; kernels that a process compiles itself may differ in the last bits."""
 
     def compile_all(folder):
-        subprocess.run([sys.executable, "-m", "airgs_codec.cli.kernels"], check=True)
-        folder.mkdir()
+        scene, model = write_blobs(folder / "scene"), folder / "model"
+        train = f"{scene} -o {model} --iterations 2,2,2 --frames 0:2 --sync off --device cpu"
+        encode = f"{model} -o {folder}/package --preset quick --measure-pictures 1"
+        for command, words in (("train", train), ("encode", encode)):
+            code = f"import sys; from airgs_codec.cli.{command} import main; sys.exit(main(sys.argv[1:]))"
+            subprocess.run([sys.executable, "-c", code, *words.split()], check=True, capture_output=True)
 
     made_once("kernels", compile_all)
     with pytest.MonkeyPatch.context() as patch:

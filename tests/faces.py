@@ -11,13 +11,13 @@ from airgs_codec.errors import (
 
 # Reading and writing: splats, cameras, pictures, places
 from airgs_codec.scene.gaussians import (
-    Gaussians, SH_C0, SH_REST, conjugate, from_rotation_vector, join_rows, mix_rows, morton_decode, morton_encode,
+    Gaussians, SH_C0, SH_REST, conjugate, from_rotation_vector, mix_rows, morton_decode, morton_encode,
     multiply, sigmoid, to_matrices, to_rotation_vector,
 )  # fmt: skip
 from airgs_codec.scene.camera import (
     Camera, OPENGL_TO_OPENCV, dome_views, look_at, orbit_views, placed, training_views, with_pixels,
 )  # fmt: skip
-from airgs_codec.scene.cameras.read import find_cameras, read_cameras, read_posed
+from airgs_codec.scene.cameras import find_cameras, read_cameras, read_posed
 from airgs_codec.scene.beside import MEASURES, USAGE_NAME, Usage, load_usage, read_settings, save_usage
 from airgs_codec.scene.frames import HeldFrames, Repaired, repair, turn_least
 from airgs_codec.scene.sequence import GaussianSequence, GrowingFolder, open_sequence
@@ -26,8 +26,7 @@ from airgs_codec.scene.formats.table import (
     COMPRESSED, FRAMES, GLTF, INRIA, SOG, SPLAT, SPZ, format_of, read_frame, read_frame_header,
 )  # fmt: skip
 from airgs_codec.media.image import box_mean, read_picture, resize, to_bytes, write_png
-from airgs_codec.media.movie import VideoReader, write_movie
-from airgs_codec.media.sound import decode_sound, encode_sound
+from airgs_codec.media.movie import VideoReader, decode_sound, encode_sound, write_movie
 from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
 from airgs_codec.places.results import Store, open_store, pack, seal, unpack, unseal
 
@@ -43,9 +42,10 @@ from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.prepare import order_rows, prepare
-from airgs_codec.encoder.track import tracked
 from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
-from airgs_codec.coding.quantize import StepSettings, from_codes, get_step, to_codes, with_step
+from airgs_codec.coding.atlas import from_codes, to_codes
+from airgs_codec.coding.channels import pack_matrix, unpack_matrix
+from airgs_codec.coding.motion import StepSettings, get_step, with_step
 
 # Packages: tables, paths, the MPD, validation
 from airgs_codec.package.layout import (
@@ -54,42 +54,37 @@ from airgs_codec.package.layout import (
 )  # fmt: skip
 from airgs_codec.package.tables import (
     Atlas, FileEntry, Grid, Group, KeySteps, LeftOut, MAX_PLACES, NO_FILE, PAGE, Place, Region, STATIC, Segment,
-    Sound, StateSteps, World, digest, file_entry, pack_matrix, unpack_matrix,
+    Sound, StateSteps, World, digest, file_entry,
 )  # fmt: skip
-from airgs_codec.package.manifest import Groups, Manifest, on_ladder, pooled_quality
-from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
+from airgs_codec.package.manifest import (
+    GroupIndex, Groups, Manifest, build_index, count_groups, extend_index, on_ladder, pooled_quality,
+)  # fmt: skip
+from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, largest_picture, still_files, write_mpd
 from airgs_codec.package.package import (
     Package, REPR_DIGEST, check_repr_digest, find_faults, open_files, open_manifest, open_package, repr_digest,
     root_of, write_file,
 )  # fmt: skip
 from airgs_codec.package.parse import (
-    MAX_TABLE_BYTES, build_index, extend_index, pack_group, pack_json, parse_group, parse_root, read_region,
+    MAX_TABLE_BYTES, check_base, check_group, check_root, pack_group, pack_json, parse_group, parse_root, read_region,
 )  # fmt: skip
 from airgs_codec.package.publish import GrowingPackage, staged_package, write_root, write_tables
-from airgs_codec.package.references import check_base, check_group, check_root
 from airgs_codec.package.region import (
     FORGIVEN_DEGREES, FORGIVEN_SHARE, MEASURING, before_background, draw_views, levelled, place_view, read_world,
-    up_of, upright, world_from,
+    up_of, upright, world_from, world_words,
 )  # fmt: skip
-from airgs_codec.package.views import set_view
-from airgs_codec.package.dash_check import check_mpd, largest_picture
-from airgs_codec.package.index import GroupIndex, count_groups
+from airgs_codec.package.publish import set_view
 from airgs_codec.inspect.validate import Finding, exceeded, validate, validate_files
 from airgs_codec.inspect.errors import measure_errors
-from airgs_codec.inspect.plot import plot_ladder
-from airgs_codec.inspect.summary import (
-    bytes_by_kind, describe_left_out, format_ladder, format_summary, segment_rates, summarise,
-)  # fmt: skip
-from airgs_codec.inspect.sides import (
-    comparable, compared_views, left_out, open_side, region_views, rung_streams, shared_views,
-)  # fmt: skip
+from airgs_codec.inspect.summary import describe_left_out, format_ladder, format_summary, plot_ladder, summarise
 from airgs_codec.inspect.compare import (
-    LABEL, compare_streams, compare_two, comparison_json, difference_gain, format_two, side_by_side,
+    LABEL, comparable, compare_streams, compare_two, compared_views, comparison_json, difference_gain, format_two,
+    left_out, open_side, region_views, rung_streams, shared_views, side_by_side,
 )  # fmt: skip
 
 # Decoding
-from airgs_codec.decoder.decode import decode, decode_canonical, decode_frames, decode_key, decode_segment
-from airgs_codec.decoder.states import decode_pictures
+from airgs_codec.decoder.decode import (
+    decode, decode_canonical, decode_frames, decode_key, decode_pictures, decode_segment,
+)  # fmt: skip
 
 # Rendering and measuring pictures
 from airgs_codec.render import render
@@ -100,43 +95,47 @@ from airgs_codec.media.metrics import Difference, PSNR_CAP, Picture, Quality, de
 # Training
 from airgs_codec.trainer import train
 from airgs_codec.trainer.settings import Temporal, TrainSettings, preset, settings_from_table
-from airgs_codec.trainer.capture import Capture
+from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.data.multiview import (
-    MultiviewScene, Points, Shot, content_of, read_contents, with_held_out, with_near,
+    MultiviewScene, Points, Shot, with_held_out, with_near,
 )  # fmt: skip
 from airgs_codec.trainer.data.pictures import PICTURE_BYTES, Pictures, TARGET_BYTES, Target, View
 from airgs_codec.trainer.data.readers import is_multiview, open_scene
-from airgs_codec.trainer.fit.first import fit_first
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, Adam, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.data.pictures import FrameViews
+from airgs_codec.trainer.fit.trainer import Trainer, fit_first
+from airgs_codec.trainer.fit.losses import ATTRIBUTES, InMotion, Parameters, from_gaussians
+from airgs_codec.trainer.fit.optimise import Adam
 from airgs_codec.trainer.fit.points import from_points, scene_extent
-from airgs_codec.trainer.pipeline import open_run, rested, train_frames, train_in_jobs
+from airgs_codec.trainer.pipeline import content_of, open_run, read_contents, rested, train_frames, train_in_jobs
+from airgs_codec.trainer.track import tracked
 from airgs_codec.trainer.record import FrameRecord, Record, TrainedFrame, VERSION as MODEL_VERSION, read_model
 
 # Playing
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.play.offers import Batch, NONE, Offers
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.downloader import (
     Arrival, Arrived, BatchKind, Cut, Event, GiveUp, Lost, Replaced, Request, Shown, SimulatedDownloader,
 )  # fmt: skip
-from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables, fetch_beside
+from airgs_codec.play.http import HttpDownloader, HttpSettings, RemoteTables
 from airgs_codec.play.player import run
-from airgs_codec.play.report import answer, beaten_words, find_stalls, format_metrics, write_report
+from airgs_codec.play.report import answer, beaten_words, find_waits, format_metrics, write_report
 from airgs_codec.play.film import sound_of, walk, walk_through
 from airgs_codec.play.study import (
-    Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer,
+    Study, StudySettings, format_study, interval, is_feasible, offsets_of, run_study, study_answer, study_record,
 )  # fmt: skip
-from airgs_codec.play.session import SessionLog, measure_decoding, play, session_bound, simulate
-from airgs_codec.play.policies.named import ADAPTIVE, NAMES, make_policy
-from airgs_codec.play.policies.state import Coming, Download, PlayerState, Policy, STALL_DB, estimate_throughput
+from airgs_codec.play.session import SessionLog, play, session_bound, simulate
+from airgs_codec.play.policies import (
+    ADAPTIVE, Coming, Download, NAMES, PlayerState, Policy, STALL_DB, estimate_throughput, make_policy,
+)  # fmt: skip
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 
 # Serving
-from airgs_codec.serve.app import Packages, make_app, media_type
+from airgs_codec.serve.app import (
+    Certificate, Packages, ServerSettings, check_certificate, listen, make_app, media_type, serve,
+)  # fmt: skip
 from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_built, list_page
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen, serve
 from airgs_codec.serve.export import export_page
 
 # Work in jobs
@@ -152,3 +151,5 @@ from airgs_codec.cli.play import main as airgs_play
 from airgs_codec.cli.serve import main as airgs_serve
 from airgs_codec.cli.train import main as airgs_train
 from airgs_codec.cli.train import match_cameras
+
+join_rows = Gaussians.join

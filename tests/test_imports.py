@@ -17,16 +17,15 @@ ORDER = (  # the decoder knows nothing of the encoder
     "serve", "encoder", "inspect", "cli",
 )  # fmt: skip
 MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
-    "torch": {"render/differentiable.py", "render/cuda.py", "render/reference.py", "trainer"},
+    "torch": {"render/cuda.py", "render/reference.py", "trainer"}, "aiohttp": {"play/http.py"},
     "numba": {
-        "cli/kernels.py", "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
+        "coding/rangecoder.py", "render/cpu.py", "render/cpu_kernels.py", "trainer/fit/kernels.py",
     },
-    "av": {"media/h264.py", "media/movie.py", "media/sound.py"}, "starlette": {"serve/app.py", "serve/server.py"},
+    "av": {"media/h264.py", "media/movie.py"}, "starlette": {"serve/app.py"}, "hypercorn": {"serve/app.py"},
     "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},
     "gaussforge": {"scene/formats/sandbox.py"}, "fourdgs": {"scene/formats/sandbox.py"},
-    "gsply": {"scene/formats/spz.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),
+    "gsply": {"scene/formats/packed.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),
     "dask": {"jobs/dask_engine.py"}, "distributed": {"jobs/dask_engine.py"}, "obstore": {"places/place.py"},
-    "aiohttp": {"play/http.py"}, "hypercorn": {"serve/server.py"},
 }  # fmt: skip
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
 

@@ -23,7 +23,7 @@ _PLAIN = {bool: "boolean", int: "integer", float: "number", str: "string"}
 def manifest_schema() -> dict[str, Any]:
     """The schema of airgs.json, and under $defs those of a group's table and of a page of the index.
 
-    What ties one field to another it cannot say, and `references` checks.
+    What ties one field to another it cannot say, and `parse` checks.
     """
     schema = _schema_of(Root)
     schema["properties"]["version"] = {"const": VERSION}

@@ -19,10 +19,9 @@ import numpy as np
 
 from airgs_codec.coding import atlas, channels, escapes, rangecoder
 from airgs_codec.media import h264, metrics, mp4
-from airgs_codec.package import layout, parse, references, region, tables
-from airgs_codec.play import buffered, downloader, fetcher, http, ladder, offers, player
-from airgs_codec.play.policies import mpc, named, state
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.package import layout, parse, region, tables
+from airgs_codec.play import downloader, fetcher, http, ladder, offers, player, policies
+from airgs_codec.play.playout import SessionSettings
 from airgs_codec.render import cpu, cpu_kernels
 from airgs_codec.scene import gaussians
 from tools.schema import manifest_schema
@@ -35,7 +34,7 @@ _FLAGS = {
     | {"duration": mp4.DEFAULT_DURATION, "size": mp4.DEFAULT_SIZE},
 }
 MADE = "// Made by python -m tools.typescript from airgs_codec"
-SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon", "pipelined")
+SETTINGS = ("buffer_s", "startup_s", "resume_s", "decode_frame_s", "replace", "abandon")
 
 
 def main() -> None:
@@ -74,8 +73,9 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
         | {"PATHS": [[f"^{pattern}$", what] for pattern, what in layout.PATTERNS.items()]}
         | _channels(layout.KEY)
         | _channels(layout.STATE),
-        references: _same(references, "LEAST_SCALE", "MOST_SCALE") | {"WORLD_TOLERANCE": references.TOLERANCE},
-        region: _same(region, "AGREEMENT", "LEVELLING") | _same(region, "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
+        region: _same(region, "LEAST_SCALE", "MOST_SCALE")
+        | {"WORLD_TOLERANCE": parse.TOLERANCE}
+        | _same(region, "AGREEMENT", "LEVELLING", "FORGIVEN_DEGREES", "FORGIVEN_SHARE"),
         gaussians: _same(gaussians, "SMALL_ANGLE", "SH_C0"),
         atlas: _same(atlas, "GREY"),
         channels: _same(channels, "OPACITY_MARGIN"),
@@ -96,13 +96,13 @@ def constants() -> dict[ModuleType, dict[str, Any]]:
 def _of_players() -> dict[ModuleType, dict[str, Any]]:
     settings, patience = SessionSettings(), http.HttpSettings()
     return {
-        named: _same(named, "DEFAULT_POLICY") | {"POLICY_NAMES": list(named.ADAPTIVE)},
-        state: _same(state, "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB"),
-        mpc: _same(mpc, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS", "PAST_DOWNLOADS"),
+        policies: _same(policies, "DEFAULT_POLICY", "SAFETY", "HALF_LIVES_S", "BUFFER_SHARE", "RESERVE_S", "STALL_DB")
+        | _same(policies, "SWITCH_DB", "LOW_BUFFER_DB", "HORIZON_S", "HORIZON_SEGMENTS", "GRID_POINTS")
+        | _same(policies, "PAST_DOWNLOADS") | {"POLICY_NAMES": list(policies.ADAPTIVE)},
         ladder: _same(ladder, "DEFAULT_BETA", "EPS_DB", "CLIFF_DB"),
         offers: _same(offers, "HEADER_BYTES", "OVER_BUDGET"), downloader: _same(downloader, "CHECK_S"),
-        buffered: _same(buffered, "REPLACE_GAIN_DB"), fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
-        player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S")
+        fetcher: _same(fetcher, "REMEMBERED", "SHORTEST_S"),
+        player: _same(player, "LONGEST_POLL_S", "POLL_S", "SILENCE_S", "REPLACE_GAIN_DB")
         | {"SESSION": {_camel(name): getattr(settings, name) for name in SETTINGS}},
         http: _same(http, "BUSY", "GARBLED", "LONGEST_PAUSE_S", "LEAST_BYTES")
         | {"TIMEOUT_S": patience.timeout_s, "ATTEMPTS": patience.attempts, "BACKOFF_S": patience.backoff_s},

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE, Sensitivity
 from airgs_codec.media.metrics import mse
-from airgs_codec.render import Camera
-from airgs_codec.render.backend import CPU, Renderer, Without
+from airgs_codec.render import Camera, Without
+from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 

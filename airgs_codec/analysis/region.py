@@ -1,9 +1,14 @@
-"""The viewing region that cameras and a scene suggest. C cameras, P places; N rows."""
+"""What cameras see of a scene, and the viewing region that they suggest. C cameras, P places; N rows.
+
+Cameras that see nothing of a scene tell nothing, however well two pictures agree.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +16,17 @@ from numpy.typing import NDArray
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.tables import MAX_PLACES, Place, Region
 from airgs_codec.render import Camera, measure_contribution
-from airgs_codec.scene.camera import resized, weighted_quantile
+from airgs_codec.render.backend import CPU, Loaded, Renderer
+from airgs_codec.scene.camera import in_picture, placed, resized, weighted_quantile, with_near_planes
+from airgs_codec.scene.files import expecting
 from airgs_codec.scene.gaussians import Gaussians
+
+SIDE = 64  # pixels, the longest of pictures that are looked at
+LIT = 1e-3  # of the pixels of a picture, from which it shows something
+OPAQUE = 0.01  # of a pixel, from which it is lit: a faint scene is one, too
+SOLID, FEW, MANY = 0.1, 256, 0.1  # opacity of rows, so many of them, and the share of these, that surely show something
+SEEN = 0.02  # of the opacity of all rows, from which cameras are of a scene
+DATAPARSER = "dataparser_transforms.json"  # how nerfstudio turns and scales a scene before it trains it
 
 RIG_SHARE = 0.25  # of the largest distance between two cameras: the margin, where it is the larger one
 DISTANCE_SHARE = 0.1  # of the distance to the content: the other one
@@ -24,12 +38,60 @@ TURN = 5.0  # degrees that a viewer may look off the focus
 LOOK_PIXELS = 128  # on the longer side, enough to see how far away the content is
 
 
-class _Look(NamedTuple):
-    """Distances of one camera to the scene, in world units."""
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What cameras see of a scene."""
 
-    camera: Camera
-    distance: float  # to the content along the view axis, median over the picture
-    clearance: float  # to the nearest content
+    cameras: list[Camera]  # those that see something of it, with near planes in proportion
+    blind: list[str]  # the names of the others
+    share: float  # of the opacity of all rows, in some picture
+
+
+def see(cameras: Sequence[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> Sight:
+    """Look at a frame, which is finite, with cameras."""
+    loaded, weights = renderer.load(gaussians), gaussians.opacities().astype(np.float64)
+    sight, drawn = Sight([], [], 0.0), np.zeros(len(weights), bool)
+    for camera in with_near_planes(cameras, gaussians):
+        drawn |= loaded.contribution(_small(camera, SIDE)).total > 0
+        if shows(loaded, camera):
+            sight.cameras.append(camera)
+        else:
+            sight.blind.append(camera.name)
+    share = float(weights @ drawn / max(weights.sum(), np.finfo(np.float64).tiny))
+    return Sight(sight.cameras, sight.blind, share)
+
+
+def seeing(cameras: Iterable[Camera], gaussians: Gaussians, renderer: Renderer = CPU) -> list[Camera]:
+    """Those of some cameras with near planes that see something of a frame.
+
+    A camera that has many opaque rows in its picture is not tried.
+    """
+    loaded, opaque = renderer.load(gaussians), gaussians.means[gaussians.opacities() > SOLID].astype(np.float64)
+    some = opaque[:: max(1, len(opaque) // FEW)]
+
+    def sees(camera: Camera) -> bool:
+        return (len(some) >= FEW and in_picture(camera, some)[0].mean() > MANY) or shows(loaded, camera)
+
+    return list(filter(sees, cameras))
+
+
+def shows(loaded: Loaded, camera: Camera) -> bool:
+    """Whether a camera sees something."""
+    return float((loaded.draw(_small(camera, SIDE)).transmittance < 1 - OPAQUE).mean()) >= LIT
+
+
+def _small(camera: Camera, side: int) -> Camera:
+    return resized(camera, side / max(camera.width, camera.height))
+
+
+def in_trained_frame(cameras: Sequence[Camera], path: Path) -> list[Camera]:
+    """The cameras of a data set as nerfstudio trained on them, which DATAPARSER tells. Raises SceneError."""
+    with expecting(path, '{"transform": [[…], …], "scale": number}'):
+        data = json.loads(path.read_text(encoding="utf-8-sig"))
+        transform, scale = np.asarray(data["transform"], np.float64).reshape(3, 4), float(data["scale"])
+        if not (np.isfinite(transform).all() and 0 < scale < np.inf):
+            raise ValueError("a transform or a scale that is none")
+    return [placed(camera, transform[:, 3], scale, transform[:, :3]) for camera in cameras]
 
 
 def region_around(
@@ -47,26 +109,32 @@ def region_around(
     """
     if margin is not None and not 0 <= margin < np.inf:
         raise ConfigError(f"margin: expected 0 or more world units, got {margin}")
-    looks = [_look(camera, gaussians) for camera in _far_apart(cameras, MAX_PLACES)]
+    positions = np.stack([camera.position for camera in cameras])
+    chosen = _far_apart(positions, MAX_PLACES)
+    distances = [_distances(cameras[i], gaussians) for i in chosen]
     if margin is None:
-        positions = np.stack([look.camera.position for look in looks])
-        rig = float(np.linalg.norm(positions[:, None] - positions[None], axis=2).max())
-        distance = float(np.median([look.distance for look in looks]))
-        margin = min(max(RIG_SHARE * rig, DISTANCE_SHARE * distance), MOST_SHARE * distance)
-    first = looks[0].camera
-    places = [_place(look, margin) for look in looks]
+        rig = float(np.linalg.norm(positions[chosen][:, None] - positions[chosen][None], axis=2).max())
+        content = float(np.median([distance for distance, _ in distances]))
+        margin = min(max(RIG_SHARE * rig, DISTANCE_SHARE * content), MOST_SHARE * content)
+    first = cameras[chosen[0]]
+    places = []
+    for camera, (distance, clearance) in zip((cameras[i] for i in chosen), distances, strict=True):
+        rotation, position = camera.world_to_camera[:3, :3], camera.position
+        ends = _rounded(position, distance), _rounded(position + distance * rotation[2], distance)
+        reach = float(f"{min(margin, CLEARANCE_SHARE * clearance):.7g}")
+        places.append(Place(*ends, _rounded(-rotation[1], 1.0), reach))
     return Region(
         source=source,
         width=first.width,
         height=first.height,
         fov_y=float(np.degrees(2 * np.arctan(first.height / 2 / first.fy))),
-        near=min(look.camera.near for look in looks),
+        near=min(cameras[i].near for i in chosen),
         turn=TURN if margin > 0 else 0.0,
         places=_middle_first(places) if source == "cameras" else places,
     )
 
 
-def _middle_first(places: Sequence[Place]) -> list[Place]:
+def _middle_first(places: list[Place]) -> list[Place]:
     """The places, first the one from which the others are nearest, with what they look at.
 
     Those all round a scene have no middle, but for one above it that nobody would begin at: they stay as they were.
@@ -76,18 +144,9 @@ def _middle_first(places: Sequence[Place]) -> list[Place]:
     level = np.cross(up, np.cross(ahead, up))
     lengths = np.maximum(np.linalg.norm(level, axis=1, keepdims=True), np.finfo(np.float64).tiny)  # straight down: 0
     if np.linalg.norm(np.mean(level / lengths, axis=0)) < ONE_SIDE:
-        return list(places)
-    sums = [float(np.linalg.norm(ends - one, axis=2).sum()) for one in ends]
-    middle = places[int(np.argmin(sums))]
-    return [middle, *(place for place in places if place is not middle)]
-
-
-def _place(look: _Look, margin: float) -> Place:
-    rotation, position = look.camera.world_to_camera[:3, :3], look.camera.position
-    focus = position + look.distance * rotation[2]
-    reach = min(margin, CLEARANCE_SHARE * look.clearance)
-    ends = _rounded(position, look.distance), _rounded(focus, look.distance)
-    return Place(*ends, _rounded(-rotation[1], 1.0), float(f"{reach:.7g}"))
+        return places
+    middle = int(np.argmin([float(np.linalg.norm(ends - one, axis=2).sum()) for one in ends]))
+    return [places[middle], *places[:middle], *places[middle + 1 :]]
 
 
 def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
@@ -95,25 +154,23 @@ def _rounded(vector: NDArray[np.float64], size: float) -> list[float]:
     return [round(float(v), 7 - int(np.floor(np.log10(size)))) for v in vector]
 
 
-def _look(camera: Camera, g: Gaussians) -> _Look:
-    """Distances to what a camera sees, weighed by what each Gaussian gives to the picture."""
-    small = resized(camera, LOOK_PIXELS / max(camera.width, camera.height))
-    weight = measure_contribution(g, small).total
+def _distances(camera: Camera, g: Gaussians) -> tuple[float, float]:
+    """How far away along the view axis is what a camera sees, by the median, and how far its nearest part."""
+    weight = measure_contribution(g, _small(camera, LOOK_PIXELS)).total
     offsets = g.means.astype(np.float64) - camera.position
     if not weight.any():  # an empty picture: all of the scene counts
         weight = np.ones(len(g))
     depth = np.abs(offsets @ camera.world_to_camera[2, :3])
     distance = max(weighted_quantile(depth, weight, 0.5), camera.near)  # near: of 0 the focus would have no direction
-    return _Look(camera, distance, weighted_quantile(np.linalg.norm(offsets, axis=1), weight, NEAREST))
+    return distance, weighted_quantile(np.linalg.norm(offsets, axis=1), weight, NEAREST)
 
 
-def _far_apart(cameras: Sequence[Camera], most: int) -> list[Camera]:
-    """At most so many cameras, each as far as possible from those before it, in the order in which they were given."""
-    positions = np.stack([camera.position for camera in cameras])
+def _far_apart(positions: NDArray[np.float64], most: int) -> list[int]:
+    """At most so many of (C, 3) positions, each as far as possible from those before it, in their order."""
     chosen: list[int] = []
-    nearest = np.full(len(cameras), np.inf)
-    for _ in range(min(most, len(cameras))):
+    nearest = np.full(len(positions), np.inf)
+    for _ in range(min(most, len(positions))):
         chosen.append(int(np.argmax(nearest)))
         nearest = np.minimum(nearest, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
         nearest[chosen] = -1  # once each, wherever the others stand
-    return [cameras[i] for i in sorted(chosen)]
+    return sorted(chosen)

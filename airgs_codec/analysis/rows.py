@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from airgs_codec.analysis.grouping import count_changes, count_runs, named_runs
 from airgs_codec.analysis.matching import IN_ORDER, LEAST_SURE, LOST, NONE, compare_order, match_rows
 from airgs_codec.progress import Progress, silent
-from airgs_codec.scene.gaussians import Gaussians, join_rows, mix_rows
+from airgs_codec.scene.gaussians import Gaussians, mix_rows
 from airgs_codec.scene.sequence import GaussianSequence
 
 ROWS = ("auto", "keep", "match")
@@ -175,7 +175,7 @@ class _Run:
         """Remember what the rows of a frame look like."""
         born = np.flatnonzero(ids >= len(self._known))
         if len(born):
-            self._known = join_rows([self._known, frame.take(born)])
+            self._known = Gaussians.join([self._known, frame.take(born)])
             self._seen = np.concatenate([self._seen, np.full(len(born), number)])
             self._velocity = np.concatenate([self._velocity, np.zeros((len(born), 3), np.float32)])
         order = _inverse(ids, len(self._known))

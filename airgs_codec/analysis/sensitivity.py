@@ -17,6 +17,7 @@ from airgs_codec.render import Camera, Contribution
 from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cpu import RasterInputs
 from airgs_codec.scene.beside import Usage
+from airgs_codec.scene.columns import Columns
 from airgs_codec.scene.gaussians import Gaussians
 
 Floats = NDArray[np.float32]
@@ -40,7 +41,7 @@ class UsageSums:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sensitivity:
+class Sensitivity(Columns):
     """Mean over picture samples of the squared derivative by each channel of an attribute, summed over its channels.
 
     To first order, independent errors of variance v in every channel of an attribute raise the mean squared error of
@@ -53,9 +54,6 @@ class Sensitivity:
     opacity: NDArray[np.float64]  # (N,) per alpha
     sh_dc: NDArray[np.float64]  # (N,)
     sh_rest: NDArray[np.float64]  # (N,)
-
-    def take(self, rows: NDArray[np.intp] | slice) -> Sensitivity:
-        return Sensitivity(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def by_attribute(self) -> NDArray[np.float64]:
         """(6, N) the same as one array, in the order of `package.tables.STATE_ATTRIBUTES`."""

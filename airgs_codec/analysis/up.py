@@ -1,16 +1,15 @@
 """Which way is up in a scene that comes without cameras, and where its front is.
 
 Candidates are the six directions of the axes and those away from and into a floor, the plane that all else is on one
-side of. What files mostly have decides between them, unless the scene itself speaks: a floor before all; else feet,
-upright mirrors, and what rests below what moves; in a filmed place what is light above what is dark. `tools.lab
-upright` measures how often that is right.
+side of. What files mostly have decides between them, unless the scene itself speaks: a floor before all; else feet and
+upright mirrors; in a filmed place what is light above what is dark.
 
 n points of a frame, drawn by how much their rows can cover, in units of the size of the scene; N rows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,14 +24,13 @@ Vectors = NDArray[np.float64]
 POINTS, MIRRORED, NEIGHBOURS = 2000, 300, 9  # points, those that are mirrored, those whose colours are detail
 HEADINGS = np.radians(np.arange(0, 180, 10))  # of mirrors that contain a direction
 ENDS = (0.005, 0.995)  # quantiles of heights: below and above is what floats
-FOOT, LEG = 0.06, 0.15  # of the height: what touches the ground, and what stands on it
-STILL = 0.05  # of the mean motion: what moves less rests
+FOOT = 0.06  # of the height: what touches the ground
 SAME = np.cos(np.radians(20))  # directions nearer to each other count as one
 LEAST = 1e-4  # of the size: keeps ln(0) and 0 / 0 out
 
 AXES = np.concatenate([np.eye(3), -np.eye(3)])
 HABITS = np.array([0, 2, 1, 0, 2, 0])  # votes for AXES: structure from motion mostly leaves -y up, programs y or z
-FLOOR_VOTES, FOOT_VOTES, MIRROR_VOTES, REST_VOTES, LIGHT_VOTES = 20.0, 4.7, 3.5, 2.0, 10.0
+FLOOR_VOTES, FOOT_VOTES, MIRROR_VOTES, LIGHT_VOTES = 20.0, 4.7, 3.5, 10.0
 
 FLOOR_ROWS, TRIED = 10_000, 400  # rows and directions that a floor is looked for in; directions are 10 degrees apart
 CONE = np.cos(np.radians(15))  # rows lie in a plane when their normals differ less from its own
@@ -42,26 +40,23 @@ FLOOR_SHARE, SIDES = 0.15, 3.0  # of the area of all rows lies in a floor, and a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
-    """What is looked at: points of the middle one of some frames."""
+    """Points of a frame that stand for what is looked at."""
 
     at: Vectors  # (n, 3)
     light: Vectors  # (n,) mean of r, g, b
     detail: Vectors  # (n,) standard deviation of the colours about each
-    motion: Vectors  # (n,) how far away the nearest row of another frame is, at most
     floor: Vectors | None  # (3,) the direction away from a floor
 
     @staticmethod
-    def of(frames: Sequence[Gaussians]) -> Subject:
-        middle = frames[len(frames) // 2]
-        low, high = np.quantile(middle.means.astype(np.float64), [0.01, 0.99], axis=0)
+    def of(frame: Gaussians) -> Subject:
+        low, high = np.quantile(frame.means.astype(np.float64), [0.01, 0.99], axis=0)
         centre, size = (low + high) / 2, float(np.linalg.norm(high - low) + np.finfo(np.float32).tiny)
-        shares = surfaces(middle) + np.finfo(np.float64).tiny
-        count = min(POINTS, len(middle))
-        g = middle.take(np.sort(np.random.default_rng(0).choice(len(middle), count, p=shares / shares.sum())))
+        shares = surfaces(frame) + np.finfo(np.float64).tiny
+        count = min(POINTS, len(frame))
+        g = frame.take(np.sort(np.random.default_rng(0).choice(len(frame), count, p=shares / shares.sum())))
         at, colours = (g.means - centre) / size, (0.5 + SH_C0 * g.sh_dc.astype(np.float64)).clip(0, 1)
         near = KDTree(at).query(at, k=min(NEIGHBOURS, count))[1].reshape(count, -1)
-        motion = np.max([KDTree((f.means - centre) / size).query(at)[0] for f in frames], axis=0)
-        return Subject(at, colours.mean(axis=1), colours[near].std(axis=1).mean(axis=1), motion, find_floor(middle))
+        return Subject(at, colours.mean(axis=1), colours[near].std(axis=1).mean(axis=1), find_floor(frame))
 
 
 def guess_up(subject: Subject, filmed: bool = False) -> Vectors:
@@ -83,13 +78,10 @@ def _votes(subject: Subject, up: Vectors, filmed: bool) -> float:
         return votes + LIGHT_VOTES * float((above * lighter).mean() / max(above.std() * lighter.std(), LEAST))
     if subject.floor is not None:
         votes += FLOOR_VOTES * float(subject.floor @ up > SAME)
-    votes += FOOT_VOTES * _area(subject.at, up, heights < FOOT)
-    votes -= MIRROR_VOTES * float(np.log(max(_mirrors(subject.at, up)[0].min(), LEAST)))
-    ends = heights <= LEG, heights >= 1 - LEG
-    if subject.motion.mean() > LEAST and all(end.any() for end in ends):
-        below, above = (np.median(subject.motion[end]) + STILL * subject.motion.mean() for end in ends)
-        votes += REST_VOTES * float(np.log(above / below))
-    return votes
+    flat = subject.at @ _across(up).T
+    with suppress(QhullError, ValueError):  # fewer than three points, or in a line
+        votes += FOOT_VOTES * float(ConvexHull(flat[heights < FOOT]).volume / ConvexHull(flat).volume)
+    return votes - MIRROR_VOTES * float(np.log(max(_mirrors(subject.at, up)[0].min(), LEAST)))
 
 
 def surfaces(gaussians: Gaussians) -> Vectors:
@@ -123,15 +115,6 @@ def _across(up: Vectors) -> Vectors:
     return np.asarray(np.linalg.svd(up[None])[2][1:])
 
 
-def _area(at: Vectors, up: Vectors, chosen: NDArray[np.bool_]) -> float:
-    """The area of the hull of the chosen points as seen from above, as a share of that of all."""
-    flat = at @ _across(up).T
-    try:
-        return float(ConvexHull(flat[chosen]).volume / ConvexHull(flat).volume)
-    except (QhullError, ValueError):  # fewer than three, or in a line
-        return 0.0
-
-
 def find_floor(gaussians: Gaussians) -> Vectors | None:
     """The direction (3,) that is up where rows stand on a floor, of length 1; None without a floor.
 
@@ -139,7 +122,8 @@ def find_floor(gaussians: Gaussians) -> Vectors | None:
     """
     g = gaussians.take(np.sort(np.random.default_rng(0).permutation(len(gaussians))[:FLOOR_ROWS]))
     areas = surfaces(g)
-    normals, weights = _normals(g), areas * flatness(g)
+    normals = to_matrices(g.quaternions)[np.arange(len(g)), :, np.argmin(g.log_scales, axis=1)].astype(np.float64)
+    weights = areas * flatness(g)
     tried = spiral(TRIED)
     commonest = tried[np.argmax((np.abs(normals @ tried.T) > CONE).T @ weights)]
     near = np.abs(normals @ commonest) > CONE
@@ -159,12 +143,6 @@ def flatness(gaussians: Gaussians) -> NDArray[np.float32]:
     """(N,) 0 for rows that are needles or balls, 1 for discs."""
     scales = np.sort(gaussians.log_scales, axis=1)
     return (1 - np.exp(scales[:, 0] - scales[:, 1])) ** 2
-
-
-def _normals(gaussians: Gaussians) -> Vectors:
-    """(N, 3) the thin axes of rows, of length 1 and either sign."""
-    thin = np.argmin(gaussians.log_scales, axis=1)
-    return to_matrices(gaussians.quaternions)[np.arange(len(gaussians)), :, thin].astype(np.float64)
 
 
 def _heaviest_slab(values: Vectors, weights: Vectors, heights: Vectors) -> tuple[float, float]:

@@ -31,7 +31,7 @@ from airgs_codec.scene.camera import (
     looked_at,
     placed,
     side_view,
-)
+)  # fmt: skip
 from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import LARGEST, SH_C0, Gaussians, from_rotation_vector, remoteness_in, to_matrices
 
@@ -47,7 +47,7 @@ SIDES, SIDE_SIZE, SIDE_ROWS = 12, 48, 8000  # views, pixels and rows that tell a
 OBJECT, PERHAPS = 0.6, 0.52  # solidity of three in four sides of an object, and of what may be one; places have less
 AROUND, ON_FLOOR = np.radians([-30, 60]), np.radians([0, 75])  # lowest and highest view above the horizon
 VIEWS, NEARER = 12, 0.6  # views that show all of it, and as many again from this share of their distance
-UPRIGHT = np.cos(np.radians(20))  # between the floor's own up and the one that is told
+UPRIGHT = np.cos(np.radians(20))  # between the floor's own up and the one that is given
 RISE = np.radians(12)  # of the first view above the horizon
 
 # A place, and its search.
@@ -94,12 +94,21 @@ class Sample:
         visible = np.flatnonzero(drawn & (gaussians.opacities() > VISIBLE))
         if not visible.size:
             raise SceneError(f"expected a Gaussian with opacity above {VISIBLE}, got none in {len(gaussians)}")
-        chances = _chances(np.sqrt(gaussians.areas()[visible]), rows)
+        weights = np.sqrt(gaussians.areas()[visible])
+        chances = np.ones(len(weights))
+        if rows < len(weights):
+            chances = np.minimum(1, weights * rows / weights.sum())
+            for _ in range(20):  # what is cut at 1 is dealt out to the others
+                chances = np.minimum(1, chances * rows / chances.sum())
         picked = np.random.default_rng(seed).random(len(visible)) < chances
-        chosen = gaussians.take(visible[picked]).with_degree(0)
+        g = gaussians.take(visible[picked]).with_degree(0)
         growth = -0.5 * np.log(chances[picked])  # a row that stands for k rows has k times their area
-        grown = replace(chosen, log_scales=(chosen.log_scales + growth[:, None]).astype(np.float32))
-        return Sample(cpu.activate(grown), _covariances(chosen), flatness(chosen))
+        grown = replace(g, log_scales=(g.log_scales + growth[:, None]).astype(np.float32))
+        scales = np.exp(np.minimum(g.log_scales.astype(np.float64), LARGEST))
+        axes = to_matrices(g.quaternions) * scales[:, None, :]
+        c = axes @ axes.transpose(0, 2, 1)
+        columns = (c[:, 0, 0], c[:, 1, 1], c[:, 2, 2], 2 * c[:, 0, 1], 2 * c[:, 0, 2], 2 * c[:, 1, 2])
+        return Sample(cpu.activate(grown), np.stack(columns, axis=1).astype(np.float32), flatness(g))
 
     def look(self, camera: Camera) -> tuple[float, float]:
         """The score of what `camera` sees, 0..1, and how far away that is: the geometric mean over rows ahead.
@@ -109,7 +118,12 @@ class Sample:
         sizes, distances = self._angles(camera)
         worth = self.flatness * np.exp(-sizes[:, None] / ANGLES).mean(axis=1)
         surface, depth, alpha = self._draw(camera, worth, np.log(distances / distances.min()))
-        rough = _roughness(np.divide(depth, np.maximum(alpha, LEAST), dtype=np.float32), alpha > HALF)
+        depth, seen = np.divide(depth, np.maximum(alpha, LEAST), dtype=np.float32), alpha > HALF
+        steps = (
+            (np.abs(np.diff(depth, axis=0)), seen[1:] & seen[:-1]),
+            (np.abs(np.diff(depth, axis=1)), seen[:, 1:] & seen[:, :-1]),
+        )
+        rough = sum(float(step[both].mean()) for step, both in steps if both.any())
         score = float(surface.mean()) * float(alpha.mean()) ** EMPTY * float(np.exp(-rough / ROUGH))
         ahead = (self.inputs.means - camera.position.astype(np.float32)) @ camera.world_to_camera[2, :3]
         near = ahead > distances * AHEAD
@@ -138,31 +152,6 @@ class Sample:
         return np.sqrt(across / squares), np.sqrt(squares)
 
 
-def _chances(weights: Vector, rows: int) -> Vector:
-    """Chances in 0..1 in proportion to weights, as far as 1 allows, that choose about `rows` rows."""
-    if rows >= len(weights):
-        return np.ones(len(weights))
-    chances = np.minimum(1, weights * rows / weights.sum())
-    for _ in range(20):  # what is cut at 1 is dealt out to the others
-        chances = np.minimum(1, chances * rows / chances.sum())
-    return chances
-
-
-def _roughness(depth: Floats, seen: NDArray[np.bool_]) -> float:
-    """Mean absolute difference of (H, W) values between neighbours that are both seen, in rows plus in columns."""
-    changes = (np.abs(np.diff(depth, axis=axis)) for axis in (0, 1))
-    both = (seen[1:] & seen[:-1], seen[:, 1:] & seen[:, :-1])
-    return sum(float(change[of].mean()) for change, of in zip(changes, both, strict=True) if of.any())
-
-
-def _covariances(gaussians: Gaussians) -> Floats:
-    scales = np.exp(np.minimum(gaussians.log_scales.astype(np.float64), LARGEST))
-    axes = to_matrices(gaussians.quaternions) * scales[:, None, :]
-    c = axes @ axes.transpose(0, 2, 1)
-    columns = (c[:, 0, 0], c[:, 1, 1], c[:, 2, 2], 2 * c[:, 0, 1], 2 * c[:, 0, 2], 2 * c[:, 1, 2])
-    return np.stack(columns, axis=1).astype(np.float32)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
     """A place, a direction, and what is seen."""
@@ -177,21 +166,18 @@ class Pose:
         """Look from `position` along `direction`, of any length: the mean over samples. Where it has none, along z."""
         length = float(np.linalg.norm(direction))
         direction = direction / length if length > 0 else np.array([0.0, 0.0, 1.0])
-        camera = _posed(position, direction, UP, TRIED_SIZE, "tried")
+        camera = _camera(position, direction, UP, TRIED_SIZE, "tried")
         score, distance = np.mean([sample.look(camera) for sample in samples], axis=0)
         return Pose(position, direction, float(score), float(distance))
 
 
-def _posed(position: Vector, direction: Vector, up: Vector, size: int, name: str) -> Camera:
+def _camera(position: Vector, direction: Vector, up: Vector, size: int, name: str) -> Camera:
     camera = look_at(position, position + direction, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
     return replace(camera, near=NEAR_SHARE)
 
 
 def _search(gaussians: Gaussians) -> list[Pose]:
-    """Poses, tried at random and then closer and closer about the best of each neighbourhood.
-
-    Seeded: the same scene gives the same poses.
-    """
+    """Poses, tried at random and then closer and closer about the best of each neighbourhood; always the same."""
     samples, rng = [Sample.of(gaussians, ROWS)], np.random.default_rng(0)
     means = samples[0].inputs.means.astype(np.float64)
     low, high = np.quantile(means, [0.05, 0.95], axis=0)
@@ -215,9 +201,7 @@ def _search(gaussians: Gaussians) -> list[Pose]:
 
 
 def _best_apart(poses: Sequence[Pose], count: int, gap: float) -> list[Pose]:
-    """At most `count` poses, best first, no two closer than `gap`: 1 for TURN, or for half the distance to what is
-    seen.
-    """
+    """The best poses, at most `count`, no two closer than `gap`: 1 is TURN, or half the distance to what is seen."""
     chosen: list[Pose] = []
     left = sorted(poses, key=lambda pose: -pose.score)
     while left and len(chosen) < count:
@@ -237,17 +221,15 @@ class FoundViews:
     cameras: list[Camera]  # first the one that viewers begin at
     confident: bool  # whether viewers stay near these cameras; else they may be anywhere
     story: str  # a line that says what was found, and how sure it is
-    guess: str = ""  # one that says which way is up, where nobody told it
+    guess: str = ""  # one that says which way is up, where nobody gave it
 
 
 def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> FoundViews:
-    """Find where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
+    """Finds where some frames of a scene are meant to be seen from. The middle one decides, all of them judge.
 
-    At most 1 + COUNT square cameras; the same frames give the same cameras. `up` (3,) points up where somebody told it;
-    else it is guessed (`analysis.up`). A frame need not be repaired; frames need not share rows.
-    What is far from all else decides nothing.
-
-    Raises SceneError when a frame has no finite row.
+    The same frames give the same square cameras. `up` (3,) points up where somebody gave it; else it is guessed
+    (`analysis.up`). A frame need not be repaired; frames need not share rows. What is far from all else decides
+    nothing. Raises SceneError when a frame has no finite row.
     """
     whole = [repair([frame], "views").frames[0] for frame in frames]
     frames = [frame.take(remoteness_in(frame)(frame) <= 1) for frame in whole]
@@ -259,41 +241,39 @@ def find_viewpoints(frames: Sequence[Gaussians], up: Vector | None = None) -> Fo
 
 def _find(frames: Sequence[Gaussians], up: Vector | None) -> FoundViews:
     """`find_viewpoints` in frames of size 1 about the origin."""
-    middle, subject = frames[len(frames) // 2], Subject.of(frames)
+    middle = frames[len(frames) // 2]
+    subject = Subject.of(middle)
     with one_thread():
         try:
-            poses, doubt = _places(frames, middle)
+            poses, doubt = _find_places(frames, middle)
         except SceneError:
             poses, doubt = [], "nothing can be seen"
     upright = guess_up(subject, filmed=bool(poses)) if up is None else up / np.linalg.norm(up)
     x, y, z = upright.round(2) + 0.0
     guess = f"{GUESS}({x:g}, {y:g}, {z:g}); --up says otherwise" if up is None else ""
     if poses:
-        cameras = [_posed(p.position, p.direction, upright, SIZE, f"found{i:02d}") for i, p in enumerate(poses)]
+        cameras = [_camera(p.position, p.direction, upright, SIZE, f"found{i:02d}") for i, p in enumerate(poses)]
         return FoundViews(cameras, True, f"a filmed place: {len(cameras)} views from all over it; {SAVED}", guess)
     stands = subject.floor is not None and float(subject.floor @ upright) > UPRIGHT
     low, high = ON_FLOOR if stands else AROUND
     ahead = np.cos(RISE) * find_front(subject, upright) + np.sin(RISE) * upright
     front = side_view(middle, ahead, upright, SIZE, "front", surfaces(middle))
     around = dome_views(middle, 2 * VIEWS, SIZE, upright, (low, high))
-    around[1::2] = [_nearer(camera, looked_at(around)) for camera in around[1::2]]
+    centre = looked_at(around)
+    for i in range(1, len(around), 2):
+        matrix = around[i].world_to_camera.copy()
+        matrix[:3, 3] = NEARER * matrix[:3, 3] - (1 - NEARER) * matrix[:3, :3] @ centre
+        around[i] = replace(around[i], world_to_camera=matrix, near=NEARER * around[i].near)
     where = f"a view from in front and {2 * VIEWS} around it, near and far, {np.degrees(low):.0f}° to"
     where += f" {np.degrees(high):.0f}° above the horizon{', over its floor' if stands else ''}"
     what = f"unclear where from ({doubt})" if doubt else "an object in empty space"
     return FoundViews([front, *around], not doubt, f"{what}: {where}; {SAVED}", guess)
 
 
-def _nearer(camera: Camera, centre: Vector) -> Camera:
-    matrix = camera.world_to_camera.copy()
-    matrix[:3, 3] = NEARER * matrix[:3, 3] - (1 - NEARER) * matrix[:3, :3] @ centre
-    return replace(camera, world_to_camera=matrix, near=NEARER * camera.near)
-
-
-def _places(frames: Sequence[Gaussians], middle: Gaussians) -> tuple[list[Pose], str]:
+def _find_places(frames: Sequence[Gaussians], middle: Gaussians) -> tuple[list[Pose], str]:
     """Where a place was probably filmed from, the best first, or why nobody knows; neither for an object.
 
     A guess only says where viewers begin: others, from all over the place, are from where they may look as well.
-
     Raises SceneError when no row can be seen.
     """
     sample = Sample.of(middle, SIDE_ROWS)

@@ -4,122 +4,106 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import (
+from airgs_codec.cli.options import (
+    FORMS,
+    FRAMES,
     PACKAGE,
     BakingOptions,
-    as_json,
     expect_folder,
-    frames,
     open_frames,
-    package,
     parse_range,
-    views,
+    takes,
 )
-from airgs_codec.cli.options import nested, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.errors import ConfigError
 from airgs_codec.inspect.compare import (
     Comparison,
+    Side,
     claimed_quality,
+    comparable,
     compare_streams,
     compare_two,
+    compared_views,
     comparison_json,
     format_comparison,
     format_two,
-    pool_splits,
-    side_by_side,
-)
-from airgs_codec.inspect.sides import (
-    Side,
-    before_both,
-    comparable,
-    compared_views,
-    described,
+    frames_of,
     is_package,
     left_out,
     open_side,
+    pool_splits,
     region_views,
     rung_streams,
     shared_views,
+    side_by_side,
     splits_of,
 )
 from airgs_codec.media.image import write_png
 from airgs_codec.media.metrics import Difference, Quality
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
-from airgs_codec.places.whole import atomic_path, expect_folder_name
+from airgs_codec.places.whole import atomic_path
 from airgs_codec.render import Camera, read_cameras
 from airgs_codec.scene.camera import UP, cameras_from, orbit_views, with_near_planes
 from airgs_codec.scene.formats.table import is_clip
 from airgs_codec.scene.sequence import GaussianSequence
 
-EVERY = "only every N-th of the frames"
+EVERY, VIEWS = "only every N-th of the frames", "cameras to compare from"
 
 
-@dataclass(frozen=True, slots=True)
-class Compare:
+@dataclass(frozen=True, kw_only=True)
+class Compare(BakingOptions):
     a: str = required(f"the reference: a scene, or {PACKAGE}")
     b: str = required("what is compared with it, either as well")
-    frames: str = frames("all that both have")
-    every: int = setting(1, EVERY)
-    rung: str | None = setting(
-        None, "key quality and level of the package, of B where both are (default: Q0+L0)", metavar="Q0+L0"
-    )
-    views: Path | None = views("cameras to compare from", "those of A or B, or of a package's region, or an orbit")
-    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
+    frames: str = setting(":", FRAMES, metavar="A:B", default="all that both have")
+    every: int = setting(1, EVERY, least=1)
+    rung: str | None = setting(None, "key quality and level of the package, of B where both are", default="Q0+L0")
+    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="those of A, B or a package's region, or an orbit")
     output: Path | None = setting(
-        None, "write pictures of A, B and their difference: worst.png, typical.png", short="-o", metavar="DIR"
+        None, "write pictures of A, B and their difference: worst.png, typical.png", alias="-o", metavar="DIR"
     )
-    json: bool = as_json("the same as JSON")
+    json: bool = setting(False, "the same as JSON")
 
 
 @takes(Compare)
 def compare(options: Compare) -> int:
     """Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."""
     if options.output:
-        expect_folder_name(options.output)
         expect_folder(options.output)
-    _expect_least(every=(options.every, 1))
     a, b = _open_both(options)
     numbers = range(*parse_range(options.frames, min(a.frames, b.frames)), options.every)
-    if options.views:
-        words, cameras = described(
-            compared_views(cameras_from(a.origin, read_cameras(options.views)), None), str(options.views)
-        )
-    else:
-        words, cameras = shared_views(a, b)
-    cameras = before_both(a, b, cameras)
-    with closing(Bar(options.json)) as bar:
+    given = cameras_from(a.origin, read_cameras(options.views)) if options.views else ()
+    words, cameras = shared_views(a, b, compared_views(given, None), str(options.views))
+    with Bar(options.json) as bar:
         result = compare_two(a, b, numbers, cameras, bar)
     written = _write_pictures(options.output, a, b, result) if options.output else []
     notes = left_out(a, b)
+    record = comparison_json(a, b, result)
     if options.json:
         more = {"views": words, "left_out": notes, "pictures": [str(path) for path in written]}
-        say(json.dumps(comparison_json(a, b, result) | more))
+        say(json.dumps(record | more))
     else:
-        say(format_two(a, b, result, words, notes))
+        say(format_two(record, words, notes))
         if written:
             say(f"pictures: {', '.join(map(str, written))}")
     return 0
 
 
 def _open_both(options: Compare) -> tuple[Side, Side]:
-    packages = [is_package(place) for place in (options.a, options.b)]
-    if options.rung is not None and not any(packages):
+    baking = options.baking()
+    a_is_package, b_is_package = is_package(options.a), is_package(options.b)
+    if options.rung is not None and not (a_is_package or b_is_package):
         raise ConfigError("--rung: expected a package, got two scenes")
-    clip = options.clip
-    baked = {place: clip for place in (options.a, options.b) if clip.given() and is_clip(Path(place))}
-    if clip.given() and not baked:
+    clips = [place for place in (options.a, options.b) if is_clip(Path(place))]
+    if any(baking.values()) and not clips:
         raise ConfigError(f"--bake-fps, --duration: expected a clip, got {options.a} and {options.b}")
-    untold = BakingOptions()
-    b = open_side(options.b, options.rung if packages[1] else None, **baked.get(options.b, untold).baking())
-    a = open_side(options.a, None if packages[1] else options.rung, **baked.get(options.a, untold).baking())
+    a = open_side(options.a, None if b_is_package else options.rung, **(baking if options.a in clips else {}))
+    b = open_side(options.b, options.rung if b_is_package else None, **(baking if options.b in clips else {}))
     return comparable(a, b)
 
 
@@ -132,38 +116,35 @@ def _write_pictures(folder: Path, a: Side, b: Side, result: Comparison) -> list[
     return [folder / f"{name}.png" for name in pictures]
 
 
-@dataclass(frozen=True, slots=True)
-class Rungs:
-    package: str = package()
+@dataclass(frozen=True, kw_only=True)
+class Rungs(BakingOptions):
+    package: str = required(PACKAGE)
     original: str = required("the sequence that it was made of")
-    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
-    level: str | None = setting(None, "one level, L0, L1, … or its number (default: all)")
-    key_quality: str | None = setting(None, "one key quality, Q0, Q1, … or its number (default: all)")
-    frames: str = frames()
-    every: int = setting(1, EVERY)
-    views: Path | None = views("cameras to compare from", "the original's")
-    split: str | None = setting(None, "train, test or region alone (default: the last two, or all)", metavar="NAME")
-    draws: int = setting(8, "views drawn from the package's region: the split region")
-    seed: int = setting(CHECKING, f"seed of the draws; the encoder used {DECIDING} and {MEASURING}")
-    json: bool = as_json("the same as JSON")
+    frames: str = setting(":", FRAMES, metavar="A:B", default="all")
+    every: int = setting(1, EVERY, least=1)
+    views: Path | None = setting(None, f"{VIEWS}{FORMS}", default="the original's")
+    split: str | None = setting(None, "train, test or region alone", metavar="NAME", default="the last two, or all")
+    draws: int = setting(8, "views drawn from the package's region: the split region", least=0)
+    seed: int = setting(CHECKING, f"seed of the draws; the encoder used {DECIDING} and {MEASURING}", least=0)
+    json: bool = setting(False, "the same as JSON")
 
 
 @takes(Rungs)
 def rungs(options: Rungs) -> int:
     """Measure PSNR, SSIM and CIEDE2000 of every rung against the original."""
     package = open_package(options.package)
-    original = open_frames(options.original, quiet=options.json, **options.clip.baking())
+    original = open_frames(options.original, quiet=options.json, **options.baking())
     original = original.at_origin(package.origin)
     if len(original) != package.manifest.frames:
         raise ConfigError(f"{options.original}: expected {package.manifest.frames} frames, got {len(original)}")
-    _expect_least(every=(options.every, 1), draws=(options.draws, 0), seed=(options.seed, 0))
     numbers = range(*parse_range(options.frames, len(original)), options.every)
     cameras = _rung_cameras(options, package, original)
-    streams = rung_streams(package, numbers, options.level, options.key_quality)
+    streams = rung_streams(package, numbers)
     claimed = claimed_quality(package.manifest, streams)
     looked_at = [(number, camera) for number in numbers for camera in cameras]
-    with closing(Bar(options.json)) as bar:
-        splits = pool_splits(compare_streams(streams, original, looked_at, Difference.of, bar), looked_at)
+    with Bar(options.json) as bar:
+        found = compare_streams(streams, frames_of(original, numbers), looked_at, Difference.of, bar)
+    splits = pool_splits(found, looked_at)
     if options.json:
         quality = {"claimed": _plain(claimed), **{split: _plain(some) for split, some in splits.items()}}
         say(json.dumps({"frames": list(numbers), "views": splits_of(cameras), "quality": quality}))
@@ -188,9 +169,3 @@ def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) 
 
 def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:
     return {name: quality and asdict(quality) for name, quality in qualities.items()}
-
-
-def _expect_least(**limits: tuple[int, int]) -> None:
-    for name, (value, least) in limits.items():
-        if value < least:
-            raise ConfigError(f"--{name}: expected at least {least}, got {value}")

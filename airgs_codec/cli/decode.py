@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import as_json, frames, open_frames, package, parse_range
-from airgs_codec.cli.options import run_program, takes
+from airgs_codec.cli.options import FRAMES, PACKAGE, open_frames, parse_range, run_program, takes
 from airgs_codec.cli.terminal import Bar, say
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
@@ -28,27 +26,23 @@ ROWS_NAME = "rows.npz"  # an array for each frame, named by its number
 
 @dataclass(frozen=True, slots=True)
 class Decode:
-    package: str = package()
+    package: str = required(PACKAGE)
     output: str = required(
-        "folder for the frames, 000000.ply and on, or a file whose name ends in a format", short="-o", metavar="PLACE"
+        "folder for the frames, 000000.ply and on, or a file whose name ends in a format", alias="-o", metavar="PLACE"
     )
     format: str | None = setting(
-        None,
-        f"{', '.join(KEYS)} (default: what the output's name ends in, or ply)",
-        choices=KEYS,
-        metavar="FORMAT",
+        None, "form of the files", choices=KEYS, metavar="FORMAT", default="what the output's name ends in, or ply"
     )
     level: str = setting("L0", "state level: L0, L1, … or its number")
     key_quality: str = setting("Q0", "key quality: Q0, Q1, … or its number")
-    frames: str = frames()
+    frames: str = setting(":", FRAMES, metavar="A:B", default="all")
     against: str | None = setting(
         None, f"the original: write which of its rows every row is to {ROWS_NAME} beside the frames", metavar="SEQUENCE"
     )
-    json: bool = as_json()
+    json: bool = setting(False, "print figures as JSON")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Decode as the arguments say; returns the exit status."""
     return run_program("airgs-decode", decode, argv)
 
 
@@ -67,7 +61,7 @@ def decode(options: Decode) -> int:
     if options.against:
         found = input_rows(package, open_frames(options.against, quiet=options.json), start, stop, level=level)
         rows = dict(zip(map(str, range(start, stop)), found, strict=True))
-    with closing(Bar(options.json)) as bar:
+    with Bar(options.json) as bar:
         decoded = _decoded(package, (start, stop), (level, quality), bar)
         lost = write_frames(target, decoded, m.fps, background_of(m.region), package.origin)
     if options.against:

@@ -5,56 +5,64 @@ What a subcommand needs is imported when it runs, so that looking into a package
 
 from __future__ import annotations
 
-import dataclasses
 import json
 from collections.abc import Sequence
-from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from airgs_codec._report import require_matplotlib
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import PACKAGE, BakingOptions, as_json, expect_folder, open_frames, package
-from airgs_codec.cli.options import App, make_app, nested, run_program, takes
+from airgs_codec.cli.options import (
+    AXIS,
+    PACKAGE,
+    App,
+    BakingOptions,
+    Given,
+    expect_folder,
+    make_app,
+    open_frames,
+    run_program,
+    takes,
+)
 from airgs_codec.cli.terminal import Bar, say
+from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import open_package
+from airgs_codec.package.region import world_words
 
 
 @dataclass(frozen=True, slots=True)
 class Inspect:
-    package: str = package()
+    package: str = required(PACKAGE)
     plot: Path | None = setting(None, "write a PNG of the ladder and of bytes over time", metavar="FILE")
-    json: bool = as_json("the same as JSON")
+    json: bool = setting(False, "the same as JSON")
 
 
 @takes(Inspect)
 def inspect(options: Inspect) -> int:
     """Show groups, tiers, levels, rungs, bytes and what was left out."""
-    from airgs_codec.inspect.summary import format_summary, summarise
+    from airgs_codec.inspect.summary import format_summary, plot_ladder, summarise
 
     if options.plot:
         require_matplotlib("--plot")
         expect_folder(options.plot.absolute().parent)
     package = open_package(options.package)
-    summary = summarise(package.manifest, package.manifest_bytes)
+    tables = package.manifest, package.manifest_bytes
     if options.plot:
-        from airgs_codec.inspect.plot import plot_ladder
-
-        plot_ladder(package.manifest, package.manifest_bytes, options.plot)
+        plot_ladder(*tables, options.plot)
     if options.json:
-        say(json.dumps(summary.to_json()))
+        say(json.dumps(summarise(*tables)))
         return 0
-    picture = [f"picture: {options.plot}"] if options.plot else []
-    say("\n".join([format_summary(summary), *picture]))
+    say(format_summary(*tables))
+    if options.plot:
+        say(f"picture: {options.plot}")
     return 0
 
 
-@dataclass(frozen=True, slots=True)
-class Validate:
-    package: str = package()
+@dataclass(frozen=True, kw_only=True)
+class Validate(BakingOptions):
+    package: str = required(PACKAGE)
     against: str | None = setting(None, "the original: measure the errors again", metavar="SEQUENCE")
-    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
-    json: bool = as_json("findings as JSON")
+    json: bool = setting(False, "findings as JSON")
 
 
 @takes(Validate)
@@ -63,13 +71,13 @@ def validate(options: Validate) -> int:
     from airgs_codec.inspect import validate as check
     from airgs_codec.inspect.errors import format_errors, measure_errors
 
-    against = open_frames(options.against, quiet=options.json, **options.clip.baking()) if options.against else None
+    against = open_frames(options.against, quiet=options.json, **options.baking()) if options.against else None
     findings, measured = check.validate(options.package), []
     if not findings and against is not None:
         measured = list(measure_errors(open_package(options.package), against))
         findings = check.exceeded(measured)
     if options.json:
-        say(json.dumps([dataclasses.asdict(finding) for finding in findings]))
+        say(json.dumps([asdict(finding) for finding in findings]))
     elif findings:
         say("\n".join(str(f) for f in findings))
     else:
@@ -81,11 +89,48 @@ def validate(options: Validate) -> int:
     return 1 if findings else 0
 
 
+def read_point(text: str) -> tuple[float, ...]:
+    """Returns the numbers of X,Y,Z. Raises ConfigError."""
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise ConfigError(f"expected X,Y,Z, got {text!r}") from error
+    return x, y, z
+
+
+POINT: Given = {"read": read_point, "metavar": "X,Y,Z", "allow_leading_hyphen": True}
+
+
+@dataclass(frozen=True, slots=True)
+class SetView:
+    package: str = required(PACKAGE)
+    up: tuple[float, ...] | None = setting(None, "direction that points up, x, -y, … or X,Y,Z", **AXIS)
+    position: tuple[float, ...] | None = setting(None, "where viewers begin, with --look-at", **POINT)
+    look_at: tuple[float, ...] | None = setting(None, "the point that they look at", **POINT)
+    name: str | None = setting(None, "viewers find that view by this name; they do not begin there")
+
+
+@takes(SetView)
+def set_view(options: SetView) -> int:
+    """Change where viewers begin, which way is up, and named views, without encoding again."""
+    from airgs_codec.package.publish import set_view as change
+
+    position, focus = options.position, options.look_at
+    if (position is None) != (focus is None) or (options.name and position is None):
+        raise ConfigError("set-view: expected --position and --look-at together, and with --name")
+    view = (position, focus) if position is not None and focus is not None else None
+    root = change(options.package, up=options.up, view=view, name=options.name)
+    names = ", ".join(place.name for place in root.region.places if place.name) or "none"
+    at = ", ".join(f"{number:.6g}" for number in root.region.places[0].position)
+    say(f"{options.package}: viewers begin at ({at}); {world_words(root.world)}; named views: {names}")
+    return 0
+
+
 @dataclass(frozen=True, slots=True)
 class ExportPage:
     packages: tuple[str, ...] = required(PACKAGE, metavar="PACKAGE")
-    output: Path = required("folder to write: new, empty, or one that this command wrote", short="-o")
-    title: str | None = setting(None, "title of the page (default: the package's name)")
+    output: Path = required("folder to write: new, empty, or one that this command wrote", alias="-o")
+    title: str | None = setting(None, "title of the page", default="the package's name")
     address: str = setting("", "where the folder will be on the web: previews of links need it", metavar="URL")
 
 
@@ -94,7 +139,7 @@ def export_page(options: ExportPage) -> int:
     """Write a folder for any static host, with the player and packages."""
     from airgs_codec.serve.export import export_page as export
 
-    with closing(Bar()) as bar:
+    with Bar() as bar:
         made = export(options.packages, options.output, title=options.title, address=options.address, progress=bar)
     say("\n".join(f"{one.name}: {one.seen.words}" for one in made))
     say(f"{options.output}: to look at it, python3 -m http.server --directory {options.output}")
@@ -102,20 +147,17 @@ def export_page(options: ExportPage) -> int:
 
 
 def make_manifest() -> App:
-    app = make_app(
-        "airgs-manifest", about="Look into a package, check it, compare it with the original, put it on a page."
-    )
-    for command, name in ((inspect, "inspect"), (validate, "validate"), (export_page, "export-page")):
+    about = "Look into a package, check it, compare it with the original, put it on a page."
+    app = make_app("airgs-manifest", about=about)
+    commands = {"inspect": inspect, "validate": validate, "set-view": set_view, "export-page": export_page}
+    for name, command in commands.items():
         app.command(command, name=name)
-    for place, words in (
-        ("compare:compare", "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."),
-        ("compare:rungs", "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."),
-        ("set_view:set_view", "Change where viewers begin, which way is up, and named views, without encoding again."),
-    ):
-        app.command(f"airgs_codec.cli.{place}", name=place.partition(":")[2].replace("_", "-"), help=words)
+    words = "Compare two scenes or packages: PSNR, SSIM, CIEDE2000, bytes, pictures."
+    app.command("airgs_codec.cli.compare:compare", name="compare", help=words)
+    words = "Measure PSNR, SSIM and CIEDE2000 of every rung against the original."
+    app.command("airgs_codec.cli.compare:rungs", name="rungs", help=words)
     return app
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Do what the arguments say; returns the exit status."""
     return run_program("airgs-manifest", make_manifest(), argv)

@@ -1,86 +1,92 @@
-"""From settings to options: frozen dataclasses, described as `airgs_codec._settings` says, for cyclopts to parse.
+"""Options of commands: fields of frozen dataclasses become parameters of cyclopts; what several commands share.
 
 A field without a default is an argument by its place, and takes several values if it is a tuple. Any other field is
-`--its-name`, without the unit that its name may end in. The fields of settings within settings have dotted names,
-`--player.buffer`, unless they are those of the command itself. `--help` lists the everyday options, each by
-what its text says before the first semicolon, `--help-all` all options in full.
+`--its-name`, without the unit that its name may end in. `--help` lists the everyday options, each by what its text says
+before the first semicolon, `--help-all` all options in full.
 """
 
 from __future__ import annotations
 
 import difflib
+import importlib.util
 import inspect
 import re
-import shutil
 import sys
-import textwrap
-from collections.abc import Callable, Collection, Iterable, Sequence
+import tempfile
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
-from types import NoneType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypedDict, get_args, get_origin, get_type_hints
 
 from cyclopts import App, Group, Parameter, exceptions
 
 from airgs_codec import __version__
-from airgs_codec._settings import applied, computed_setting, default_of, is_of
-from airgs_codec.cli.terminal import run_command
+from airgs_codec._report import require_matplotlib
+from airgs_codec._settings import MOST, computed_setting, default_of, setting
+from airgs_codec.cli.terminal import Bar, run_command, warn
 from airgs_codec.errors import AirgsError, ConfigError
+from airgs_codec.package.region import parse_up
+from airgs_codec.places.whole import expect_folder_name
+from airgs_codec.scene.beside import exact_number
+from airgs_codec.scene.beside import frame_rate as rate_of
 
 if TYPE_CHECKING:
-    from cyclopts.help import HelpEntry, HelpPanel
-    from rich.console import Console
+    from concurrent.futures import Executor
 
-Options = TypeVar("Options")
-Given = dict[str, Any]  # settings that were given, by name; those of settings within them are such a dictionary again
+    from airgs_codec.jobs.work import Work
+    from airgs_codec.progress import Progress
+    from airgs_codec.scene.sequence import GaussianSequence
+
+Given = dict[str, Any]  # settings that were given, by name
 
 ALL = "--help-all"
-EMPTY: Any = inspect.Parameter.empty
+ARGUMENTS, COMMANDS = Group("Arguments", sort_key=0), Group("Commands", sort_key=0)
 EVERYDAY = Group("Options", sort_key=1)
-ARGUMENTS = Group("Arguments", sort_key=0)
-COMMANDS = Group("Commands", sort_key=0)
-FLAGS = {"--help", "--version"}
-DETAIL = re.compile(r"; .*?( \(default: [^()]*\))?$")  # of a help text: what follows the first semicolon
-WIDTH, COLUMN = 100, 30  # of help: characters in a line at most, and before what options mean
+WIDTH, COLUMN = 100, 26  # of help: characters in a line at most, and those that names of options may take
 UNITS = {"_s": "S", "_db": "DB"}  # endings of names: their words in help
-KINDS: dict[Any, tuple[str, str]] = {  # words in help and in errors
-    int: ("N", "a whole number"),
-    float: ("X", "a number"),
-    Fraction: ("X", "a number or a fraction"),
-    Path: ("PATH", "a path"),
-    bool: ("", "no value"),
-}
+KINDS = {bool: "no value", int: "a whole number", float: "a number", Fraction: "a number or a fraction"}
+PARAMETER = ("alias", "allow_leading_hyphen", "choices", "help", "metavar", "name")  # what cyclopts takes as it is
+
+PACKAGE = "a package: its folder, or its address, s3://, gs:// or az://"
+BUCKET = "s3://, gs://, az:// and a prefix"
+FRAMES = "frames A to B - 1, or one frame"
+DEVICES = ("auto", "cpu", "cuda")
+FORMS = "; docs/encoding.md lists the forms of cameras"
+CUDA = "; cuda needs a GPU and the cuda extra, auto takes it where it can"
 
 
-@dataclass(frozen=True, slots=True)
-class Nested:
-    settings: type
-    topic: str  # of those that are not among `everyday`
-    everyday: Collection[str] | None = ()  # None: all are
-    own: bool = False  # they are the command's own, their names without dots
+def read_rate(text: str) -> Fraction:
+    """Returns frames a second. Raises ValueError for what is no number, SceneError for what is no rate."""
+    return rate_of("frames a second", exact_number(text))
 
 
-def nested(settings: type, topic: str, everyday: Collection[str] | None = (), own: bool = False) -> Any:
-    """Returns a field of options that is a dataclass of settings itself, made of its defaults and what was given."""
-    return computed_setting(settings, "", nested=Nested(settings, topic, everyday, own))
+RATE: Given = {"read": read_rate, "metavar": "FPS"}  # of options that are one
+AXIS: Given = {"read": parse_up, "metavar": "AXIS", "allow_leading_hyphen": True}
 
 
-def given(settings: type, topic: str, everyday: Collection[str] | None = (), own: bool = False) -> Any:
-    """Returns a field for what was given of `settings` alone: a dictionary that `applied` takes."""
-    return computed_setting(dict, "", nested=Nested(settings, topic, everyday, own))
+def given(settings: type, topic: str, everyday: Collection[str] = (), name: str = "*") -> Any:
+    """Returns a field for what is given of `settings`, by name; those that are not `everyday` are below `topic`.
+
+    `name`: what stands before the dot in their options; *: nothing. Settings within settings are no options.
+    """
+    return computed_setting(dict, "", settings=settings, topic=topic, everyday=everyday, name=name)
 
 
 def takes(*options: type) -> Callable[[Callable[..., int]], Callable[..., int]]:
     """Returns a decorator of commands, functions of these dataclasses, whose fields become the command's parameters."""
 
     def decorate(command: Callable[..., int]) -> Callable[..., int]:
-        signature = inspect.Signature(_parameters(options))
+        parameters = [parameter for one in options for parameter in _parameters(one)]
+        signature = inspect.Signature(sorted(parameters, key=lambda parameter: parameter.kind))
 
-        def run(*values: Any, **rest: Any) -> int:
-            given = signature.bind(*values, **rest).arguments
-            return command(*(_made(one, given) for one in options))
+        def run(*positional: Any, **named: Any) -> int:
+            values = signature.bind(*positional, **named).arguments
+            own = [{field.name for field in fields(one)} & values.keys() for one in options]
+            made = (one(**{name: values[name] for name in names}) for one, names in zip(options, own, strict=True))
+            return command(*made)
 
         run.__doc__ = command.__doc__
         run.__signature__ = signature  # type: ignore[attr-defined]
@@ -89,12 +95,96 @@ def takes(*options: type) -> Callable[[Callable[..., int]], Callable[..., int]]:
     return decorate
 
 
-def _made(options: type, values: dict[str, Any]) -> Any:
-    own = {one.name: values[one.name] for one in fields(options) if one.name in values}
-    for one in fields(options):
-        if one.name in own and "nested" in one.metadata and is_dataclass(default_of(one)):
-            own[one.name] = applied(default_of(one), own[one.name])
-    return options(**own)
+def _parameters(options: type) -> Iterator[inspect.Parameter]:
+    hints = get_type_hints(options)
+    own = inspect.get_annotations(options)
+    for field in sorted(fields(options), key=lambda field: field.name not in own):
+        more, hint = field.metadata, hints[field.name]
+        kind: Any = inspect.Parameter.KEYWORD_ONLY
+        default = inspect.Parameter.empty if default_of(field) is MISSING else None
+        if "settings" in more:
+            hint = Annotated[_given(more["settings"], more["topic"], more["everyday"]), Parameter(name=more["name"])]
+        elif default is None or "alias" in more:
+            hint = _option(field, hint, default_of(field), more.get("topic"))
+        else:
+            several = get_origin(hint) is tuple
+            kind = inspect.Parameter.VAR_POSITIONAL if several else inspect.Parameter.POSITIONAL_ONLY
+            name = more.get("metavar", field.name.upper())
+            words = Parameter(name=name, help=more["help"], group=ARGUMENTS, required=True)
+            hint = Annotated[get_args(hint)[0] if several else hint, words]
+        yield inspect.Parameter(field.name, kind, default=default, annotation=hint)
+
+
+def _given(settings: type, topic: str, everyday: Collection[str]) -> Any:
+    hints, defaults = get_type_hints(settings), settings()
+    entries = {
+        field.name: _option(field, hints[field.name], value, None if field.name in everyday else topic)
+        for field in fields(settings)
+        if not is_dataclass(value := getattr(defaults, field.name)) and field.metadata.get("option", True)
+    }
+    return TypedDict(settings.__name__, entries, total=False)  # type: ignore[operator]
+
+
+def _option(field: Field[Any], hint: Any, value: Any, topic: str | None) -> Any:
+    """Returns the type of an option of the default `value`, with what cyclopts has to know of it."""
+    more = field.metadata
+    native = {name: more[name] for name in PARAMETER if name in more}
+    whole = int in (hint, *get_args(hint)) and get_origin(hint) is not tuple
+    read = more.get("read") or (partial(_whole, least=more.get("least", -MOST)) if whole else None)
+    if unit := next((words for ending, words in UNITS.items() if field.name.endswith(ending)), ""):
+        native["metavar"] = unit
+    if len(choices := "|".join(more.get("choices", ()))) in range(1, COLUMN):
+        native = {"metavar": choices, "show_choices": False} | native
+    parameter = Parameter(
+        **native,
+        group=Group(topic, sort_key=5) if topic else EVERYDAY,
+        converter=_converter(read, _expected(hint)) if read else None,
+        negative=() if value is False else None,
+        consume_multiple=get_origin(hint) is tuple and not read,
+        show_default=_default_words(more.get("default", value)),
+    )
+    return Annotated[str if "read" in more else hint, parameter]
+
+
+def _whole(text: str, least: int) -> int:
+    """Returns a whole number, where cyclopts would round. Raises ValueError, ConfigError for one below `least`."""
+    value = int(text)
+    if value < least:
+        raise ConfigError(f"expected {least} or more, got {value}")
+    if value >= MOST:
+        raise ValueError
+    return value
+
+
+def _converter(read: Callable[[str], Any], expected: str) -> Callable[[Any, Sequence[Any]], Any]:
+    def convert(_: Any, tokens: Sequence[Any]) -> Any:
+        try:
+            return read(tokens[0].value)
+        except AirgsError as error:
+            raise ValueError(str(error)) from error
+        except (ValueError, ArithmeticError) as error:
+            raise ValueError(f"expected {expected}, got {tokens[0].value!r}") from error
+
+    return convert
+
+
+def _expected(hint: Any) -> str:
+    if get_origin(hint) is Literal:
+        return "one of " + ", ".join(map(str, get_args(hint)))
+    return next((KINDS[kind] for kind in (hint, *get_args(hint)) if kind in KINDS), "a value")
+
+
+def _default_words(value: Any) -> str | bool:
+    if value in (None, "", ()) or value is False or value is MISSING:
+        return False
+    several = value if isinstance(value, tuple) else (value,)
+    return "on" if value is True else " ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in several)
+
+
+def option_name(name: str) -> str:
+    """Returns the name of a field's option, as --player.buffer has it last: dashes, no unit."""
+    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
+    return name.removesuffix(unit).replace("_", "-")
 
 
 def make_app(name: str, command: Callable[..., int] | None = None, about: str | None = None) -> App:
@@ -103,6 +193,7 @@ def make_app(name: str, command: Callable[..., int] | None = None, about: str | 
         name=name,
         help=about,
         version=__version__,
+        help_flags="--help",
         help_format="plaintext",
         result_action="return_value",
         print_error=False,
@@ -110,8 +201,7 @@ def make_app(name: str, command: Callable[..., int] | None = None, about: str | 
         group_arguments=ARGUMENTS,
         group_parameters=EVERYDAY,
         group_commands=COMMANDS,
-        default_parameter=Parameter(negative_iterable=(), show_default=False, show_choices=False),
-        help_formatter=Columns(everything=False),
+        default_parameter=Parameter(negative_iterable=(), name_transform=option_name),
         help_epilogue=f"{ALL} lists every option, --version says which version this is.",
         suppress_keyboard_interrupt=False,
     )
@@ -131,8 +221,8 @@ def run_program(name: str, program: App | Callable[..., int], argv: Sequence[str
 
 
 def _run(app: App, words: list[str]) -> int:
-    if ALL in words:
-        app.help_formatter = Columns(everything=True)
+    if {ALL, "--help"} & set(words):
+        app.help_formatter = _help(everything=ALL in words)
         words = [*(word for word in words[:1] if word in app), "--help"]
     try:
         if not words and app.default_command is None:
@@ -148,11 +238,59 @@ def _run(app: App, words: list[str]) -> int:
         raise
 
 
+def _help(everything: bool) -> Any:
+    """Returns what prints help in two columns without boxes; unless it is `everything`, of everyday options alone."""
+    from cyclopts.help import ColumnSpec, DefaultFormatter, DescriptionRenderer, NameRenderer, PanelSpec
+    from rich.box import SIMPLE
+
+    shown = {group.name for group in (ARGUMENTS, COMMANDS, EVERYDAY)}
+
+    def describe(entry: Any) -> Any:
+        words = str(entry.description.primary_renderable)
+        return DescriptionRenderer()(entry.copy(description=words if everything else words.partition(";")[0]))
+
+    class Columns(DefaultFormatter):
+        def __call__(self, console: Any, options: Any, panel: Any) -> None:
+            entries = [entry for entry in panel.entries if not {"--help", "--version"} & set(entry.names)]
+            if entries and (everything or panel.title in shown):
+                console.width = min(WIDTH, console.width)
+                super().__call__(console, options, panel.copy(entries=entries))
+
+    names = ColumnSpec(NameRenderer(COLUMN), style="cyclopts.name", width=COLUMN)
+    columns = names, ColumnSpec(describe, overflow="fold")
+    return Columns(panel_spec=PanelSpec(box=SIMPLE, padding=(0, 2)), column_specs=columns)
+
+
+def refusal(error: exceptions.CycloptsError) -> str:
+    """Returns what is wrong with arguments, in one line."""
+    name = error.argument.name if error.argument else "an argument"
+    match error:
+        case exceptions.CoercionError(token=token) if token is not None:
+            words = error.msg or f"expected {_expected(error.target_type)}, got {token.value!r}"
+            return f"argument {token.keyword or name}: {words}"
+        case exceptions.MissingArgumentError():
+            missing = f"argument {error.keyword}: expected a value" if error.keyword else f"expected {name}"
+            return f"{missing}, got none"
+        case exceptions.RepeatArgumentError():
+            return f"argument {error.token.keyword}: expected one value, got another one: {error.token.value!r}"
+        case exceptions.UnknownOptionError():
+            known = [name for argument in error.argument_collection for name in argument.names]
+            word = error.token.keyword or error.token.value  # the one where it has a value, else the other
+            close = [f" ({name}?)" for name in difflib.get_close_matches(word, known, 1)]
+            return f"argument {word}: expected an option that there is{''.join(close)}; see {ALL}"
+        case exceptions.UnknownCommandError():
+            known = [name for name in error.app or () if not name.startswith("-")]
+            return f"expected one of {', '.join(known)}, got {(error.unused_tokens or ['none'])[0]!r}"
+        case exceptions.UnusedCliTokensError():
+            return f"expected no further arguments, got {' '.join(error.unused_tokens or ())}"
+    return " ".join(str(error).split())
+
+
 def expect_one(**options: Any) -> None:
     """Raise ConfigError where more than one of these options was given."""
-    told = [f"--{name.replace('_', '-')}" for name, value in options.items() if value is not None]
-    if len(told) > 1:
-        raise ConfigError(f"{told[1]}: expected one of these options, got {' and '.join(told)}")
+    given = [f"--{option_name(name)}" for name, value in options.items() if value is not None]
+    if len(given) > 1:
+        raise ConfigError(f"{given[1]}: expected one of these options, got {' and '.join(given)}")
 
 
 def expect_names(option: str, names: Iterable[str], known: Collection[str]) -> None:
@@ -161,176 +299,131 @@ def expect_names(option: str, names: Iterable[str], known: Collection[str]) -> N
         raise ConfigError(f"{option}: expected some of {', '.join(known)}, got {', '.join(unknown)}")
 
 
-def option_name(name: str) -> str:
-    """Returns the name of a field's option, as --player.buffer has it last: dashes, no unit."""
-    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
-    return name.removesuffix(unit).replace("_", "-")
+def parse_frames(text: str | None) -> tuple[int, int | None]:
+    """First frame and the one after the last of A:B, A:, :B or a single number; None stands for the end.
 
-
-def _parameters(options: Iterable[type]) -> list[inspect.Parameter]:
-    """The parameters of a function that takes the fields of dataclasses, those by place first."""
-    hints = {name: hint for one in options for name, hint in get_type_hints(one).items()}
-    found = []
-    for one in (one for every in options for one in fields(every)):
-        hint, default = hints[one.name], EMPTY
-        kind: Any = inspect.Parameter.KEYWORD_ONLY
-        if default_of(one) is MISSING and "short" not in one.metadata:  # an argument by its place
-            several = get_origin(hint) is tuple
-            kind = inspect.Parameter.VAR_POSITIONAL if several else inspect.Parameter.POSITIONAL_ONLY
-            name = one.metadata.get("metavar", one.name.upper())
-            words = Parameter(name=name, help=one.metadata["help"], group=ARGUMENTS, required=True)
-            hint = Annotated[get_args(hint)[0] if several else hint, words]
-        elif nested := one.metadata.get("nested"):
-            default = None
-            words = Parameter(name="*") if nested.own else Parameter(name=option_name(one.name))
-            hint = Annotated[_nested(nested, nested.settings()), words]
-        else:
-            default = EMPTY if default_of(one) is MISSING else None
-            about = one.metadata["help"] + default_words(one.metadata.get("default", default_of(one)))
-            hint = _annotated(one, hint, about, one.metadata.get("topic"))
-        found.append(inspect.Parameter(one.name, kind, default=default, annotation=hint))
-    return sorted(found, key=lambda one: one.kind)
-
-
-def _nested(nested: Nested, values: Any, about: str = "") -> Any:
-    """The type of a dictionary with some of the fields of settings, whose defaults are `values`."""
-    hints = get_type_hints(nested.settings)
-    entries = {}
-    for one in (one for one in fields(nested.settings) if one.metadata.get("option", True)):
-        value = getattr(values, one.name)
-        words = one.metadata.get("help", about)
-        everyday = nested.everyday is None or one.name in nested.everyday
-        if is_dataclass(value):
-            inner = Nested(type(value), nested.topic, None if everyday else ())
-            entries[one.name] = Annotated[_nested(inner, value, words), Parameter(name=option_name(one.name))]
-        else:
-            words += default_words(one.metadata.get("default", value))
-            entries[one.name] = _annotated(one, hints[one.name], words, None if everyday else nested.topic)
-    return TypedDict(nested.settings.__name__, entries, total=False)  # type: ignore[operator]
-
-
-def _annotated(one: Field[Any], hint: Any, about: str, topic: str | None) -> Any:
-    """The type of an option, with what the library has to know of it."""
-    told = one.metadata
-    kind = next((kind for kind in get_args(hint) if NoneType in get_args(hint) and kind is not NoneType), hint)
-    several = get_origin(kind) is tuple and "read" not in told
-    unit = next((words for ending, words in UNITS.items() if one.name.endswith(ending)), "")
-    choices = told.get("choices", ())
-    read = told.get("read") or (int if kind is int else None)  # the library would round
-    kind_words = KINDS.get(get_args(kind)[0] if several else kind, ("TEXT", ""))[0]
-    name = told.get("name") or option_name(one.name)
-    words = Parameter(
-        name=(f"--{name}", told["short"]) if "short" in told else name,
-        help=about,
-        group=Group(topic, sort_key=5) if topic else EVERYDAY,
-        metavar=told.get("metavar") or unit or "|".join(choices) or kind_words,
-        converter=partial(_read, read, kind) if read else None,
-        negative=None if kind is bool and default_of(one) is not False else (),
-        consume_multiple=True if several else None,
-        allow_leading_hyphen=told.get("signed", False),
-    )
-    if choices:
-        return Annotated[Literal[tuple(choices)], words]
-    return Annotated[str if "read" in told else kind, words]
-
-
-def _read(read: Callable[[str], Any], kind: Any, _: Any, tokens: Sequence[Any]) -> Any:
-    text = tokens[0].value
+    Without text, all frames. Raises ConfigError.
+    """
+    head, colon, tail = (text or ":").partition(":")
     try:
-        value = read(text)
-        if kind is int and not is_of(value, int):
-            raise ValueError
-        return value
-    except AirgsError as error:
-        raise ValueError(str(error)) from error
-    except (ValueError, ArithmeticError) as error:
-        raise ValueError(f"expected {_kind_words(kind)}, got {text!r}") from error
+        start = int(head) if head else 0
+        return start, (int(tail) if tail else None) if colon else start + 1
+    except ValueError as error:
+        raise ConfigError(f"--frames: expected A:B, got {text!r}") from error
 
 
-def _kind_words(kind: Any) -> str:
-    if get_origin(kind) is Literal:
-        return "one of " + ", ".join(map(str, get_args(kind)))
-    inner = [one for one in get_args(kind) if one is not NoneType] or [kind]
-    return KINDS.get(inner[0], ("", "a value"))[1]
+def parse_range(text: str, frames: int) -> tuple[int, int]:
+    """(start, stop) as `parse_frames` gives it, of a sequence of `frames`. Raises ConfigError."""
+    start, stop = parse_frames(text)
+    stop = frames if stop is None else stop
+    if not 0 <= start < stop <= frames:
+        raise ConfigError(f"--frames: expected A:B inside 0:{frames}, got {text!r}")
+    return start, stop
 
 
-def default_words(value: Any) -> str:
-    """Returns " (default: …)" for the value of a setting, nothing where there is nothing to say."""
-    if value in (None, "", ()) or value is False or value is MISSING:
-        return ""
-    if value is True:
-        return " (default: on)"
-    several = value if isinstance(value, tuple) else (value,)
-    shown = " ".join(f"{one:g}" if isinstance(one, float) else str(one) for one in several)
-    return f" (default: {shown})"
+@dataclass(frozen=True, kw_only=True)
+class BakingOptions:
+    """How `open_sequence` reads a clip; None: as the file says, or else the default of its format."""
+
+    bake_fps: Fraction | None = setting(
+        None,
+        "frames a second that a clip of moving Gaussians is baked to",
+        default="what the file says, else 30",
+        topic="clips",
+        **RATE,
+    )
+    duration: Fraction | None = setting(
+        None,
+        "length in seconds of a clip whose file states none: .splatv, Spacetime Gaussians .ply",
+        default="5/3",
+        read=exact_number,
+        metavar="S",
+        topic="clips",
+    )
+
+    def baking(self) -> dict[str, Any]:
+        return {"bake_fps": self.bake_fps, "duration": self.duration}
 
 
-def refusal(error: exceptions.CycloptsError) -> str:
-    """Returns what is wrong with arguments, in one line."""
-    if isinstance(error, exceptions.CoercionError) and error.token is not None:
-        words = error.msg or f"expected {_kind_words(error.target_type)}, got {error.token.value!r}"
-        return f"argument {error.token.keyword or _name(error)}: {words}"
-    if isinstance(error, exceptions.MissingArgumentError):
-        if error.keyword:
-            return f"argument {error.keyword}: expected a value, got none"
-        return f"expected {_name(error)}, got none"
-    if isinstance(error, exceptions.RepeatArgumentError):
-        return f"argument {error.token.keyword}: expected one value, got another one: {error.token.value!r}"
-    if isinstance(error, exceptions.UnknownOptionError):
-        known = [name for argument in error.argument_collection for name in argument.names]
-        word = error.token.keyword or error.token.value  # the one where it has a value, else the other
-        close = difflib.get_close_matches(word, known, 1)
-        return f"argument {word}: expected an option that there is{f' ({close[0]}?)' if close else ''}; see {ALL}"
-    if isinstance(error, exceptions.UnknownCommandError):
-        known = [name for name in error.app or () if not name.startswith("-")]
-        return f"expected one of {', '.join(known)}, got {(error.unused_tokens or ['none'])[0]!r}"
-    if isinstance(error, exceptions.UnusedCliTokensError):
-        return f"expected no further arguments, got {' '.join(error.unused_tokens or ())}"
-    return " ".join(str(error).split())
+@dataclass(frozen=True, kw_only=True)
+class WorkOptions:
+    """Who does the work (docs/farm.md): processes of this machine, or a Dask cluster."""
+
+    jobs: int = setting(1, "processes that share the work", least=1)
+    work: str | None = setting(
+        None,
+        "where finished jobs stay, so that a run that was cut off goes on; a folder that all workers see, or s3://, "
+        "gs://, az:// and a prefix; who may write there decides what comes out; by default nothing stays",
+        metavar="PLACE",
+    )
+    executor: str | None = setting(
+        None,
+        "a Dask cluster does the work: the one whose scheduler is at ADDRESS, or one of --jobs processes on this "
+        "machine",
+        metavar="dask[:ADDRESS]",
+        topic="work",
+    )
+
+    def shared_by(self) -> str | None:
+        """Returns the first of the options that is given; None where one process does everything by itself."""
+        given = {"--jobs": self.jobs != 1, "--executor": self.executor, "--work": self.work}
+        return next((name for name, value in given.items() if value), None)
+
+    @contextmanager
+    def opened(self, progress: Progress, needs: dict[str, float] | None = None) -> Iterator[Work]:
+        """Give what the options ask for, until the block ends; `needs`: resources of a worker, as {"GPU": 1}.
+
+        Raises ConfigError for options that cannot work.
+        """
+        from airgs_codec.jobs.work import Work
+
+        with ExitStack() as stack:
+            executor = self._executor(needs)
+            if executor:
+                stack.callback(executor.shutdown, cancel_futures=True)
+            yield Work.of(executor, self.work, progress)
+
+    def _executor(self, needs: dict[str, float] | None) -> Executor | None:
+        from airgs_codec.jobs.executors import DaskCluster, Processes
+
+        if self.executor is None:
+            return Processes(self.jobs) if self.jobs > 1 else None
+        name, _, address = self.executor.partition(":")
+        if name != "dask" or self.executor == "dask:":
+            raise ConfigError(f"--executor: expected dask or dask:ADDRESS, got {self.executor!r}")
+        if importlib.util.find_spec("distributed") is None:
+            raise ConfigError("--executor dask needs Dask: pip install 'airgs-codec[farm]'")
+        return DaskCluster(address, self.jobs, needs)
 
 
-def _name(error: exceptions.CycloptsError) -> str:
-    return error.argument.name if error.argument else "an argument"
+def open_frames(place: str, *, quiet: bool = False, **how: Any) -> GaussianSequence:
+    """Return the sequence at a place; copying it from an address shows a bar, and a line of what was copied.
+
+    `how`: arguments of `open_sequence`, which says what is raised.
+    """
+    from airgs_codec.scene.sequence import open_sequence
+
+    with Bar(quiet) as bar:
+        sequence = open_sequence(place, progress=bar, **how)
+    if sequence.copied and not quiet:
+        warn(str(sequence.copied))
+    return sequence
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Prints help in two columns, as wide as the terminal, at most WIDTH; `everything`: not everyday options alone."""
-
-    everything: bool
-
-    def render_usage(self, console: Console, options: Any, usage: Any) -> None:
-        self._print(console, textwrap.fill(f"usage: {str(usage).removeprefix('Usage:').strip()}", self._width()))
-
-    def render_description(self, console: Console, options: Any, description: Any) -> None:
-        """Print what the command does, paragraph for paragraph as it is written."""
-        if text := _text(description):
-            self._print(console, "\n".join(["", *(textwrap.fill(line, self._width()) for line in text.split("\n"))]))
-
-    def __call__(self, console: Console, options: Any, panel: HelpPanel) -> None:
-        shown = self.everything or panel.title in {one.name for one in (ARGUMENTS, COMMANDS, EVERYDAY)}
-        entries = [entry for entry in panel.entries if not FLAGS & set(entry.names)]
-        if shown and entries:
-            lines = [line for entry in entries for line in self._lines(entry)]
-            self._print(console, "\n".join([f"\n{str(panel.title).lower()}:", *lines]))
-
-    def _lines(self, entry: HelpEntry) -> list[str]:
-        names = [*entry.positive_shorts, *entry.positive_names, *entry.negative_names]
-        head = entry.positional_label or " ".join(filter(None, [", ".join(names), entry.metavar]))
-        words = _text(entry.description)
-        wrap = textwrap.TextWrapper(self._width(), " " * COLUMN, " " * COLUMN, break_on_hyphens=False)
-        lines = wrap.wrap(words if self.everything else DETAIL.sub(r"\1", words)) or [""]
-        if len(head) > COLUMN - 4:
-            return [f"  {head}", *lines]
-        return [f"  {head:<{COLUMN - 2}}{lines[0].strip()}", *lines[1:]]
-
-    def _width(self) -> int:
-        return min(WIDTH, shutil.get_terminal_size((WIDTH, 24)).columns)
-
-    def _print(self, console: Console, text: str) -> None:
-        console.print(text, markup=False, highlight=False, emoji=False, soft_wrap=True)
+def expect_report(folder: Path | None) -> None:
+    """Raise ConfigError where a report cannot be drawn, or a file is where its folder should be."""
+    if folder:
+        require_matplotlib("--report")
+        expect_folder(folder)
 
 
-def _text(written: Any) -> str:
-    """Return what the library makes of a help text, as it was."""
-    return "" if written is None else str(getattr(written.primary_renderable, "plain", "")).strip()
+def expect_folder(path: Path) -> None:
+    """Raise ConfigError where no folder can be made or written, before the work begins."""
+    expect_folder_name(path)
+    there = next(place for place in (path.absolute(), *path.absolute().parents) if place.exists())
+    if not there.is_dir():
+        raise ConfigError(f"{there}: expected a folder, got a file")
+    try:
+        tempfile.TemporaryFile(dir=there).close()
+    except OSError as error:
+        raise ConfigError(f"{path}: expected a folder that can be written: {error.strerror}") from error

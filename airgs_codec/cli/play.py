@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import math
 import tempfile
 from collections.abc import Sequence
@@ -11,31 +10,33 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from airgs_codec._settings import required, setting
-from airgs_codec.cli.common import (
+from airgs_codec.cli.options import (
+    CUDA,
+    DEVICES,
     PACKAGE,
     BakingOptions,
-    as_json,
-    device,
+    Given,
     expect_folder,
     expect_report,
+    given,
     open_frames,
-    report,
+    run_program,
+    takes,
 )
-from airgs_codec.cli.options import nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.package import Package, find_faults, open_package
 from airgs_codec.places.place import Folder
 from airgs_codec.places.whole import to_json
 from airgs_codec.play.film import film
-from airgs_codec.play.http import HttpDownloader, HttpSettings, fetch_beside
+from airgs_codec.play.http import HttpDownloader, HttpSettings
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, make_policy
 from airgs_codec.play.report import format_metrics, region_record, some, write_report
-from airgs_codec.play.session import SessionLog, measure_decoding, simulate
+from airgs_codec.play.session import SessionLog, simulate
 from airgs_codec.play.session import play as play_over
-from airgs_codec.play.settings import SessionSettings
-from airgs_codec.play.study import StudySettings, format_study, run_study
+from airgs_codec.play.study import StudySettings, format_study, run_study, study_record
 from airgs_codec.play.trace import DEFAULT_RTT_S, ENDS, Link, Trace
 from airgs_codec.render.backend import open_renderer
 
@@ -44,36 +45,31 @@ COMPARED = ("robust-mpc", *PAPER, "throughput", "bola", "oracle-frame")
 TRACES = "a file (Raca CSV, sabre JSON, seconds and Mbit/s, mahimahi), const:MBPS or markov:SEED[:MBPS]"
 
 
-@dataclass(frozen=True, slots=True)
-class Play:
+@dataclass(frozen=True, kw_only=True)
+class Play(BakingOptions):
     package: str = required(f"{PACKAGE}, or where a web server has it", metavar="PACKAGE|URL")
     trace: str | None = setting(None, f"rates of the link: {TRACES}")
     policy: str = setting(DEFAULT_POLICY, f"what chooses rungs; {', '.join(NAMES)}, fixed:J (level J) or fixed:RUNG")
-    rtt: float | None = setting(None, f"round trip (default: the trace's, else {1e3 * DEFAULT_RTT_S:g})", metavar="MS")
+    rtt: float | None = setting(None, "round trip", metavar="MS", default=f"the trace's, else {1e3 * DEFAULT_RTT_S:g}")
     offset: float = setting(0.0, "where in the trace to begin", metavar="S", topic="link")
     scale: float = setting(1.0, "factor on the trace's rates", topic="link")
     end: str = setting("loop", "what follows the trace's last second", choices=ENDS, topic="link")
-    player: SessionSettings = nested(SessionSettings, "player", ("buffer_s", "budget", "loops"))
-    measure_decoding: bool = setting(
-        False, "measure the time to decode a frame, instead of --player.decode-frame", topic="player"
-    )
-    http: HttpSettings = nested(HttpSettings, "http, for a URL")
+    player: Given = given(SessionSettings, "player", ("buffer_s", "budget", "loops"), "player")
+    http: Given = given(HttpSettings, "http, for a URL", name="http")
     compare: bool = setting(False, "compare policies with each other on --traces")
-    traces: tuple[str, ...] = setting((), "folders of traces, or traces", metavar="PLACE")
+    traces: tuple[str, ...] = setting((), "folders of traces, or traces", metavar="PLACE...")
     policies: str = setting(",".join(COMPARED), "policies to compare, with commas", default="eight of them")
     offsets: int = setting(8, "starts in each trace, drawn from --seed")
     seed: int = setting(1, "seed of the starts", topic="study")
     jobs: int = setting(1, "processes that share the sessions of --compare")
     original: str | None = setting(None, "shown beside the screen in --video", metavar="SEQUENCE")
-    clip: BakingOptions = nested(BakingOptions, "clips", own=True)
-    device: str = device("where pictures are drawn", topic="output")
-    report: Path | None = report("a page")
+    device: str = setting("auto", f"where pictures are drawn{CUDA}", choices=DEVICES, topic="output")
+    report: Path | None = setting(None, "folder for a page", metavar="DIR")
     video: Path | None = setting(None, "film what was on the screen, as MP4", metavar="FILE")
-    json: bool = as_json()
+    json: bool = setting(False, "print figures as JSON")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Play as the arguments say; returns the exit status."""
     return run_program("airgs-play", play, argv)
 
 
@@ -82,71 +78,58 @@ def play(options: Play) -> int:
     """Simulate a viewer of a package over a bandwidth trace, compare policies over many, or play from a web server."""
     expect_report(options.report)
     if options.video:
+        folder = options.video.absolute().parent
         if options.video.suffix.lower() != ".mp4":
             raise ConfigError(f"{options.video}: expected a name that ends in .mp4")
-        if not options.video.absolute().parent.is_dir():
+        if not folder.is_dir():
             raise ConfigError(f"{options.video}: expected a folder that can be written, got none")
-        expect_folder(options.video.absolute().parent)
-    single = {"player.budget": options.player.budget, "report": options.report, "video": options.video}
-    for name, value in single.items():
-        if options.compare and value is not None:
-            raise ConfigError(f"--{name}: expected a single session, got --compare")
+        expect_folder(folder)
+    rules = SessionSettings(**options.player)
     if options.package.startswith(("http://", "https://")):
-        return _over_http(options)
-    if options.http.as_fast:
+        return _over_http(options, rules)
+    if options.http.get("as_fast"):
         raise ConfigError(f"--http.as-fast: expected a URL, got {options.package}; a simulated session takes no time")
     package = open_package(options.package)
     if options.compare:
-        return _compare(package, options)
+        return _compare(package, options, rules)
     if not options.trace:
         raise ConfigError("expected --trace, or --compare with --traces")
     if options.rtt is not None and not (math.isfinite(options.rtt) and options.rtt >= 0):
         raise ConfigError(f"--rtt: expected a round trip of 0 ms or more, got {options.rtt:g}")
     trace = Trace.open(options.trace).cut(options.offset, options.scale).ending(options.end)
-    link = Link.over(trace, None if options.rtt is None else options.rtt / 1e3)
-    settings, faults = _settings(package, options), find_faults(package)
-    log = simulate(package, link, options.policy, settings, faults)
+    log = simulate(package, Link.over(trace, _rtt_s(options)), options.policy, rules, find_faults(package))
     _present(package, log, options)
     return 0
 
 
-def _over_http(options: Play) -> int:
+def _rtt_s(options: Play) -> float | None:
+    return None if options.rtt is None else options.rtt / 1e3
+
+
+def _over_http(options: Play, rules: SessionSettings) -> int:
     if options.trace or options.compare:
         raise ConfigError("a URL is played over the real connection: expected no --trace and no --compare")
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="airgs-")))
         keep = Folder(folder).write if options.video else None
-        downloader = stack.enter_context(HttpDownloader(options.package, options.http, keep, _told))
-        settings = _settings(None, options)
-        offers = downloader.open()
-        log = play_over(offers, downloader, options.policy, settings)
+        settings = HttpSettings(**options.http)
+        downloader = HttpDownloader(options.package, settings, keep, lambda line: warn(f"airgs-play: {line}"))
+        log = play_over(stack.enter_context(downloader).open(), downloader, options.policy, rules)
         if options.video:
-            fetch_beside(log, downloader)
+            downloader.fetch_beside(log)
         _present(Package(Folder(folder), log.offers.manifest, log.offers.root_bytes), log, options)
     return 0
 
 
-def _told(line: str) -> None:
-    warn(f"airgs-play: {line}")
-
-
-def _settings(package: Package | None, options: Play) -> SessionSettings:
-    if not options.measure_decoding:
-        return options.player
-    if package is None:
-        raise ConfigError("--measure-decoding: expected a folder, got a URL")
-    return dataclasses.replace(options.player, decode_frame_s=measure_decoding(package))
-
-
 def _present(package: Package, log: SessionLog, options: Play) -> None:
     """Make the pictures and print the figures that were asked for."""
-    original = open_frames(options.original, quiet=options.json, **options.clip.baking()) if options.original else None
+    original = open_frames(options.original, quiet=options.json, **options.baking()) if options.original else None
     if options.report:
         write_report(log, options.report)
     if options.video:
         if all(shown.rung is None for shown in log.shown):
             raise ConfigError(f"{options.package}: nothing can be shown: {some(log.lost)}")
-        with contextlib.closing(Bar(options.json)) as bar:
+        with Bar(options.json) as bar:
             film(package, log, options.video, original, bar, open_renderer(options.device))
     said = {"policy": log.policy, "lost": log.lost, "retried": log.retried, "region": region_record(log)}
     record = log.metrics.as_dict() | said
@@ -160,7 +143,11 @@ def _present(package: Package, log: SessionLog, options: Play) -> None:
         say(f"{'film':<22}{options.video}")
 
 
-def _compare(package: Package, options: Play) -> int:
+def _compare(package: Package, options: Play, rules: SessionSettings) -> int:
+    single = {"player.budget": rules.budget, "report": options.report, "video": options.video}
+    for name, value in single.items():
+        if value is not None:
+            raise ConfigError(f"--{name}: expected a single session, got --compare")
     if not options.traces:
         raise ConfigError("--compare: expected --traces with folders of traces, or traces")
     traces: list[str] = []
@@ -170,14 +157,21 @@ def _compare(package: Package, options: Play) -> int:
         if not found:
             raise ConfigError(f"{folder}: expected a folder with traces, got an empty one")
         traces += found
-    c = Offers(package.manifest)
     policies = tuple(name for name in options.policies.split(",") if name)
     for name in policies:
-        make_policy(name, c, Link(Trace.open("const:1")))
-    rtt_s = None if options.rtt is None else options.rtt / 1e3
-    link, rules = (options.offsets, options.scale, options.end, rtt_s), _settings(package, options)
-    settings = StudySettings(policies, tuple(traces), *link, options.seed, rules, options.jobs)
-    with contextlib.closing(Bar(options.json)) as bar:
+        make_policy(name, Offers(package.manifest), Link(Trace.open("const:1")))
+    settings = StudySettings(
+        policies,
+        tuple(traces),
+        offsets=options.offsets,
+        scale=options.scale,
+        end=options.end,
+        rtt_s=_rtt_s(options),
+        seed=options.seed,
+        session=rules,
+        jobs=options.jobs,
+    )
+    with Bar(options.json) as bar:
         study = run_study(options.package, settings, bar)
-    say(format_study(study, options.json))
+    say(to_json(study_record(study)) if options.json else format_study(study))
     return 0

@@ -15,10 +15,9 @@ from airgs_codec._settings import required, setting
 from airgs_codec.cli.options import run_program, takes
 from airgs_codec.cli.terminal import say
 from airgs_codec.errors import ConfigError
-from airgs_codec.serve.app import Packages, make_app
+from airgs_codec.serve.app import Certificate, Packages, ServerSettings, check_certificate, listen, make_app
+from airgs_codec.serve.app import serve as serve_app
 from airgs_codec.serve.pages import NOT_BUILT, is_built, player_address
-from airgs_codec.serve.server import Certificate, ServerSettings, check_certificate, listen
-from airgs_codec.serve.server import serve as serve_app
 
 PACKAGES = "folder with airgs.json, or a folder that holds such folders: new ones are served, too, as they appear"
 ANY_HOST = ("0.0.0.0", "::")
@@ -36,7 +35,6 @@ class Serve:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Serve as the arguments say; returns the exit status."""
     return run_program("airgs-serve", serve, argv)
 
 
@@ -44,20 +42,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 def serve(options: Serve) -> int:
     """Serve packages over HTTP, each below its name."""
     packages = Packages(list(options.packages))
-    certificate = _certificate(options)
+    if bool(options.certificate) != bool(options.key):
+        raise ConfigError("expected --certificate and --key together")
+    certificate = None
+    if options.certificate and options.key:
+        certificate = Certificate(options.certificate, options.key)
+        check_certificate(certificate)
     settings = ServerSettings(certificate)
     listening = listen(options.host, options.port, settings.patience_s)
-    _allow_connections()
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)  # open files that the system lets this process have
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
     say(_greeting(packages, listening, "https" if certificate else "http"))
     asyncio.run(_serve_until_signal(packages, listening, settings))
     say("stopped")
     return 0
-
-
-def _allow_connections() -> None:
-    """As many open files as the system lets this process have."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 async def _serve_until_signal(packages: Packages, listening: socket.socket, settings: ServerSettings) -> None:
@@ -65,16 +63,6 @@ async def _serve_until_signal(packages: Packages, listening: socket.socket, sett
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     await serve_app(make_app(packages), listening, settings, stop)
-
-
-def _certificate(options: Serve) -> Certificate | None:
-    if options.certificate is None and options.key is None:
-        return None
-    if options.certificate is None or options.key is None:
-        raise ConfigError("expected --certificate and --key together")
-    certificate = Certificate(options.certificate, options.key)
-    check_certificate(certificate)
-    return certificate
 
 
 def _greeting(packages: Packages, listening: socket.socket, scheme: str) -> str:

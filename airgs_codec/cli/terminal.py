@@ -8,14 +8,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from airgs_codec.errors import AirgsError
 from airgs_codec.places.whole import naming
-from airgs_codec.progress import about, name_of
+from airgs_codec.progress import Bars, Progress, about, name_of, silent
 
 if TYPE_CHECKING:
     from tqdm import tqdm
@@ -23,14 +22,8 @@ if TYPE_CHECKING:
 # OpenMP threads of numba spin while they wait unless told so before the first import that loads them.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-
-MOST_WORDS = 2000  # characters of an error's line
 LINE_S = 10.0  # between two lines of progress in a log
 NARROW = 80  # columns of a terminal that does not know how many it has
-
-
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM came."""
 
 
 def run_command(name: str, work: Callable[[], int]) -> int:
@@ -41,15 +34,17 @@ def run_command(name: str, work: Callable[[], int]) -> int:
     for stream in filter(None, (sys.stdout, sys.stderr)):
         if isinstance(stream, io.TextIOWrapper):  # whatever its encoding lacks
             stream.reconfigure(errors="backslashreplace")
+    own = threading.current_thread() is threading.main_thread()  # else it is a thread of somebody's program
+    before = signal.signal(signal.SIGTERM, _stop) if own else None
     try:
-        with _terminable():
-            return work()
+        return work()
     except AirgsError as error:
-        warn(f"{name}: {_one_line(str(error))}")
+        line = str(error).replace("\n", "\\n")
+        warn(f"{name}: {line}")
         return 2
     except KeyboardInterrupt as error:
         warn(f"{name}: stopped")
-        return 128 + (signal.SIGTERM if isinstance(error, _Terminated) else signal.SIGINT)
+        return 128 + (error.args[0] if error.args else signal.SIGINT)
     except BrokenPipeError:  # the reader of our output has gone, `| head` for one
         sys.stderr.close()
         return 0
@@ -57,6 +52,13 @@ def run_command(name: str, work: Callable[[], int]) -> int:
         what = error.strerror or f"{error} (is the disk full?)"  # numpy counts bytes instead of asking
         warn(f"{name}: {error.filename or 'file system'}: {what}")
         return 2
+    finally:
+        if own:
+            signal.signal(signal.SIGTERM, before)
+
+
+def _stop(number: int, _: Any) -> None:
+    raise KeyboardInterrupt(number)
 
 
 def say(text: str, end: str = "\n") -> None:
@@ -75,57 +77,20 @@ def _plain(text: str) -> str:
     return "".join(c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode() for c in text)
 
 
-def _one_line(text: str) -> str:
-    """The text with its middle left out where nobody would read it."""
-    short = text if len(text) <= MOST_WORDS else f"{text[: MOST_WORDS // 2]} … {text[-MOST_WORDS // 2 :]}"
-    return short.replace("\n", "\\n")
-
-
-@contextmanager
-def _terminable() -> Iterator[None]:
-    """Within the block SIGTERM raises _Terminated, unless this is a thread of somebody's program."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def stop(*_: Any) -> None:
-        raise _Terminated
-
-    before = signal.signal(signal.SIGTERM, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 class Bar:
     """A progress bar for each stage of a long work; a line every LINE_S where stderr is no terminal; or `quiet`."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self._quiet = quiet
-        self._piped = sys.stderr is None or not sys.stderr.isatty()  # None: it is closed
-        self._bar: tqdm | None = None
+        self._bars = Bars(_tqdm)
+        piped = sys.stderr is None or not sys.stderr.isatty()  # None: it is closed
+        self._show: Progress = silent if quiet else self._say if piped else self._bars
         self._stage = ""
         self._begun_s = self._said_s = time.monotonic()
         self._stage_begun = (0.0, 0)  # when it was first heard of, and how much of it was done then
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """`done` of `total` parts of a stage are finished."""
-        if self._quiet:
-            return
-        if self._piped:
-            self._say(stage, done, total)
-            return
-        if self._bar is None or name_of(stage) != self._stage:
-            self.close()
-            self._stage = name_of(stage)
-            from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
-
-            width = os.get_terminal_size(sys.stderr.fileno()).columns
-            self._bar = tqdm(total=total, initial=done, leave=False, ncols=width or NARROW)
-        self._bar.set_description(stage, refresh=False)
-        self._bar.total = total
-        self._bar.update(done - self._bar.n)
+        self._show(stage, done, total)
 
     def _say(self, stage: str, done: int, total: int) -> None:
         now_s = time.monotonic()
@@ -140,6 +105,16 @@ class Bar:
 
     def close(self) -> None:
         """Clear the line; a stage may go on."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        self._bars.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _tqdm(**how: Any) -> tqdm:
+    from tqdm import tqdm  # 0.1 s, which a command without long work need not wait for
+
+    return tqdm(leave=False, ncols=os.get_terminal_size(sys.stderr.fileno()).columns or NARROW, **how)

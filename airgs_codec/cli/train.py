@@ -1,37 +1,43 @@
-"""airgs-train: multi-view video to a tracked Gaussian sequence."""
+"""airgs-train: multi-view video, or frames that share no rows, to Gaussians that move."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from airgs_codec._settings import applied, required, setting
-from airgs_codec.cli.common import (
+from airgs_codec._settings import required, setting
+from airgs_codec.cli.options import (
+    CUDA,
+    DEVICES,
+    FRAMES,
+    RATE,
+    Given,
     WorkOptions,
-    as_json,
-    device,
     expect_report,
-    frame_rate,
+    given,
+    open_frames,
     parse_frames,
-    report,
+    run_program,
+    takes,
 )
-from airgs_codec.cli.common import frames as frames_option
-from airgs_codec.cli.options import Given, given, nested, run_program, takes
 from airgs_codec.cli.terminal import Bar, say, warn
 from airgs_codec.errors import ConfigError
 from airgs_codec.scene.camera import BLACK
+from airgs_codec.scene.sequence import GaussianSequence
 from airgs_codec.trainer import default_settings, model_folder, require_torch
 from airgs_codec.trainer.data.multiview import MultiviewScene, frames_of, with_held_out, with_near
-from airgs_codec.trainer.data.readers import open_scene, shortened
+from airgs_codec.trainer.data.readers import has_gaussians, open_scene, shortened
 from airgs_codec.trainer.settings import AUTO, FIRST, FIRST_A_VIEW, OFF, PRESETS, TrainSettings, preset
+from airgs_codec.trainer.track import decide, pictured, track_settings
 
 if TYPE_CHECKING:  # torch is imported when training begins
+    from airgs_codec.jobs.work import Work
     from airgs_codec.trainer.pipeline import Run
     from airgs_codec.trainer.record import FrameRecord, Model
 
@@ -43,25 +49,26 @@ PAGE_SHARE = 10  # times as long as it takes to write a page is trained before t
 EVERYDAY = ("max_size", "background", "budget", "max_drop_db", "group_frames")
 
 
-@dataclass(frozen=True, slots=True)
-class Train:
+@dataclass(frozen=True, kw_only=True)
+class Train(WorkOptions):
     scene: Path = required(
         "folder with transforms.json, train_meta.json (Panoptic), image_white_undistortion/ (HiFi4G), COLMAP's sparse/ "
-        "or poses_bounds.npy, and pictures or a video of each camera"
+        "or poses_bounds.npy, and pictures or a video of each camera; or frames of Gaussians that share no rows"
     )
-    output: Path | None = setting(None, "model folder (default: SCENE.gaussians)", short="-o", metavar="DIR")
+    output: Path | None = setting(None, "model folder", alias="-o", metavar="DIR", default="SCENE.gaussians")
     resume: bool = setting(False, "go on with the run in the model folder")
     preset: str = setting(
         PRESETS[0],
         "settings to begin with: paper has the AirGS paper's method and constants, read literally",
         choices=PRESETS,
     )
-    frames: str = frames_option()
-    fps: Fraction | None = frame_rate()
+    frames: str = setting(":", FRAMES, metavar="A:B", default="all")
+    fps: Fraction | None = setting(None, "frames a second", default="what the scene says, else 30", **RATE)
     hold_out: str | None = setting(
         None,
-        "cameras held out for testing, with commas, or none (default: the scene's, else one in eight)",
+        "cameras held out for testing, with commas, or none",
         metavar="NAMES",
+        default="the scene's, else one in eight",
     )
     effort: str = setting(
         "normal",
@@ -75,7 +82,7 @@ class Train:
         f"of a first frame at least {FIRST_A_VIEW} for each view",
         metavar="FIRST,KEY,FRAME",
     )
-    settings: Given = given(TrainSettings, "method", EVERYDAY, own=True)
+    settings: Given = given(TrainSettings, "method", EVERYDAY)
     near: float | None = setting(
         None,
         "hide Gaussians nearer to a camera than this many world units (default: the scene's, else 0.01)",
@@ -89,47 +96,44 @@ class Train:
         metavar="auto|off|FILE",
         topic="scene",
     )
-    device: str = device("where it runs")
-    work: WorkOptions = nested(WorkOptions, "work", ("jobs", "work"), own=True)
-    report: Path | None = report("a page with curves, pictures and error maps")
-    json: bool = as_json("print the record as JSON instead of a line a frame")
+    device: str = setting("auto", f"where it runs{CUDA}", choices=DEVICES)
+    report: Path | None = setting(None, "folder for a page with curves, pictures and error maps", metavar="DIR")
+    json: bool = setting(False, "print the record as JSON instead of a line a frame")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Train as the arguments say; returns the exit status."""
     return run_program("airgs-train", train, argv)
 
 
 @takes(Train)
 def train(options: Train) -> int:
-    """Train a tracked Gaussian sequence from multi-view video, for airgs-encode."""
+    """Train Gaussians that move, from multi-view video or frames that share no rows, for airgs-encode."""
     require_torch()
     expect_report(options.report)
     folder = model_folder(options.scene, options.output)
-    _settings(options, "cpu")  # what cannot work is refused before the seconds that torch takes to load
-    scene = _scene(options)
+    _settings(options, default_settings("cpu"))  # what cannot work is refused before torch is loaded, which takes long
+    opened = _frames(options) if has_gaussians(options.scene) else _scene(options)
 
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
-    from airgs_codec.trainer.pipeline import open_run, train_in_jobs
-    from airgs_codec.trainer.record import known_offsets
+    from airgs_codec.trainer.pipeline import open_run
     from airgs_codec.trainer.report import write_report
 
-    elsewhere = options.work.executor and options.device == "cuda"  # the workers have it
+    elsewhere = options.executor and options.device == "cuda"  # the workers have it
     renderer = open_renderer("auto" if elsewhere else options.device)
     device = "cuda" if elsewhere else renderer.device
-    cameras = [camera for camera in scene.cameras if not camera.held_out]
-    settings = _settings(options, device, len(cameras))
-    shared = options.work.shared_by()
-    if settings.group_frames is None and shared:
-        raise ConfigError(f"{shared}: expected --group-frames, without which no frame is fitted before the last one")
-    if settings.background is None and scene.background != BLACK and not options.json:
-        colour = ",".join(f"{c:g}" for c in scene.background)
-        say(f"{options.scene}: its pictures are before a background of {colour}")
-    known = known_offsets(folder) if options.resume else None
-    scene = match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
+    shared = options.shared_by()
+    if isinstance(opened, GaussianSequence):
+        settings, scene = _settings(options, track_settings(opened)), pictured(opened, renderer)
+    else:
+        settings = _settings(options, default_settings(device), sum(not c.held_out for c in opened.cameras))
+        if settings.group_frames is None and shared:
+            words = "expected --group-frames, without which no frame is fitted before the last one"
+            raise ConfigError(f"{shared}: {words}")
+        scene = _in_step(options, opened, settings, folder)
     run = open_run(scene, folder, settings, resume=options.resume, device=device)
-    if (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
+    cameras = [] if scene.given else [camera for camera in scene.cameras if not camera.held_out]
+    if cameras and (apart := degrees_apart(cameras)) > SPARSE_DEGREES and not options.json:
         say(f"{options.scene}: {len(cameras)} training cameras {apart:.0f}° apart: views between them will be soft")
 
     def page() -> None:
@@ -137,25 +141,42 @@ def train(options: Train) -> int:
         if options.report:
             write_report(run.model, exposed, options.report, renderer)
 
-    if shared:
-        with closing(Bar(options.json)) as bar, options.work.opened(bar) as work:
-            follow_training(run, train_in_jobs(run, work), bar, quiet=options.json)
-    else:
-        run_training(run, quiet=options.json, page=page if options.report else None)
+    often = page if options.report and not shared else None
+    with Bar(options.json) as bar, options.opened(bar) if shared else nullcontext() as work:
+        model = train_run(run, bar, quiet=options.json, work=work, page=often)
     page()
-    model = run.model
     say(json.dumps(summary(model)) if options.json else as_words(model, options.report))
     return 0
 
 
+def _frames(options: Train) -> GaussianSequence:
+    """The frames that are tracked; what that costs is said. Raises ConfigError for options of pictures."""
+    usual = {"hold_out": None, "near": None, "sync": AUTO, "frames": ":"}
+    if option := next((name for name, value in usual.items() if getattr(options, name) != value), None):
+        raise ConfigError(f"--{option.replace('_', '-')}: expected multi-view pictures, got frames of Gaussians")
+    sequence = open_frames(str(options.scene), quiet=options.json, fps=options.fps)
+    warn(decide(sequence, wanted=True)[1])
+    return sequence
+
+
 def _scene(options: Train) -> MultiviewScene:
-    if options.near is not None and not 0 < options.near < float("inf"):
-        raise ConfigError(f"--near: expected a positive distance, got {options.near}")
+    near, hold_out = options.near, options.hold_out
+    if near is not None and not 0 < near < float("inf"):
+        raise ConfigError(f"--near: expected a positive distance, got {near}")
     scene = open_scene(options.scene, fps=options.fps)
     frames_of(scene, parse_frames(options.frames))  # those that are not there are told before anything is read
-    names = None if options.hold_out is None else [] if options.hold_out == "none" else options.hold_out.split(",")
-    scene = with_held_out(scene, names)
-    return scene if options.near is None else with_near(scene, options.near)
+    scene = with_held_out(scene, [] if hold_out == "none" else hold_out.split(",") if hold_out is not None else None)
+    return scene if near is None else with_near(scene, near)
+
+
+def _in_step(options: Train, scene: MultiviewScene, settings: TrainSettings, folder: Path) -> MultiviewScene:
+    from airgs_codec.trainer.record import known_offsets
+
+    if settings.background is None and scene.background != BLACK and not options.json:
+        colour = ",".join(f"{c:g}" for c in scene.background)
+        say(f"{options.scene}: its pictures are before a background of {colour}")
+    known = known_offsets(folder) if options.resume else None
+    return match_cameras(scene, parse_frames(options.frames), options.sync, known, quiet=options.json)
 
 
 def match_cameras(
@@ -163,8 +184,7 @@ def match_cameras(
 ) -> MultiviewScene:
     """The frames [A, B) of a scene with its cameras in step, as --sync says; what was found is said.
 
-    `known`: what the run that goes on has found, after which nothing is looked for again; None: it is a new one.
-    Raises SceneError for a file of offsets, or a picture, that cannot be used.
+    `known`: what the run that goes on has found; None: it is a new one. Raises SceneError.
     """
     from airgs_codec.trainer.data.sync import find_offsets, in_step, read_offsets  # what they import takes a second
 
@@ -174,7 +194,7 @@ def match_cameras(
         return in_step(scene, read_offsets(Path(sync)), span)
     if known is not None:
         return in_step(scene, known if sync == AUTO else {}, span)
-    with closing(Bar(quiet)) as bar:
+    with Bar(quiet) as bar:
         found = find_offsets(scene, span, bar) if sync == AUTO else {}
     matched = in_step(scene, found, span)
     if found and not quiet:
@@ -185,10 +205,9 @@ def match_cameras(
     return matched
 
 
-def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
+def _settings(options: Train, usual: TrainSettings, views: int = 1) -> TrainSettings:
     """The settings of a scene with so many training views. Raises ConfigError for options that cannot work."""
-    told = dict(options.settings)
-    base, names = preset(options.preset, default_settings(device)), FIT_ITERATIONS
+    base, names = preset(options.preset, usual), FIT_ITERATIONS
     counts: dict[str, int] = {}
     if (factor := EFFORTS[options.effort]) != 1:
         known = (base.iterations_from_scratch(views), base.key_iterations, base.frame_iterations)
@@ -198,7 +217,7 @@ def _settings(options: Train, device: str, views: int = 1) -> TrainSettings:
             counts = dict(zip(names, map(int, options.iterations.split(",")), strict=True))
         except ValueError as error:
             raise ConfigError(f"--iterations: expected FIRST,KEY,FRAME, got {options.iterations!r}") from error
-    return applied(base, counts | told)
+    return replace(base, **(counts | dict(options.settings)))
 
 
 def summary(model: Model) -> dict[str, Any]:
@@ -206,8 +225,8 @@ def summary(model: Model) -> dict[str, Any]:
     from airgs_codec.trainer.fit.losses import PSNR_DEFINITION
 
     frames = model.record.frames
-    held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
-    matched = [f.held_out_matched for f in frames if f.held_out_matched is not None]
+    seen = [(f.held_out_psnr, f.held_out_matched or 0.0) for f in frames if f.held_out_psnr is not None]
+    held_out, matched = zip(*seen, strict=True) if seen else ((), ())
     return {
         "model": str(model.folder),
         "frames": [asdict(f) for f in frames],
@@ -223,24 +242,19 @@ def summary(model: Model) -> dict[str, Any]:
 
 
 def as_words(model: Model, report: Path | None) -> str:
-    """Return what the run comes to, in a line, and where the report is."""
-    s = summary(model)
-    held_out = ""
+    s, held_out = summary(model), ""
     if s["held_out_psnr"] is not None:
         held_out = f", held-out {s['held_out_psnr']:.2f} (worst {s['held_out_worst']:.2f})"
         if s["held_out_matched"] - s["held_out_psnr"] >= MATCHED_DB:
             held_out += f", {s['held_out_matched']:.2f} with exposure matched"
     page = f"\nreport: {report / 'index.html'}" if report else ""
-    count, groups = len(model.record.frames), len(model.record.keyframes())
+    counts = f"{len(s['frames'])} frames, {len(s['keyframes'])} groups"
     quality = f"{s['psnr']:.2f} dB (mean over views and frames){held_out}"
-    return f"{model.folder}: {count} frames, {groups} groups, {quality}, {s['seconds']:.0f} s{page}"
+    return f"{model.folder}: {counts}, {quality}, {s['seconds']:.0f} s{page}"
 
 
 def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: bool) -> Path:
-    """The model folder of a multi-view scene, trained as far as it is not yet, with default settings.
-
-    `fps`: frames a second, instead of what the scene says. `device`: auto, cpu or cuda. `quiet`: say nothing.
-    """
+    """The model folder of a multi-view scene, trained as far as it is not yet, with default settings."""
     require_torch()
     from airgs_codec.render.backend import open_renderer
     from airgs_codec.trainer.pipeline import open_run
@@ -250,49 +264,36 @@ def train_by_default(scene: Path, fps: Fraction | None, device: str, *, quiet: b
     device = open_renderer(device).device
     views = match_cameras(views, (0, None), AUTO, known_offsets(folder), quiet=quiet)
     run = open_run(views, folder, default_settings(device), resume=True, device=device)
-    return run_training(run, quiet=quiet).folder
+    with Bar(quiet) as bar:
+        return train_run(run, bar, quiet=quiet).folder
 
 
-def run_training(run: Run, *, quiet: bool, page: Callable[[], None] | None = None) -> Model:
-    """Train frame after frame with a progress bar, and say what is done.
-
-    `page`: writes a page of the run so far, which it does now and then.
-    """
-    from airgs_codec.trainer.pipeline import train_frames
-
-    if not quiet and not run.model.finished():
-        say(to_train(run))
-    bar = Bar(quiet)
-    return follow_training(run, train_frames(run, bar), bar, quiet=quiet, page=page)
-
-
-def follow_training(
-    run: Run, records: Iterable[FrameRecord], bar: Bar, *, quiet: bool, page: Callable[[], None] | None = None
+def train_run(
+    run: Run, bar: Bar, *, quiet: bool, work: Work | None = None, page: Callable[[], None] | None = None
 ) -> Model:
-    """A line for each frame as it is stored, and the warnings of the run once each; `page` as in `run_training`."""
+    """Train, here or by `work`, and say what is done; `page` writes a page of the run so far, now and then."""
+    from airgs_codec.trainer.pipeline import train_frames, train_in_jobs
+
+    records = train_in_jobs(run, work) if work else train_frames(run, bar)
+    if not (quiet or work or run.model.finished()):
+        seen, left = run.capture.pictures.cameras(), run.model.record.total - len(run.model.record.frames)
+        held_out = sum(camera.held_out for camera in seen)
+        cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
+        say(f"{run.capture.scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}")
     said, due_s = set[str](), 0.0
-    with closing(bar):
-        for record in records:
-            bar.close()
-            if not quiet:
-                say(frame_line(record))
-                if record.kind == "first" and run.model.record.exposure:
-                    say(exposure_line(run.model.record.exposure))
-            for warning in set(run.model.record.warnings()) - said:
-                warn(f"warning: {warning}")
-                said.add(warning)
-            if page and (begun_s := time.monotonic()) >= due_s and not run.model.record.complete:
-                page()
-                due_s = time.monotonic() + PAGE_SHARE * (time.monotonic() - begun_s)
+    for record in records:
+        bar.close()
+        if not quiet:
+            say(frame_line(record))
+            if record.kind == "first" and run.model.record.exposure:
+                say(exposure_line(run.model.record.exposure))
+        for warning in set(run.model.record.warnings()) - said:
+            warn(f"warning: {warning}")
+            said.add(warning)
+        if page and (begun_s := time.monotonic()) >= due_s and not run.model.record.complete:
+            page()
+            due_s = time.monotonic() + PAGE_SHARE * (time.monotonic() - begun_s)
     return run.model
-
-
-def to_train(run: Run) -> str:
-    scene, seen = run.capture.scene, run.capture.pictures.cameras()
-    held_out = sum(camera.held_out for camera in seen)
-    cameras = f"{len(seen) - held_out} training cameras and {held_out} held out"
-    left = len(scene) - len(run.model.record.frames)
-    return f"{scene.path}: {left} frames of {seen[0].width}x{seen[0].height}, {cameras}"
 
 
 def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:
@@ -303,7 +304,6 @@ def exposure_line(exposure: Mapping[str, Sequence[float]]) -> str:
 
 
 def frame_line(r: FrameRecord) -> str:
-    """One finished frame in words; PSNR is the mean over training views."""
     held_out = "" if r.held_out_psnr is None else f", held-out {r.held_out_psnr:.2f}"
     if r.held_out_psnr and r.held_out_matched and r.held_out_matched - r.held_out_psnr >= MATCHED_DB:
         held_out += f" ({r.held_out_matched:.2f} with exposure matched)"

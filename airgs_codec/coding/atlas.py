@@ -1,5 +1,6 @@
-"""Atlases: planes tiled into one picture. T frames, P planes, N rows; a plane holds one channel, one sample a row.
+"""Values <-> whole codes, `gain` codes a step <-> atlases: planes tiled into one picture.
 
+T frames, C channels, P planes, N rows; a plane holds one channel, one sample a row.
 Row i goes to the i-th cell of 16x16 blocks; cells of a block follow a Z-curve, blocks run row by row over the plane.
 """
 
@@ -13,12 +14,52 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import UNIT, Bases
-from airgs_codec.coding.quantize import scale_codes
 from airgs_codec.coding.rangecoder import worth_compiling
-from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas, plane_height
+from airgs_codec.errors import SceneError
+from airgs_codec.package.tables import BLOCK, MAX_MACROBLOCKS, MAX_PICTURE_SIDE, MIN_PICTURE_SIDE, Atlas
 
 CELLS = BLOCK * BLOCK
 GREY = 128
+CODE_LIMIT = 1 << 30  # |code| stays below it, so that sums of a code, a centre and a base fit int32
+STEP_LIMITS = (1e-30, 1e30)  # of steps: products of codes and steps are float32
+
+
+class UncodableError(SceneError):
+    """A value that no code holds."""
+
+
+def to_codes(values: NDArray[np.float64], steps: NDArray[np.float64], gain: float, first: int = 0) -> NDArray[np.int32]:
+    """(T, C, N) values, (C,) steps -> (T, C, N) codes; `from_codes` is at most step / (2 gain) off.
+
+    `first` is the number of the first channel, for errors. Raises UncodableError for a value 2^30 codes or more from 0,
+    since nothing is clipped, SceneError for a step that is not within STEP_LIMITS.
+    """
+    low, high = STEP_LIMITS
+    if not ((steps >= low) & (steps <= high)).all():
+        channel = int(np.argmin((steps >= low) & (steps <= high)))
+        raise SceneError(f"channel {first + channel}: expected a step of {low:g} to {high:g}, got {steps[channel]:g}")
+    codes = values * (gain / steps)[:, None]
+    np.rint(codes, out=codes)
+    if codes.size and not max(-codes.min(), codes.max()) < CODE_LIMIT:
+        channel = int(np.unravel_index(np.abs(codes).argmax(), codes.shape)[1])
+        largest = float(np.abs(values[:, channel]).max())
+        got = f"value {largest:g} at step {steps[channel]:g}"
+        raise UncodableError(f"channel {first + channel}: expected at most {CODE_LIMIT} codes, got {got}")
+    return codes.astype(np.int32)
+
+
+def from_codes(codes: NDArray[np.int32], steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
+    return scale_codes(codes, code_units(steps, gain))
+
+
+def code_units(steps: NDArray[np.float64], gain: float) -> NDArray[np.float32]:
+    return (steps / gain).astype(np.float32)
+
+
+def scale_codes(codes: NDArray[np.int32], units: NDArray[np.float32]) -> NDArray[np.float32]:
+    values = codes.astype(np.float32)
+    values *= units[:, None]
+    return values
 
 
 def choose_layout(rows: int, planes: int) -> tuple[int, int]:
@@ -64,7 +105,6 @@ def fit_centre(codes: NDArray[np.int32], limit: float) -> tuple[int, bool]:
 
 
 def make_atlas(rows: int, centres: list[int], planes: list[int]) -> Atlas:
-    """The atlas of so many rows with a centre for every channel and planes of some."""
     width, columns = choose_layout(rows, len(planes)) if planes else (0, 0)
     return Atlas(rows, centres, planes, width, columns)
 
@@ -93,7 +133,7 @@ def row_places(rows: int, plane_width: int, stride: int) -> NDArray[np.intp]:
 
 def plane_starts(atlas: Atlas, stride: int) -> list[int]:
     """(P,) place of the first sample of each plane in a picture of `stride` samples a line."""
-    height = plane_height(atlas.rows, atlas.plane_width)
+    height = atlas.plane_height
     down_across = (divmod(plane, atlas.columns) for plane in range(len(atlas.planes)))
     return [down * height * stride + across * atlas.plane_width for down, across in down_across]
 
@@ -110,11 +150,10 @@ def assemble(samples: NDArray[np.uint8], atlas: Atlas, width: int, height: int) 
 
 
 def extract(picture: NDArray[np.uint8], atlas: Atlas, rows: slice = slice(None)) -> NDArray[np.uint8]:
-    """(pages * height, width) picture -> (P, n) samples of some rows."""
     start, stop, _ = rows.indices(atlas.rows)
     samples = np.empty((len(atlas.planes), stop - start), np.uint8)
-    for line, plane in zip(samples, _read_planes(picture, atlas, rows), strict=True):
-        line[:] = plane
+    for line, (plane, places) in zip(samples, _find_planes(picture, atlas, rows), strict=True):
+        line[:] = plane.take(places)
     return samples
 
 
@@ -128,9 +167,9 @@ def read_codes(
     start, stop, _ = rows.indices(atlas.rows)
     codes = np.empty((len(atlas.centres), stop - start), np.int32)
     codes[:] = np.array(atlas.centres, np.int32)[:, None]
-    for plane, samples in enumerate(_read_planes(picture, atlas, rows)):
+    for plane, (samples, places) in enumerate(_find_planes(picture, atlas, rows)):
         line = codes[atlas.planes[plane]]
-        line += samples
+        line += samples.take(places)
         line -= GREY
         if (base := bases[plane]) is not None:
             line += UNIT * base[rows]
@@ -195,11 +234,6 @@ def _fill_line(
     else:
         for i in range(len(values)):
             values[i] = np.float32(np.int32(samples[np.uintp(places[i])]) + centre) * unit
-
-
-def _read_planes(picture: NDArray[np.uint8], atlas: Atlas, rows: slice) -> Iterator[NDArray[np.uint8]]:
-    """The (n,) samples of some rows in one plane after another."""
-    return (samples.take(places) for samples, places in _find_planes(picture, atlas, rows))
 
 
 def _find_planes(

@@ -1,8 +1,8 @@
-"""Attributes of Gaussians <-> channels of atlases, by way of the canonical space of a group (FORMAT.md §5).
+"""Attributes of Gaussians <-> channels of atlases: `ATTRIBUTES` has both directions side by side (FORMAT.md §5).
 
-N rows of all decoded tiers, n rows of a level, T frames, C colour channels. `key_channels` and `dequantise_key`,
-`state_channels` and `StateApplier.apply` are inverse pairs up to quantisation. The order of channels is
-`package.layout`'s. The encoder works in float64, the decoder in float32 but for canonical means.
+Channels are differences to a canonical space: those of a state to that of its group, those of a key to `blank_space`.
+Their order is `package.layout`'s. N rows of all decoded tiers, n rows of a level, T frames, C colour channels, c
+channels. The encoder works in float64, the decoder in float32 but for canonical means.
 
 A colour is the K + 1 SH coefficients of a row, C = 3 (1 + K); the KLT that decorrelates colours takes them in units of
 their steps.
@@ -10,6 +10,7 @@ their steps.
 
 from __future__ import annotations
 
+import base64
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -17,23 +18,23 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.grid import grid_means
-from airgs_codec.coding.kernels import FrameMemory, add_states, consecutive, for_chunks, klt_colours, to_quaternions
+from airgs_codec.coding import kernels
 from airgs_codec.coding.motion import motion_units
-from airgs_codec.coding.sidecar import KeySidecar
-from airgs_codec.package.layout import COLOUR, KEY, STATE
-from airgs_codec.package.tables import Grid, KeySteps, StateSteps, pack_matrix
+from airgs_codec.coding.sidecar import KeySidecar, grid_means
+from airgs_codec.errors import FormatError
+from airgs_codec.package.layout import COLOUR, KEY, STATE, Layout
+from airgs_codec.package.tables import TRANSFORM_UNITS, Grid, KeySteps, StateSteps
 from airgs_codec.scene.gaussians import Gaussians, conjugate, multiply, sigmoid, to_rotation_vector
 
 _MEANS, _SCALES, _ROTATION = (STATE.slice(name) for name in ("means", "log_scales", "quaternions"))
 _OPACITY, _COLOUR = STATE.slice("opacity"), STATE.slice(COLOUR)
-_CHANGING = ("means", "quaternions", "log_scales", "opacity", "colours")
 FURTHEST = float(1 << 26)  # steps that a row moves from its canonical mean, so that codes stay below 2^30
 OUTLYING = 10.0
 WIDTH = 64  # numbers that a row of a decoded frame takes while it is worked out
 LEAST_DRAWN = 1 / 255  # INRIA's renderer and all after it do not draw a Gaussian of less alpha
 # Decoded opacities stay inside [2^-20, 1 - 2^-20]: outside, the logit of a stored .ply is infinite.
 OPACITY_MARGIN = np.float32(2.0**-20)
+Channels = NDArray[np.float32] | Callable[[slice], NDArray[np.float32]]  # (c, N), or what gives those of some rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,118 +46,111 @@ class Canonical:
     quaternions: NDArray[np.float32]  # (N, 4) unit
     log_scales: NDArray[np.float32]  # (N, 3) ln(world units)
     opacity: NDArray[np.float32]  # (N,) alpha; may leave [0, 1] by coding error
-    colours: NDArray[np.float32]  # (N, C)
+    colour: NDArray[np.float32]  # (N, C)
     depths: NDArray[np.uint8]  # (N,) deepest level that carries the row; STATIC: none
     transform: NDArray[np.float64]  # (C, C) KLT, as stored
 
-    def first(self, count: int) -> Canonical:
-        """Its first `count` rows: the canonical space that fewer key tiers make."""
-        return self.part(slice(count))
-
     def part(self, rows: slice | NDArray[np.intp]) -> Canonical:
-        """Some of its rows; of a slice nothing is copied."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self) if f.name != "transform"})
 
     def to_gaussians(self) -> Gaussians:
         """The canonical space as a frame: what is shown where no state says otherwise."""
-        return _to_gaussians(self.means, self.quaternions, self.log_scales, self.opacity, self.colours)
+        dc, rest = split_colours(self.colour)
+        logits, dc = from_opacity(self.opacity), np.ascontiguousarray(dc)
+        return Gaussians(self.means.astype(np.float32), self.quaternions, self.log_scales, logits, dc, rest)
 
 
-def no_rows(transform: NDArray[np.float64]) -> Canonical:
-    """The canonical space of a part of a group that has no rows; `transform` is the (C, C) KLT of the group."""
-    return Canonical(
-        means=np.empty((0, 3)),
-        motion_units=np.empty(0, np.float32),
-        quaternions=np.empty((0, 4), np.float32),
-        log_scales=np.empty((0, 3), np.float32),
-        opacity=np.empty(0, np.float32),
-        colours=np.empty((0, len(transform)), np.float32),
-        depths=np.empty(0, np.uint8),
-        transform=transform,
+Make = Callable[[Gaussians, Canonical, NDArray[np.float64]], NDArray[np.floating]]
+Put = Callable[[NDArray[np.float32], Canonical, NDArray[np.float32]], NDArray[np.floating]]
+# How rows g become (N, c) channels of an attribute over a canonical space b, and what decoded channels x (c, N) make of
+# its column in b; s (C,) are the steps of colours before the KLT. Decoders keep the order of operations.
+ATTRIBUTES: dict[str, tuple[Make, Put]] = {
+    "means": (
+        lambda g, b, s: (g.means - b.means) / b.motion_units[:, None],
+        lambda x, b, s: b.means + (x * b.motion_units).T,
+    ),
+    "log_scales": (
+        lambda g, b, s: g.log_scales.astype(np.float64) - b.log_scales,
+        lambda x, b, s: b.log_scales + x.T,
+    ),
+    "quaternions": (
+        lambda g, b, s: to_rotation_vector(multiply(g.quaternions, conjugate(b.quaternions.astype(np.float64)))),
+        lambda x, b, s: multiply(kernels.to_quaternions(x), b.quaternions),
+    ),
+    "opacity": (
+        lambda g, b, s: (sigmoid(g.opacity_logits.astype(np.float64)) - b.opacity)[:, None],
+        lambda x, b, s: b.opacity + x[0],
+    ),
+    COLOUR: (
+        lambda g, b, s: to_klt((colours(g.sh_dc, g.sh_rest) - b.colour.astype(np.float64)) / s, b.transform),
+        lambda x, b, s: b.colour + kernels.klt_colours(x, b.transform.astype(np.float32), s).T,
+    ),
+}
+
+
+def blank_space(
+    means: NDArray[np.float64], units: NDArray[np.float32], log_scale: float, transform: NDArray[np.float64]
+) -> Canonical:
+    """Rows at `means` (N, 3) of one size, without rotation, opacity or colour: what key channels are differences to."""
+    row = [np.array([1, 0, 0, 0]), np.full(3, log_scale), np.zeros(()), np.zeros(len(transform))]
+    quaternions, sizes, opacity, colour = (
+        np.broadcast_to(value.astype(np.float32), (len(means), *value.shape)) for value in row
     )
+    depths = np.zeros(len(means), np.uint8)
+    return Canonical(means, units, quaternions, sizes, opacity, colour, depths, transform)
 
 
 def join_canonical(parts: Sequence[Canonical], transform: NDArray[np.float64]) -> Canonical:
-    """The rows of several canonical spaces as those of one group, whose (C, C) KLT `transform` is."""
+    parts = parts or [blank_space(np.empty((0, 3)), np.empty(0, np.float32), 0.0, transform)]
     names = [f.name for f in fields(Canonical) if f.name != "transform"]
     return Canonical(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in names}, transform=transform)
 
 
 def key_channels(g: Gaussians, transform: NDArray[np.float64], steps: KeySteps, unit: float) -> NDArray[np.float64]:
     """(7 + C, N) channels of the canonical frame; `transform` is the (C, C) KLT as stored, `unit` that of the grid."""
-    colour = colours(g.sh_dc, g.sh_rest).astype(np.float64)
-    parts = {
-        "log_scales": g.log_scales - math.log(unit),
-        "quaternions": to_rotation_vector(g.quaternions.astype(np.float64)),
-        "opacity": to_opacity(g.opacity_logits.astype(np.float64))[:, None],
-        COLOUR: to_klt(colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1]), transform),
-    }
-    return np.concatenate([parts[name] for name in KEY.attributes], axis=1).T
+    base = blank_space(g.means.astype(np.float64), np.ones(len(g), np.float32), 0.0, transform)
+    return _make(KEY, replace(g, log_scales=g.log_scales - math.log(unit)), base, steps)
+
+
+def _make(kind: Layout, g: Gaussians, base: Canonical, steps: KeySteps | StateSteps) -> NDArray[np.float64]:
+    width = len(base.transform)
+    scale, out = colour_steps(steps, width), np.empty((kind.width(width), len(base.means)))
+    for name in kind.attributes:
+        make, _ = ATTRIBUTES[name]
+        out[kind.slice(name)] = make(g, base, scale).T
+    return out
 
 
 def dequantise_key(
-    channels: NDArray[np.float32],
+    channels: Channels,
     sidecar: KeySidecar,
     transform: NDArray[np.float64],
     grid: Grid,
     steps: KeySteps,
     coarser: int = 0,
+    base: Canonical | None = None,
 ) -> Canonical:
-    """Decoded (7 + C, N) key channels and the sidecar of their rows -> the canonical space of the group.
+    """Decoded key channels and the sidecar of their rows -> the canonical space of the group, on several threads.
 
+    Of (7 + C, N) channels; or of (10 + C, N), which are differences to `base`, the canonical space of another group.
     `coarser` is that of the key quality; the codes of the sidecar may be those of finer cells.
     """
-    return dequantise_parts(parts_of(channels), sidecar, transform, grid, steps, coarser)
-
-
-def dequantise_parts(
-    read: Callable[[slice], NDArray[np.float32]],
-    sidecar: KeySidecar,
-    transform: NDArray[np.float64],
-    grid: Grid,
-    steps: KeySteps,
-    coarser: int = 0,
-) -> Canonical:
-    """The same canonical space, of channels that `read` gives for some of the rows at a time, on several threads."""
-    count, width = len(sidecar.codes), len(transform)
-    of = transform.astype(np.float32), colour_steps(steps.sh_dc, steps.sh_rest, width).astype(np.float32)
-    size, means, units = np.float32(math.log(grid.unit)), np.empty((count, 3)), np.empty(count, np.float32)
-    quaternions, log_scales = np.empty((count, 4), np.float32), np.empty((count, 3), np.float32)
-    opacity, colour = np.empty(count, np.float32), np.empty((count, width), np.float32)
+    kind = KEY if base is None else STATE
+    if base is None:
+        means = grid_means(sidecar.codes, sidecar.classes, sidecar.wider, grid, coarser)
+        base = blank_space(means, motion_units(sidecar.classes), math.log(grid.unit), transform)
+    before, scale = base, colour_steps(steps, len(transform)).astype(np.float32)
+    columns = {name: getattr(base, name) for name in kind.attributes}
+    out = {name: np.empty(column.shape, column.dtype) for name, column in columns.items()}
 
     def fill(rows: slice) -> None:
-        channels, classes = read(rows), sidecar.classes[rows]
-        means[rows] = grid_means(sidecar.codes[rows], classes, sidecar.wider[rows], grid, coarser)
-        units[rows] = motion_units(classes)
-        log_scales[rows] = channels[KEY.slice("log_scales")].T + size
-        quaternions[rows] = to_quaternions(channels[KEY.slice("quaternions")])
-        opacity[rows] = channels[KEY.slice("opacity")][0]
-        colour[rows] = klt_colours(channels[KEY.slice(COLOUR)], *of).T
+        some, part = _some(channels, rows), before.part(rows)
+        for name, column in out.items():
+            _, put = ATTRIBUTES[name]
+            column[rows] = put(some[kind.slice(name)], part, scale)
 
-    for_chunks(fill, count, WIDTH)
-    return Canonical(means, units, quaternions, log_scales, opacity, colour, sidecar.depths, transform)
-
-
-def add_difference(
-    base: Canonical, read: Callable[[slice], NDArray[np.float32]], steps: StateSteps, depths: NDArray[np.uint8]
-) -> Canonical:
-    """The canonical space that differs from `base` by (10 + C, N) channels, which `read` gives for some of the rows.
-
-    `depths` (N,) are its own.
-    """
-    out = replace(base, depths=depths, **{name: np.empty_like(getattr(base, name)) for name in _CHANGING})
-    of = base.transform.astype(np.float32), colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
-
-    def fill(rows: slice) -> None:
-        channels, before = read(rows), base.part(rows)
-        out.means[rows] = before.means + (channels[_MEANS] * before.motion_units).T
-        out.log_scales[rows] = before.log_scales + channels[_SCALES].T
-        out.quaternions[rows] = multiply(to_quaternions(channels[_ROTATION]), before.quaternions)
-        out.opacity[rows] = before.opacity + channels[_OPACITY][0]
-        out.colours[rows] = before.colours + klt_colours(channels[_COLOUR], of[0], of[1].astype(np.float32)).T
-
-    for_chunks(fill, len(depths), WIDTH)
-    return out
+    kernels.for_chunks(fill, len(sidecar.depths), WIDTH)
+    return replace(base, depths=sidecar.depths, **out)
 
 
 def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSteps) -> NDArray[np.float64]:
@@ -166,7 +160,7 @@ def state_channels(frames: Sequence[Gaussians], base: Canonical, steps: StateSte
     last drawn: changes that nobody sees cost nothing. Before it is first drawn they hold that first value, and 0 if it
     is never drawn.
     """
-    out = np.empty((len(frames), STATE.width(base.colours.shape[1]), len(base.means)))
+    out = np.empty((len(frames), STATE.width(len(base.transform)), len(base.means)))
     drawn = np.empty((len(frames), len(base.means)), bool)
     for t, g in enumerate(frames):
         out[t], drawn[t] = frame_channels(g, base, steps)
@@ -180,19 +174,11 @@ def frame_channels(g: Gaussians, base: Canonical, steps: StateSteps) -> tuple[ND
 
     A row that moves further than codes reach is nearer, on the same line, and as much smaller: it looks alike.
     """
-    scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1])
-    inverse = conjugate(base.quaternions.astype(np.float64))
-    opacity = to_opacity(g.opacity_logits.astype(np.float64))
-    out = np.empty((STATE.width(base.colours.shape[1]), len(base.means)))
-    moves = (g.means - base.means) / base.motion_units[:, None]
-    nearer = np.maximum(np.abs(moves).max(axis=1, keepdims=True) / (FURTHEST * steps.means), 1)
-    out[_MEANS] = (moves / nearer).T
-    out[_SCALES] = (g.log_scales.astype(np.float64) - base.log_scales - np.log(nearer)).T
-    out[_ROTATION] = to_rotation_vector(multiply(g.quaternions.astype(np.float64), inverse)).T
-    out[_OPACITY] = opacity - base.opacity
-    colour = (colours(g.sh_dc, g.sh_rest) - base.colours.astype(np.float64)) / scale
-    out[_COLOUR] = to_klt(colour, base.transform).T
-    return out, opacity >= LEAST_DRAWN
+    out = _make(STATE, g, base, steps)
+    nearer = np.maximum(np.abs(out[_MEANS]).max(axis=0) / (FURTHEST * steps.means), 1)
+    out[_MEANS] /= nearer
+    out[_SCALES] -= np.log(nearer)
+    return out, sigmoid(g.opacity_logits.astype(np.float64)) >= LEAST_DRAWN
 
 
 def hold_undrawn(channels: NDArray[np.float64], drawn: NDArray[np.bool_]) -> None:
@@ -214,86 +200,63 @@ class StateApplier:
     shown: Gaussians  # the canonical space as a frame
     rows: NDArray[np.intp]  # (n,) the level's rows among the N, ascending
     colour_steps: NDArray[np.float32]  # (C,)
-    transform: NDArray[np.float32]  # (C, C)
-    has_rotation: bool  # some rotation channel may differ from 0; this and the next only save work
-    has_colour: bool  # some colour channel may differ from 0
-    memory: FrameMemory = field(default_factory=FrameMemory)
+    constant: Sequence[str]  # of quaternions and colour: what no frame changes
+    memory: kernels.FrameMemory = field(default_factory=kernels.FrameMemory)
 
     @staticmethod
-    def of(
-        base: Canonical, rows: NDArray[np.intp], steps: StateSteps, has_rotation: bool = True, has_colour: bool = True
-    ) -> StateApplier:
-        """An applier for these rows (n,); without `has_rotation` or `has_colour` those channels are taken to be 0."""
-        scale = colour_steps(steps.sh_dc, steps.sh_rest, base.colours.shape[1]).astype(np.float32)
-        transform = base.transform.astype(np.float32)
-        return StateApplier(base, base.to_gaussians(), rows, scale, transform, has_rotation, has_colour)
+    def of(base: Canonical, rows: NDArray[np.intp], steps: StateSteps, constant: Sequence[str] = ()) -> StateApplier:
+        """An applier for these rows (n,); all channels of quaternions or colour that are `constant` are 0."""
+        scale = colour_steps(steps, len(base.transform)).astype(np.float32)
+        return StateApplier(base, base.to_gaussians(), rows, scale, constant)
 
-    def apply(self, channels: NDArray[np.float32]) -> Gaussians:
-        """The frame that decoded state channels (10 + C, n) make of the canonical space: all N rows."""
-        return self.apply_parts(parts_of(channels))
+    def apply(self, channels: Channels) -> Gaussians:
+        """The frame that decoded state channels of the n rows make of the canonical space: all N rows.
 
-    def apply_parts(self, read: Callable[[slice], NDArray[np.float32]]) -> Gaussians:
-        """The same frame, of channels that `read` gives for some of the n rows at a time, on several threads."""
+        What gives (10 + C, m) channels of some of them is called on several threads.
+        """
         shown, base = self.shown, self.base
-        out = {name: self.memory.empty(getattr(shown, name).shape) for name in self._changing()}
-        if self.has_colour:
-            out["colours"] = self.memory.empty(base.colours.shape)
+        before = {"means": shown.means, "log_scales": base.log_scales, "opacity": shown.opacity_logits}
+        before |= {name: getattr(base, name) for name in ("quaternions", COLOUR) if name not in self.constant}
+        out = {name: self.memory.empty(column.shape) for name, column in before.items()}
 
         def fill(rows: slice) -> None:
             start, stop = np.searchsorted(self.rows, (rows.start, rows.stop)).tolist()
             if stop - start < rows.stop - rows.start:
                 for name, column in out.items():
-                    column[rows] = getattr(base if name == "colours" else shown, name)[rows]
+                    column[rows] = before[name][rows]
             if start < stop:
-                self._add(out, self.rows[start:stop], read(slice(start, stop)))
+                self._add(out, self.rows[start:stop], _some(channels, slice(start, stop)))
 
-        for_chunks(fill, len(shown), WIDTH)
-        if self.has_colour:
-            dc, out["sh_rest"] = split_colours(out.pop("colours"))
-            out.setdefault("sh_dc", dc)
-        return replace(shown, **out)
+        kernels.for_chunks(fill, len(shown), WIDTH)
+        dc, rest = shown.sh_dc, shown.sh_rest
+        if COLOUR in out:
+            found, rest = split_colours(out[COLOUR])
+            dc = self.memory.empty(found.shape)
+            dc[:] = found
+        return Gaussians(
+            out["means"], out.get("quaternions", base.quaternions), out["log_scales"], out["opacity"], dc, rest
+        )
 
-    def _changing(self) -> list[str]:
-        """Names of the columns of a frame, without SH rest, that states may change."""
-        names = ["means", "log_scales", "opacity_logits"]
-        more = self.has_colour and self.base.colours.shape[1] > 3  # else SH DC is all colours
-        return names + ["quaternions"] * self.has_rotation + ["sh_dc"] * more
-
-    def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], channels: NDArray[np.float32]) -> None:
-        """Write what (10 + C, n) channels make of these rows (n,)."""
-        base, some = self.base, consecutive(rows)
-        out["opacity_logits"][some] = from_opacity(base.opacity[some] + channels[_OPACITY][0])
-        moves, turns, colour = channels[_MEANS] * base.motion_units[some], channels[_ROTATION], channels[_COLOUR]
-        colour = klt_colours(colour, self.transform, self.colour_steps) if self.has_colour else channels[:0]
-        changes = moves, channels[_SCALES], turns if self.has_rotation else channels[:0], colour
-        columns = base.means, base.log_scales, base.quaternions, base.colours
-        written = out.get("quaternions", base.quaternions), out.get("colours", base.colours)
-        add_states(changes, columns, rows, (out["means"], out["log_scales"], *written))
-        if "sh_dc" in out:
-            out["sh_dc"][some] = out["colours"][some, :3]
-
-
-def parts_of(channels: NDArray[np.float32]) -> Callable[[slice], NDArray[np.float32]]:
-    """Return what gives the channels of some of the rows."""
-    return lambda rows: channels[:, rows]
+    def _add(self, out: dict[str, NDArray[np.float32]], rows: NDArray[np.intp], x: NDArray[np.float32]) -> None:
+        base, some = self.base, kernels.consecutive(rows)
+        if not kernels.is_compiled():
+            part = base.part(some)
+            for name, column in out.items():
+                _, put = ATTRIBUTES[name]
+                column[some] = put(x[STATE.slice(name)], part, self.colour_steps)
+            out["opacity"][some] = from_opacity(out["opacity"][some])
+            return
+        out["opacity"][some] = from_opacity(base.opacity[some] + x[_OPACITY][0])
+        transform, dyes = base.transform.astype(np.float32), x[_COLOUR] if COLOUR in out else x[:0]
+        changes = x[_MEANS] * base.motion_units[some], x[_SCALES], x[_ROTATION] if "quaternions" in out else x[:0]
+        columns = {name: getattr(base, name) for name in ("means", "log_scales", "quaternions", COLOUR)}
+        written = (out.get(name, column) for name, column in columns.items())
+        dyes = kernels.klt_colours(dyes, transform, self.colour_steps) if len(dyes) else dyes
+        kernels.add_states((*changes, dyes), tuple(columns.values()), rows, tuple(written))
 
 
-def _to_gaussians(
-    means: NDArray[np.float64],
-    quaternions: NDArray[np.float32],
-    log_scales: NDArray[np.float32],
-    opacity: NDArray[np.float32],
-    colour: NDArray[np.float32],
-) -> Gaussians:
-    """Decoded columns -> Gaussians in stored domain."""
-    dc, rest = split_colours(colour)
-    logits = from_opacity(opacity)
-    return Gaussians(means.astype(np.float32), quaternions, log_scales, logits, np.ascontiguousarray(dc), rest)
-
-
-def to_opacity(logits: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Logits -> alpha in [0, 1], which is what is coded."""
-    return sigmoid(logits)
+def _some(channels: Channels, rows: slice) -> NDArray[np.float32]:
+    return channels[:, rows] if isinstance(channels, np.ndarray) else channels(rows)
 
 
 def from_opacity(opacity: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -313,9 +276,9 @@ def split_colours(channels: NDArray[np.floating]) -> tuple[NDArray[np.floating],
     return channels[..., :3], rest.reshape(*rest.shape[:-1], rest.shape[-1] // 3, 3)
 
 
-def colour_steps(sh_dc: float, sh_rest: float, channels: int) -> NDArray[np.float64]:
-    """(C,) step of each colour channel before the KLT, from those of SH DC and SH rest; after it every step is 1."""
-    return np.where(np.arange(channels) < 3, sh_dc, sh_rest)
+def colour_steps(steps: KeySteps | StateSteps, channels: int) -> NDArray[np.float64]:
+    """(C,) step of each colour channel before the KLT; after it every step is 1."""
+    return np.where(np.arange(channels) < 3, steps.sh_dc, steps.sh_rest)
 
 
 def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] = ()) -> NDArray[np.float64]:
@@ -340,20 +303,29 @@ def fit_colour_transform(scaled: NDArray[np.float64], weights: Sequence[float] =
 
 
 def to_klt(scaled: NDArray[np.float64], transform: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(..., C) colours in units of their steps -> KLT channels.
+    """(..., C) colours in units of their steps -> KLT channels, whose product with the transform they are.
 
-    The exact inverse of `from_klt`: the stored transform is rounded, so it is inverted, not transposed.
+    The stored transform is rounded, so it is inverted, not transposed.
     """
     return scaled @ np.linalg.inv(transform)
 
 
-def from_klt(channels: NDArray[np.floating], transform: NDArray[np.floating]) -> NDArray[np.floating]:
-    """(..., C) KLT channels -> colours in units of their steps."""
-    return channels @ transform
-
-
-def colour_transform(key: Gaussians, steps: KeySteps, weights: Sequence[float] = ()) -> str:
-    """The KLT of the colours of a canonical frame, as the table of a group stores it (base64 of C x C int16)."""
+def colour_transform(key: Gaussians, steps: KeySteps, weights: Sequence[float] = ()) -> NDArray[np.float64]:
+    """The (C, C) KLT of the colours of a canonical frame, rounded as the table of a group stores it."""
     colour = colours(key.sh_dc, key.sh_rest).astype(np.float64)
-    scaled = colour / colour_steps(steps.sh_dc, steps.sh_rest, colour.shape[1])
-    return pack_matrix(fit_colour_transform(scaled, weights))
+    fitted = fit_colour_transform(colour / colour_steps(steps, colour.shape[1]), weights)
+    return unpack_matrix(pack_matrix(fitted), len(fitted))
+
+
+def pack_matrix(matrix: NDArray[np.float64]) -> str:
+    """Entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
+    return base64.b64encode(np.rint(matrix * TRANSFORM_UNITS).astype("<i2").tobytes()).decode("ascii")
+
+
+def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
+    """Inverse of `pack_matrix`: (side, side). Raises FormatError(bad_value)."""
+    try:
+        raw = base64.b64decode(text, validate=True)
+        return np.frombuffer(raw, "<i2").reshape(side, side) / TRANSFORM_UNITS
+    except ValueError as error:
+        raise FormatError("bad_value", "colour_transform", f"expected {side}x{side} int16: {error}") from error

@@ -56,7 +56,6 @@ class Escapes:
 
     @staticmethod
     def of(bases: NDArray[np.int32]) -> Escapes:
-        """The jumps of (T, P, N) bases."""
         jumps = np.diff(bases, axis=0, prepend=np.zeros_like(bases[:1])).ravel()
         index = np.flatnonzero(jumps)
         frames, planes, rows = bases.shape
@@ -121,7 +120,6 @@ def read_columns(reader: ColumnReader, shape: tuple[int, int, int]) -> Escapes:
 
 
 def pack(*found: Escapes) -> bytes:
-    """The column file of jumps alone; empty where there are none."""
     return encode_some([column for one in found for column in one.columns()])
 
 
@@ -134,11 +132,3 @@ def unpack_segment(
     frames = read_columns(reader, shape)
     reader.close()
     return slopes, frames
-
-
-def unpack(data: bytes | None, shape: tuple[int, int, int], where: str) -> Escapes:
-    """Inverse of `pack` for bases of `shape` (T, P, N), None for no jumps; `where` names the file.
-
-    Raises FormatError(bad_sidecar).
-    """
-    return unpack_segment(data, shape, False, where)[1]

@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from airgs_codec._settings import available_cores
-from airgs_codec.coding.rangecoder import worth_compiling
-from airgs_codec.scene.gaussians import multiply
+from airgs_codec.coding.rangecoder import Loop, worth_compiling
 
 CHUNK = 1 << 20  # numbers of all its rows together that a chunk has at most; but it has at least LEAST rows
 LEAST = 256  # rows
@@ -31,7 +30,6 @@ Floats = NDArray[np.float32]
 Columns = tuple[NDArray[np.floating], Floats, Floats, Floats]
 
 _SMALL_ANGLE = np.float32(1e-8)  # radians; below it sin(a/2)/a is 1/2, as in `scene.gaussians`
-_TURN = 2  # place of rotations among columns
 _STRIP = 1 << 18  # numbers that colours are summed up in at a time: they stay in the cache of a core
 
 
@@ -71,7 +69,6 @@ class FrameMemory:
         self._arrays: list[NDArray[Any]] = []
 
     def empty(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:
-        """Return an array with any content, which nobody else has."""
         for array, held in zip(self._arrays, _references(self._arrays), strict=True):
             if array.shape == shape and array.dtype == dtype and held <= _OURS:
                 return array
@@ -93,27 +90,25 @@ def consecutive(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
     return slice(first, last + 1) if last - first == len(rows) - 1 else rows
 
 
+def is_compiled() -> bool:
+    """Whether `add_states` runs as machine code, as it does where numba is loaded."""
+    return worth_compiling(_add_states, 0) is not None
+
+
 def add_states(changes: Columns, base: Columns, rows: NDArray[np.intp], out: Columns) -> None:
     """Write to some rows (n,), n > 0, of `out` those of `base` with (c, n) changes; of rotations those are vectors.
 
     Where changes of rotations or colours have no channels, these columns are not touched.
     """
-    vectors = changes[_TURN]
-    if loop := worth_compiling(_add_states, 0):
-        turns = _half_turns(vectors) if len(vectors) else (vectors.ravel(), vectors.ravel())
-        loop(changes, turns, base, rows, out)
-        return
-    some = consecutive(rows)
-    for place, (column, before, change) in enumerate(zip(out, base, changes, strict=True)):
-        if len(change):
-            turned = place == _TURN
-            column[some] = multiply(to_quaternions(change), before[some]) if turned else before[some] + change.T
+    vectors = changes[2]
+    turns = _half_turns(vectors) if len(vectors) else (vectors.ravel(), vectors.ravel())
+    loop: Loop = worth_compiling(_add_states, 0) or _add_states
+    loop(changes, turns, base, rows, out)
 
 
 def _add_states(
     changes: Columns, turns: tuple[Floats, Floats], base: Columns, rows: NDArray[np.intp], out: Columns
 ) -> None:
-    """The same, where `turns` are the `_half_turns` of the rotation vectors."""
     (moves, sizes, vectors, dyes), (cosine, factor) = changes, turns
     (old_means, old_scales, old_turns, old_colours), (means, scales, quaternions, colours) = base, out
     for i in range(len(rows)):

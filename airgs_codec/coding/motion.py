@@ -1,4 +1,4 @@
-"""What follows from how much pictures depend on rows: motion classes, and what errors in channels cost.
+"""Quantiser steps, and what follows from how much pictures depend on rows: motion classes, and what errors cost.
 
 The displacement of a row is sent the finer, the more pictures depend on it: a row of class c has the motion unit 2^c
 world units, times the scale of the scene, which steps of lengths contain. Rows that move together have one class:
@@ -10,17 +10,68 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, astuple, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.package.layout import COLOUR, STATE
-from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, STATE_ATTRIBUTES, StateSteps
+from airgs_codec.package.tables import BLOCK, LEAST_CLASS, MOST_CLASS, STATE_ATTRIBUTES, KeySteps, StateSteps
 from airgs_codec.scene.gaussians import Gaussians
 
 LEAVES = 1e4  # steps
 FLOOR = 0.01  # of the median: rows that the given views hardly see may be seen from others
+_KEY = KeySteps(quaternions=0.025, log_scales=0.08, opacity=0.014, sh_dc=0.036, sh_rest=0.04)
+_STATE = StateSteps(0.0007, quaternions=0.03, log_scales=0.12, opacity=0.058, sh_dc=0.063, sh_rest=0.08)
+
+
+@dataclass(frozen=True, slots=True)
+class StepSettings:
+    """Quantiser steps at quality factor 1; lengths are in motion units (see `motion`) times the scale of the scene.
+
+    Calibration starts from the defaults, which lie between what the walking fox and the N3DV spinach scene ask for.
+    """
+
+    key: KeySteps = _KEY
+    state: StateSteps = _STATE
+    grid: float = 0.0007  # side of the cells of canonical means, in motion units
+    colours: tuple[float, ...] = ()  # (3, 3), row by row, of `fit_colour_transform`; empty: r, g, b matter alike
+    rows: float = 0.0027  # error of pictures (RMS, of [0, 1]) that leaving out Gaussians may make
+
+    def at_scale(self, scale: float) -> StepSettings:
+        """These steps, which are those of a scene of scale 1, for one of another scale."""
+        return replace(self, state=replace(self.state, means=self.state.means * scale), grid=self.grid * scale)
+
+    def scaled(self, quality: float) -> StepSettings:
+        """These steps times a quality factor; `rows`, an error of pictures, stays."""
+        key = KeySteps(*(step * quality for step in astuple(self.key)))
+        state = StateSteps(*(step * quality for step in astuple(self.state)))
+        return replace(self, key=key, state=state, grid=self.grid * quality)
+
+
+def get_step(steps: StepSettings, name: str) -> float:
+    """A step by its name: such as state.means, grid or rows."""
+    side, _, attribute = name.partition(".")
+    return float(getattr(getattr(steps, side), attribute) if attribute else getattr(steps, side))
+
+
+def with_step(steps: StepSettings, name: str, value: float) -> StepSettings:
+    side, _, attribute = name.partition(".")
+    changed: Any = replace(getattr(steps, side), **{attribute: value}) if attribute else value
+    return replace(steps, **{side: changed})
+
+
+def scale_steps(steps: StepSettings, factors: Mapping[str, float]) -> StepSettings:
+    """These steps times a factor on each of some, to a power of 2^(1/8): what is measured is no better.
+
+    So scenes that differ by little, or by their unit, mostly have equal steps.
+    """
+    for name, factor in factors.items():
+        wanted = get_step(steps, name) * 2.0 ** (round(8 * math.log2(factor)) / 8)
+        steps = with_step(steps, name, float(f"{wanted:.9g}"))
+    return steps
 
 
 def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float = 1.0) -> NDArray[np.int16]:
@@ -35,7 +86,6 @@ def motion_classes(sensitivity: NDArray[np.float64], floor: float, scale: float 
 
 
 def motion_units(classes: NDArray[np.int16]) -> NDArray[np.float32]:
-    """(N,) motion classes -> (N,) motion units 2^c in world units."""
     return np.exp2(classes.astype(np.float32))
 
 
@@ -43,7 +93,8 @@ def classify_motion(sensitivity: NDArray[np.float64], g: Gaussians, scale: float
     """(N,) motion classes by (N,) `sensitivity`, as in `motion_classes`; where no row is seen, by the median size."""
     seen = sensitivity[sensitivity > 0]
     if not len(seen):  # nothing is visible: every row counts alike
-        return np.full(len(g), round(math.log2(_median_size(g) / scale)), np.int16)
+        size = float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
+        return np.full(len(g), round(math.log2(size / scale)), np.int16)
     return motion_classes(sensitivity, FLOOR * float(np.median(seen)), scale)
 
 
@@ -85,15 +136,10 @@ def _transform_bits(samples: NDArray[np.floating]) -> float:
 
 @functools.cache
 def _hadamard(order: int) -> NDArray[np.float64]:
-    """The orthonormal Hadamard matrix of an order that is a power of 2."""
     matrix = np.ones((1, 1))
     while len(matrix) < order:
         matrix = np.block([[matrix, matrix], [matrix, -matrix]]) / math.sqrt(2)
     return matrix
-
-
-def _median_size(g: Gaussians) -> float:
-    return float(np.exp(np.clip(np.median(g.log_scales.astype(np.float64)), -30, 30)))
 
 
 def channel_weights(
@@ -105,15 +151,13 @@ def channel_weights(
     Derivatives by the channels of one attribute are taken to be equal, and errors of different channels independent.
     Colour channel k changes SH DC and SH rest by the entries of row k of the KLT `transform` (C, C).
     """
-    unit = motion_units(classes).astype(np.float64) * steps.means
     colours = len(transform)
     dc, rest = (np.square(part).sum(axis=1) for part in (transform[:, :3], transform[:, 3:]))
     by = dict(zip(STATE_ATTRIBUTES, sensitivity, strict=True))
+    units = asdict(steps) | {"means": motion_units(classes).astype(np.float64) * steps.means}
     weights = np.empty((STATE.width(colours), len(classes)))
-    weights[STATE.slice("means")] = by["means"] * unit**2 / 3
-    weights[STATE.slice("log_scales")] = by["log_scales"] * steps.log_scales**2 / 3
-    weights[STATE.slice("quaternions")] = by["quaternions"] * steps.quaternions**2 / 3
-    weights[STATE.slice("opacity")] = by["opacity"] * steps.opacity**2
+    for run in STATE.runs:
+        weights[STATE.slice(run.attribute)] = by[run.attribute] * units[run.attribute] ** 2 / len(run.axes)
     weights[STATE.slice(COLOUR)] = np.outer(dc, by["sh_dc"] * steps.sh_dc**2 / 3)
     if colours > 3:
         weights[STATE.slice(COLOUR)] += np.outer(rest, by["sh_rest"] * steps.sh_rest**2 / (colours - 3))

@@ -5,12 +5,9 @@ three each by a model, the others as they are. A model learns how often its deci
 those of its column (order 0) or of the number before it (order 1). The arithmetic (32-bit range, carries kept back,
 normalised by bytes) is that of LZMA's range coder (Pavlov; after Martin 1979).
 
-The loops run as they stand, on lists, at about 4 microseconds a number; or compiled by numba where it is installed, on
-arrays, thirty times as fast. Loading numba takes as long as LOADING numbers do, so that many come before it is loaded.
-Bytes and numbers are the same.
-
-No library replaces it: models of constriction 0.5 do not adapt, so that it takes a call a decision, no faster than the
-loops as they stand, or stored histograms, 4 % more bytes; and browsers need these loops all the same.
+The loops run as they stand, at about 4 microseconds a number, or compiled by numba where it is installed, thirty times
+as fast. Loading numba takes as long as LOADING numbers do, so that many come before it is loaded. Bytes and numbers are
+the same. No library replaces them: models of constriction 0.5 do not adapt, and browsers need these loops all the same.
 """
 
 from __future__ import annotations
@@ -148,7 +145,6 @@ def _decode(values: Whole, chances: Whole, divisors: Whole, shares: Whole, state
 
 
 def _sum_gaps(gaps: Whole, low: Whole, bits: int, codes: Whole) -> bool:
-    """Fill `codes` as `sum_gaps` says."""
     code = 0
     for i in range(len(gaps)):
         high = code >> low[i]
@@ -240,7 +236,6 @@ class ColumnReader:
             raise FormatError("bad_sidecar", where, f"expected a first byte of 0, got {data[0]}")
 
     def column(self, count: int, order: int) -> NDArray[np.int64]:
-        """The next column, (count,) numbers of this order."""
         if self._absent:
             return np.zeros(count, np.int64)
         compiled = worth_compiling(_decode, count)

@@ -1,4 +1,8 @@
-"""What must be exact in a key tier (FORMAT.md §3). N rows of a tier in Morton order.
+"""What must be exact in a key tier: canonical means, motion classes and depths (FORMAT.md §3). N rows in Morton order.
+
+Means lie in the middle of nested cubic cells, finer where pictures depend on them more. The grid spans a box about
+nearly all rows. A row outside lies in a wider grid about the same middle, whose steps are 2^e times as wide, so that it
+decides nothing for the others. What cells know of a row is its motion class less e: `cells`.
 
 All key qualities share a sidecar, whose canonical means are as coarse as those of the coarsest. The file of a quality
 begins with the detail that its own finer cells add.
@@ -6,16 +10,86 @@ begins with the detail that its own finer cells add.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding.escapes import Escapes, read_columns
-from airgs_codec.coding.grid import cell_bits, coarse_codes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_columns, sum_gaps
-from airgs_codec.errors import FormatError
+from airgs_codec.errors import FormatError, SceneError
 from airgs_codec.package.tables import GRID_BITS, LEAST_CLASS, MOST_CLASS, MOST_WIDER, STATIC, Grid
+from airgs_codec.scene.gaussians import morton_decode, morton_encode
+
+HALF = 1 << (GRID_BITS - 1)  # steps from the middle of the grid to its sides
+ORIGIN_STEPS = 1 << 12  # origins are multiples of so many steps: larger cells rarely begin elsewhere for a row more
+INSIDE = 0.9  # share of the rows that are surely in the box
+LARGEST = 1e30  # world units
+EXACT = 50  # bits of a coordinate in steps that float64 holds, and halves of it
+
+
+def cell_bits(cells: NDArray[np.int16], grid: Grid, coarser: int = 0) -> NDArray[np.int64]:
+    """(N,) b of rows: a cell is 2^b steps of its own grid wide.
+
+    `coarser` is that of a key quality, which multiplies the side of cells by 2^coarser.
+    """
+    return np.minimum(np.clip(cells.astype(np.int64) - grid.finest, 0, GRID_BITS) + coarser, GRID_BITS)
+
+
+def grid_codes(
+    means: NDArray[np.floating], classes: NDArray[np.int16], grid: Grid
+) -> tuple[NDArray[np.uint64], NDArray[np.int16]]:
+    """(N, 3) means -> (N,) Morton codes of their finest cells, and (N,) e of the grid that each lies in.
+
+    `grid_means` is at most half a cell off on an axis.
+    """
+    away = means.astype(np.float64) / grid.step - _middle(grid)
+    steps = np.floor(away)
+    wider = np.maximum(np.frexp(np.maximum(steps, -1 - steps).max(axis=1) / HALF)[1], 0).astype(np.int16)
+    index = np.floor(np.ldexp(away, -wider[:, None].astype(np.int32))).astype(np.int64) + HALF
+    bits = cell_bits(classes - wider, grid)[:, None]
+    return morton_encode(index >> bits << bits), wider
+
+
+def _middle(grid: Grid) -> NDArray[np.float64]:
+    return np.asarray(grid.origin, np.float64) + HALF
+
+
+def coarse_codes(codes: NDArray[np.uint64], cells: NDArray[np.int16], grid: Grid, coarser: int) -> NDArray[np.uint64]:
+    """(N,) Morton codes of the cells of a key quality that hold cells as fine or finer, given by (N,) codes."""
+    low = (3 * cell_bits(cells, grid, coarser)).astype(np.uint64)
+    return codes >> low << low
+
+
+def grid_means(
+    codes: NDArray[np.uint64], classes: NDArray[np.int16], wider: NDArray[np.int16], grid: Grid, coarser: int = 0
+) -> NDArray[np.float64]:
+    """(N,) Morton codes of cells as fine or finer -> (N, 3) middles of the cells of a key quality in world units."""
+    cells = classes - wider
+    half = np.exp2(cell_bits(cells, grid, coarser))[:, None] / 2
+    codes = coarse_codes(codes, cells, grid, coarser)
+    away = morton_decode(codes) + half - HALF
+    return grid.step * (_middle(grid) + np.ldexp(away, wider[:, None].astype(np.int32)))
+
+
+def fit_grid(means: NDArray[np.float32], classes: NDArray[np.int16], cell: float) -> Grid:
+    """The grid of (N, 3) means whose cells are `cell` motion units wide.
+
+    Where the finest class would need more than GRID_BITS bits an axis for INSIDE of the rows, it shares the cells of a
+    coarser one. Raises SceneError when rows are more than LARGEST apart.
+    """
+    middle = np.median(means, axis=0).astype(np.float64)
+    apart = np.abs(means.astype(np.float64) - middle).max(axis=1)
+    reach = float(np.quantile(apart, INSIDE))
+    if reach > LARGEST:
+        raise SceneError(f"means span {reach:g} world units: expected at most {LARGEST:g}")
+    box = reach * 2 / HALF, float(np.abs(middle).max()) / 2.0**EXACT
+    finest = max([int(classes.min()), *(math.ceil(math.log2(least / cell)) for least in box if least)])
+    step = cell * 2.0**finest
+    low = means[apart <= step * HALF / 2].min(axis=0).astype(np.float64)
+    origin = np.floor(low / step / ORIGIN_STEPS).astype(np.int64) * ORIGIN_STEPS
+    return Grid(origin.tolist(), step, finest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +106,6 @@ class KeySidecar:
 
     @property
     def cells(self) -> NDArray[np.int16]:
-        """(N,) what cells know of the rows (`coding.grid`)."""
         return self.classes - self.wider
 
 
@@ -41,17 +114,13 @@ def pack_key_sidecar(sidecar: KeySidecar, grid: Grid, coarsest: int = 0) -> byte
     carried = sidecar.depths + np.uint8(1), 1  # static rows, 255, become 0
     if not len(sidecar.codes):
         return encode_columns([carried])
-    wider = Escapes.of(sidecar.wider.astype(np.int32)[None, None]).columns()
-    return encode_columns([*_position_columns(sidecar, grid, coarsest), carried, *wider])
-
-
-def _position_columns(sidecar: KeySidecar, grid: Grid, coarsest: int) -> list[Column]:
     low = (3 * cell_bits(sidecar.cells, grid, coarsest)).astype(np.uint64)
     codes = coarse_codes(sidecar.codes, sidecar.cells, grid, coarsest)
     before = np.concatenate([np.zeros(1, np.uint64), codes[:-1]])
     gaps = ((codes >> low) - (before >> low)).astype(np.int64)
     least = int(sidecar.classes.min())
-    return [(np.array([coarsest, least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
+    placed = [(np.array([coarsest, least - LEAST_CLASS]), 0), (sidecar.classes - least, 1), (gaps, 0)]
+    return encode_columns([*placed, carried, *Escapes.of(sidecar.wider.astype(np.int32)[None, None]).columns()])
 
 
 def unpack_key_sidecar(
@@ -64,7 +133,8 @@ def unpack_key_sidecar(
     reader = ColumnReader(data, where)
     placed = 0 if depths_alone else rows
     first = reader.column(2 if placed else 0, 0)
-    _expect_cells(first[:1], coarsest, where)
+    if (first[:1] != coarsest).any():  # all codes would be wrong
+        raise FormatError("bad_sidecar", where, f"expected coarser {coarsest}, got {first[0]}")
     classes = LEAST_CLASS + int(first[1:].sum()) + reader.column(placed, 1)
     gaps, carried = reader.column(placed, 0), reader.column(rows, 1)
     wider = read_columns(reader, (1, 1, placed)).bases(0)[0] if placed else np.empty(0, np.int32)
@@ -97,15 +167,10 @@ def read_detail(reader: ColumnReader, sidecar: KeySidecar, grid: Grid, coarser: 
     """
     if coarser == coarsest:
         return sidecar
-    _expect_cells(reader.column(1, 0), coarser, reader.where)
+    if (found := int(reader.column(1, 0)[0])) != coarser:
+        raise FormatError("bad_sidecar", reader.where, f"expected coarser {coarser}, got {found}")
+    detail = reader.column(len(sidecar.codes), 0)
     low, high = (3 * cell_bits(sidecar.cells, grid, r) for r in (coarser, coarsest))
-    detail = reader.column(len(low), 0)
     if (detail >> (high - low)).any():
         raise FormatError("bad_sidecar", reader.where, "the detail of a position leaves its cell")
     return replace(sidecar, codes=sidecar.codes | (detail << low).astype(np.uint64))
-
-
-def _expect_cells(told: NDArray[np.int64], coarser: int, where: str) -> None:
-    """Raise FormatError(bad_sidecar) where a file is of cells other than airgs.json says: all codes would be wrong."""
-    if (told != coarser).any():
-        raise FormatError("bad_sidecar", where, f"expected coarser {coarser}, got {told[0]}")

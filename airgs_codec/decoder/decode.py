@@ -1,14 +1,15 @@
 """Package -> Gaussians, from the whole to its parts: frames, canonical spaces and segments, codes of pictures.
 
-N rows of a group, n rows of a key tier or of a level, P planes of an atlas, C colour channels.
+T frames, N rows of a group, n rows of a key tier or of a level, P planes of an atlas, C colour channels.
 """
 
 from __future__ import annotations
 
-import functools
+import itertools
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from numbers import Integral
 from pathlib import Path
 from weakref import WeakKeyDictionary
@@ -18,24 +19,17 @@ from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, frame_argument
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import read_codes, read_values
-from airgs_codec.coding.channels import (
-    Canonical,
-    StateApplier,
-    add_difference,
-    dequantise_parts,
-    join_canonical,
-    no_rows,
-)
-from airgs_codec.coding.quantize import code_units
+from airgs_codec.coding.atlas import add_slopes, code_units, line_times, read_codes, read_values
+from airgs_codec.coding.channels import Canonical, StateApplier, dequantise_key, join_canonical, unpack_matrix
+from airgs_codec.coding.escapes import Escapes
+from airgs_codec.coding.kernels import FrameMemory
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.coding.sidecar import KeySidecar, read_detail, unpack_key_sidecar
-from airgs_codec.decoder.states import decode_pictures, expect_size, state_units
 from airgs_codec.errors import ConfigError, FormatError, FrameError
 from airgs_codec.media.h264 import open_segment
 from airgs_codec.package.layout import COLOUR, STATE, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
-from airgs_codec.package.tables import STATIC, Atlas, unpack_matrix
+from airgs_codec.package.tables import STATIC, Atlas
 from airgs_codec.scene.gaussians import Gaussians
 
 
@@ -65,13 +59,12 @@ def decode(
     base = _canonical_again(package, m.group_of(index), q, m.levels[j].tiers)
     shown = next(decode_segment(package, index, base, j, [frame - m.segments[index].start]))
     columns = (getattr(shown, field.name) for field in fields(shown))
-    coded = base.quaternions, base.log_scales, base.colours  # which a frame may show as they are
+    coded = base.quaternions, base.log_scales, base.colour  # which a frame may show as they are
     return Gaussians(*(c.copy() if any(np.may_share_memory(c, of) for of in coded) else c for c in columns))
 
 
 # Of an open package: canonical spaces by group, key quality and tiers.
-_Which = tuple[int, int, int]
-_decoded: WeakKeyDictionary[Package, dict[_Which, Canonical]] = WeakKeyDictionary()
+_decoded: WeakKeyDictionary[Package, dict[tuple[int, int, int], Canonical]] = WeakKeyDictionary()
 
 
 def _canonical_again(package: Package, group: int, quality: int, tiers: int) -> Canonical:
@@ -136,71 +129,95 @@ def decode_canonical(package: Package, group: int, quality: int, tiers: int | No
     m, g = package.manifest, package.manifest.groups[group]
     if tiers is not None and not 1 <= tiers <= m.tiers:
         raise ConfigError(f"tiers: expected 1..{m.tiers}, got {tiers}")
-    parts = [_decode_tier(package, group, t, quality) for t, tier in enumerate(g.tiers[:tiers]) if tier.count]
     transform = unpack_matrix(g.colour_transform, m.colour_channels)
-    return join_canonical(parts, transform) if parts else no_rows(transform)
+    parts = [
+        _decode_tier(package, group, t, quality, transform) for t, tier in enumerate(g.tiers[:tiers]) if tier.count
+    ]
+    return join_canonical(parts, transform)
 
 
-def _decode_tier(package: Package, group: int, tier: int, quality: int) -> Canonical:
-    """The rows of a key tier, which has some."""
+def _decode_tier(package: Package, group: int, tier: int, quality: int, transform: NDArray[np.float64]) -> Canonical:
+    """The rows of a key tier, which has some; `transform` is the KLT of the group, and so of its base."""
     m, g = package.manifest, package.manifest.groups[group]
-    base, units = m.base_of(group), key_units(package, group, tier, quality)
+    base, width = m.base_of(group), len(g.tiers[tier].qualities[quality].centres)
     shown, sidecar = _read_key(package, group, tier, quality)
 
     def values(rows: slice) -> NDArray[np.float32]:
-        if shown is None:
-            return np.zeros((len(units), rows.stop - rows.start), np.float32)
-        return read_values(shown[0], g.tiers[tier].qualities[quality], shown[1], rows, units)
+        return shown.values(rows) if shown else np.zeros((width, rows.stop - rows.start), np.float32)
 
-    if base is not None:
-        return add_difference(_decode_tier(package, base, tier, quality), values, g.difference_steps, sidecar.depths)
-    transform = unpack_matrix(g.colour_transform, m.colour_channels)
-    return dequantise_parts(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser)
+    before = None if base is None else _decode_tier(package, base, tier, quality, transform)
+    return dequantise_key(values, sidecar, transform, g.grid, g.key_steps, m.qualities[quality].coarser, before)
 
 
 def key_units(package: Package, group: int, tier: int, quality: int) -> NDArray[np.float32]:
-    """Return the value of a code of each channel of the picture of a key tier."""
     m, g = package.manifest, package.manifest.groups[group]
     factor = m.qualities[quality].factor * g.tiers[tier].factor
     return code_units(key_layout(g).steps(g.difference_steps, m.colour_channels) * factor, m.key_gain)
 
 
-_Picture = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) luma, and its bases
+_Luma = tuple[NDArray[np.uint8], escapes.Bases]  # (pages * H, W) samples, and the bases in force until the next
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What the channels of a key tier or of a frame are made of; bases are in force until the next."""
+
+    atlas: Atlas
+    luma: _Luma
+    units: NDArray[np.float32]  # (c,) values of a code
+    slopes: _Luma | None = None
+    time: float = 0.0  # x: how often slopes count
+
+    def codes(self) -> NDArray[np.int32]:
+        return read_codes(self.luma[0], self.atlas, self.luma[1])
+
+    def values(self, rows: slice) -> NDArray[np.float32]:
+        """(c, n) values of some rows."""
+        values = read_values(self.luma[0], self.atlas, self.luma[1], rows, self.units)
+        if self.slopes:
+            add_slopes(values, self.slopes[0], self.atlas, self.slopes[1], rows, self.units * np.float32(self.time))
+        return values
 
 
 def decode_key(package: Package, group: int, tier: int, quality: int) -> tuple[NDArray[np.int32], KeySidecar]:
-    """(channels, n) codes of a key tier, n = 0 without a picture, and its sidecar in that quality. FormatError."""
-    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
+    """(c, n) codes of a key tier, n = 0 without a picture, and its sidecar in that quality. Raises FormatError."""
     shown, sidecar = _read_key(package, group, tier, quality)
-    codes = np.empty((len(atlas.centres), 0), np.int32) if shown is None else read_codes(shown[0], atlas, shown[1])
-    return codes, sidecar
+    atlas = package.manifest.groups[group].tiers[tier].qualities[quality]
+    return shown.codes() if shown else np.empty((len(atlas.centres), 0), np.int32), sidecar
 
 
-def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[_Picture | None, KeySidecar]:
+def _read_key(package: Package, group: int, tier: int, quality: int) -> tuple[Shown | None, KeySidecar]:
     """The picture of a key tier, None where it has none, and its sidecar, as in `decode_key`.
 
     The picture is decoded on another thread while columns are read.
     """
     m, g = package.manifest, package.manifest.groups[group]
     entry, differs, coarsest = g.tiers[tier], g.keeps is not None, m.qualities[-1].coarser
-    sidecar_path, *media_paths = m.key_files(group, tier, quality)
-    shape = package.read(sidecar_path), entry.count, g.grid, coarsest, sidecar_path, differs
-    if not media_paths:
-        return None, unpack_key_sidecar(*shape)
-    (media,), atlas = media_paths, entry.qualities[quality]
-    columns, pictures = open_segment(package.read(media), media, atlas.pages)
+    (where, *paths), atlas = m.key_files(group, tier, quality), entry.qualities[quality]
+    data, *media = [package.read(path) for path in (where, *paths)]
+    columns, pictures = open_segment(media[0], paths[0], atlas.pages) if media else (None, ())
     with ThreadPoolExecutor(1) as pool:
         coming = pool.submit(next, iter(pictures), None)
-        shared = unpack_key_sidecar(*shape)
-        reader = ColumnReader(columns, media)  # a difference has no detail of positions
-        sidecar = shared if differs else read_detail(reader, shared, g.grid, m.qualities[quality].coarser, coarsest)
+        sidecar = unpack_key_sidecar(data, entry.count, g.grid, coarsest, where, differs)
+        if not media:
+            return None, sidecar
+        reader = ColumnReader(columns, paths[0])
+        if not differs:  # a difference has no detail of positions
+            sidecar = read_detail(reader, sidecar, g.grid, m.qualities[quality].coarser, coarsest)
         jumps = escapes.read_columns(reader, (1, len(atlas.planes), atlas.rows))
         reader.close()
-        picture = coming.result()
+    picture = _expect_picture(coming.result(), atlas, paths[0])
+    return Shown(atlas, (picture, next(jumps.running())), key_units(package, group, tier, quality)), sidecar
+
+
+def _expect_picture(picture: NDArray[np.uint8] | None, atlas: Atlas, where: str) -> NDArray[np.uint8]:
+    """Raise FormatError(bad_picture) unless there is a (pages * H, W) picture of the size that its atlas says."""
     if picture is None:
-        raise FormatError("bad_picture", media, "expected one picture, got none")
-    expect_size(picture, atlas, media)
-    return (picture, next(jumps.running())), sidecar
+        raise FormatError("bad_picture", where, "expected one picture, got none")
+    if picture.shape != (atlas.pages * atlas.height, atlas.width):
+        got = f"{picture.shape[1]}x{picture.shape[0] // atlas.pages}"
+        raise FormatError("bad_picture", where, f"expected {atlas.width}x{atlas.height}, got {got}")
+    return picture
 
 
 def decode_segment(
@@ -211,26 +228,78 @@ def decode_segment(
     `base` is that of the first key tiers, as many as viewers of the level fetch or others: its rows tell. H.264 is
     decoded up to the last frame. Raises FormatError.
     """
-    m = package.manifest
-    media = m.state_files(index, level)
-    if not (places and len(base.means) and media):
-        frame = base.to_gaussians()
-        yield from (frame for _ in places)
-        return
-    group, units = m.groups[m.group_of(index)], state_units(package, index, level)
+    if places and len(base.means) and package.manifest.state_files(index, level):
+        yield from _decode_states(package, index, base, level, places)
+    else:
+        yield from itertools.repeat(base.to_gaussians(), len(places))
+
+
+def _decode_states(
+    package: Package, index: int, base: Canonical, level: int, places: Sequence[int]
+) -> Iterator[Gaussians]:
+    m, (media,) = package.manifest, package.manifest.state_files(index, level)
+    group = m.groups[m.group_of(index)]
     atlas, rows = group.levels[level], np.flatnonzero((base.depths >= level) & (base.depths != STATIC))
     complete = len(base.means) >= sum(tier.count for tier in group.tiers[: m.levels[level].tiers])
     if len(rows) > atlas.rows or (complete and len(rows) != atlas.rows):
-        raise FormatError("count_mismatch", media[0], f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
-    varies = [_varies(atlas, STATE.slice(name)) for name in ("quaternions", COLOUR)]
-    applier = StateApplier.of(base, rows, group.state_steps, *varies)
+        raise FormatError("count_mismatch", media, f"the sidecars give {len(rows)} rows, the table {atlas.rows}")
+    names = STATE.names(m.colour_channels)
+    varying = {names[i] for i, centre in enumerate(atlas.centres) if centre or i in atlas.planes}
+    constant = [name for name in ("quaternions", COLOUR) if name not in varying]
+    applier = StateApplier.of(base, rows, group.state_steps, constant)
     frames = range(places[0], places[-1] + 1)
     for place, state in zip(frames, decode_pictures(package, index, level, frames), strict=True):
         if place in places:
-            yield applier.apply_parts(functools.partial(state.values, units=units))
+            yield applier.apply(state.values)
 
 
-def _varies(atlas: Atlas, channels: slice) -> bool:
-    """Whether any of these channels may decode to something else than 0."""
-    places = range(len(atlas.centres))[channels]
-    return any(p in places for p in atlas.planes) or any(atlas.centres[channels])
+AHEAD = 6  # pictures that are decoded before they are needed
+# Of an open package: the segment and level decoded last, its escapes of slopes, if there are any, and of frames.
+_escapes: WeakKeyDictionary[Package, tuple[tuple[int, int], tuple[Escapes | None, Escapes]]] = WeakKeyDictionary()
+
+
+def decode_pictures(package: Package, index: int, level: int, frames: range) -> Iterator[Shown]:
+    """Consecutive frames of a segment with a file, counted from its start. Raises FormatError."""
+    m, first, last = package.manifest, frames.start, frames.stop
+    segment = m.segments[index]
+    count, lined = segment.stop - segment.start, bool(segment.levels[level].line)
+    (media,) = m.state_files(index, level)
+    group = m.groups[m.group_of(index)]
+    atlas, steps = group.levels[level], STATE.steps(group.state_steps, m.colour_channels) * m.levels[level].factor
+    units = code_units(steps, m.state_gain)
+    columns, pictures = open_segment(package.read(media), media, atlas.pages)
+    front, pictures = pictures.cut() if lined else (None, pictures)
+    coming = decode_ahead(itertools.islice(replace(pictures, memory=FrameMemory().empty), last))
+    shape = count, len(atlas.planes), atlas.rows
+    known = _escapes.get(package)
+    if known is None or known[0] != (index, level):
+        known = _escapes[package] = (index, level), escapes.unpack_segment(columns, shape, lined, media)
+    rising, jumps = known[1]
+    slopes = None
+    if front is not None and rising is not None:
+        slopes = _expect_picture(next(iter(front), None), atlas, media), next(rising.running())
+    times = line_times(count) if lined else np.zeros(count)
+    bases, shown = jumps.running(), 0
+    for shown, picture in enumerate(coming, 1):
+        now = next(bases)
+        if shown > first:
+            luma = _expect_picture(picture, atlas, media), now
+            yield Shown(atlas, luma, units, slopes, float(times[shown - 1]))
+    if shown < last:
+        raise FormatError("bad_picture", media, f"expected {count} pictures, got {shown}")
+
+
+def decode_ahead(pictures: Iterator[NDArray[np.uint8]]) -> Iterator[NDArray[np.uint8]]:
+    """The same pictures, of which another thread decodes the next AHEAD from now on: P-pictures take twice as long."""
+    pool = ThreadPoolExecutor(1)
+    coming = deque(pool.submit(next, pictures, None) for _ in range(AHEAD))
+
+    def shown() -> Iterator[NDArray[np.uint8]]:
+        try:
+            while (picture := coming.popleft().result()) is not None:
+                coming.append(pool.submit(next, pictures, None))
+                yield picture
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    return shown()

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import CodecError, FormatError
+from airgs_codec.media.movie import decode_sound
 from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, WARM_UP, read_samples, read_start
-from airgs_codec.media.sound import decode_sound
 from airgs_codec.package.package import Package
 
 
@@ -55,7 +55,6 @@ def decode_group(package: Package, number: int, before: tuple[bytes, ...] = ()) 
 
 
 def _read_packets(package: Package, number: int) -> tuple[bytes, ...]:
-    """The packets of a group. Raises FormatError."""
     m = package.manifest
     span = m.packets(m.groups[number].start, m.groups[number].stop)
     for path in m.sound_files(number):

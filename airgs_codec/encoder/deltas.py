@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas
+from airgs_codec.coding.atlas import GREY, extract, fit_centre, line_times, make_atlas, to_codes
 from airgs_codec.coding.channels import FURTHEST, LEAST_DRAWN, Canonical, hold_undrawn, state_channels
 from airgs_codec.coding.escapes import Escapes
-from airgs_codec.coding.quantize import to_codes
 from airgs_codec.encoder.layout import GroupLayout, assign_depths, rank_updates
 from airgs_codec.encoder.omit import StateOmissions, StateValues, note_static
 from airgs_codec.encoder.plan import Plan

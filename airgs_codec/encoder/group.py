@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.analysis.importance import WrittenRows
+from airgs_codec.coding.atlas import UncodableError
 from airgs_codec.coding.channels import Canonical
-from airgs_codec.coding.quantize import UncodableError
 from airgs_codec.encoder.deltas import code_deltas, encode_deltas
 from airgs_codec.encoder.keyframes import CodedKeys, code_keys, decode_keys, encode_keys, key_bytes
 from airgs_codec.encoder.layout import GroupLayout, error_with, lay_out, lay_out_again
@@ -103,7 +103,8 @@ def _code_keyframe(
     settings, views = plan.settings, plan.views
     allowed, written = settings.row_error if views.trusted else None, None
     if base is not None:
-        known, error = base.coded.layout, base.written.error
+        known = base.coded.layout
+        error: float | None = base.written.error
         if frames.stop > base.survey.until:  # the base was chosen without these frames
             survey = survey or Survey.of(frames, views, open_renderer(settings.device))
             written = survey.needed(allowed)

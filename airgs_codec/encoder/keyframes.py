@@ -14,19 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, read_codes
+from airgs_codec.coding.atlas import centre_codes, choose_layout, fit_atlas, from_codes, read_codes, to_codes
 from airgs_codec.coding.channels import (
     Canonical,
-    add_difference,
     dequantise_key,
     join_canonical,
-    parts_of,
     state_channels,
 )
-from airgs_codec.coding.grid import coarse_codes
-from airgs_codec.coding.quantize import from_codes, to_codes
 from airgs_codec.coding.rangecoder import Column, ColumnReader, encode_some
-from airgs_codec.coding.sidecar import KeySidecar, detail_columns, pack_key_sidecar, read_detail
+from airgs_codec.coding.sidecar import KeySidecar, coarse_codes, detail_columns, pack_key_sidecar, read_detail
 from airgs_codec.encoder.layout import GroupLayout
 from airgs_codec.encoder.omit import KeyOmissions
 from airgs_codec.encoder.settings import EncodeSettings
@@ -197,11 +193,8 @@ def decode_keys(
         codes = read_codes(picture, coded.atlas, jumps.bases(0))
         steps = layout.tier_steps(tier, STATE if base else KEY) * settings.key_factors[quality]
         values = from_codes(codes, steps, qp_step(KEY_QP))
-        if base is None:
-            made = dequantise_key(values, sidecar, layout.transform, layout.grid, layout.key_steps, coarser)
-        else:
-            made = add_difference(base.part(rows), parts_of(values), layout.difference_steps, sidecar.depths)
-        parts.append(made)
+        before, of = None if base is None else base.part(rows), (layout.transform, layout.grid, layout.key_steps)
+        parts.append(dequantise_key(values, sidecar, *of, coarser, before))
     return join_canonical(parts, layout.transform)
 
 

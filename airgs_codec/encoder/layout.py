@@ -18,14 +18,13 @@ from airgs_codec._sampling import middle_frames
 from airgs_codec.analysis.importance import WrittenRows
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels
-from airgs_codec.coding.grid import fit_grid, grid_codes
 from airgs_codec.coding.motion import channel_weights, classify_motion, share_class, withheld_error
-from airgs_codec.coding.sidecar import KeySidecar
+from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes
 from airgs_codec.encoder.settings import DEFAULT_TIERS, EncodeSettings
 from airgs_codec.encoder.survey import Frames, Span, Survey
 from airgs_codec.encoder.views import Pictures, Views
 from airgs_codec.package.layout import KEY, STATE, Layout
-from airgs_codec.package.tables import STATIC, Grid, KeySteps, StateSteps, difference_steps, unpack_matrix
+from airgs_codec.package.tables import STATIC, Grid, KeySteps, StateSteps, difference_steps
 from airgs_codec.render.backend import Renderer
 from airgs_codec.scene.frames import Repaired
 from airgs_codec.scene.gaussians import Gaussians, mean_frame
@@ -87,7 +86,7 @@ class GroupLayout:
         return difference_steps(self.key_steps, self.grid)
 
     def state_weights(self, rows: slice | NDArray[np.intp] = slice(None)) -> NDArray[np.float64]:
-        """(10 + C, n) what a squared step in a delta channel of some Gaussians adds to the squared error of pictures."""
+        """(10 + C, n) what a squared step in a delta channel adds to the squared error of pictures."""
         return channel_weights(
             self.classes[rows], self.sensitivity.take(rows).by_attribute(), self.state_steps, self.transform
         )
@@ -111,7 +110,7 @@ class GroupLayout:
         return dequantise_key(channels, sidecar, self.transform, self.grid, self.key_steps)
 
     def sidecar(self, rows: slice, depths: NDArray[np.uint8] | None = None) -> KeySidecar:
-        """Some Gaussians with the finest positions and their depths, of (N,); before these are known, all are static."""
+        """Some Gaussians with the finest positions, and their depths, of (N,); without these all are static."""
         deep = np.full(len(self.codes), STATIC, np.uint8) if depths is None else depths
         return KeySidecar(self.codes[rows], self.classes[rows], self.wider[rows], deep[rows])
 
@@ -119,7 +118,7 @@ class GroupLayout:
 def lay_out(
     loaded: Repaired, frames: Frames, survey: Survey, written: WrittenRows, views: Views, settings: EncodeSettings
 ) -> GroupLayout:
-    """Decide order, tiers, steps and transforms of a group; `loaded` are its frames, of which some rows are `written`."""
+    """Decide order, tiers, steps and transforms of a group; of its frames, `loaded`, some rows are `written`."""
     steps = settings.steps.scaled(settings.quality)
     canonical = mean_frame(loaded.frames).take(written.rows)
     score = survey.score(settings.usage)
@@ -152,7 +151,7 @@ def lay_out(
         grid=grid,
         key_steps=steps.key,
         state_steps=steps.state,
-        transform=unpack_matrix(transform, 3 * (1 + canonical.sh_rest.shape[1])),
+        transform=transform,
         renderer=survey.renderer,
     )
     return replace(layout, factors=tier_factors(layout.key_weights().sum(axis=0), layout.tiers, len(settings.tiers)))

@@ -18,7 +18,7 @@ import numpy as np
 
 from airgs_codec.decoder.decode import decode_canonical, decode_segment
 from airgs_codec.encoder.views import Views
-from airgs_codec.media.metrics import Difference, Picture, psnr
+from airgs_codec.media.metrics import Difference, Picture, low_psnr, psnr
 from airgs_codec.package.manifest import Groups, Manifest
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import GUESSED
@@ -30,7 +30,6 @@ from airgs_codec.scene.sequence import GaussianSequence
 
 FIRST = 16  # pictures of every rung, which tell how many more it needs
 ERROR_DB = 0.15  # standard error of a PSNR that is aimed at
-LOW = 0.05  # the quantile of pictures that a table gives beside the mean
 
 Rung = tuple[int, int]  # pruning level, key quality
 
@@ -150,14 +149,15 @@ def with_quality(m: Manifest, seen: Sequence[Seen], newest: bool = False) -> Man
     rungs, ratios = {}, {}
     for rung in seen[0].differences:
         pairs = [pair for some in seen for pair in zip(some.differences[rung], some.differences[top], strict=False)]
-        own, others = zip(*([pair for pair in pairs if not pair[0].blank] or pairs), strict=True)
+        clear_pairs = [pair for pair in pairs if not pair[0].blank] or pairs
+        own, others = [one for one, _ in clear_pairs], [other for _, other in clear_pairs]
         mse, colour = (_share(_mean(own, name), _mean(others, name)) for name in ("mse", "delta_e"))
         error = math.hypot(_standard_error(clear), _standard_error(own, others) if rung != top else 0.0)
         ratios[rung] = mse, colour
         rungs[rung] = RungQuality(
             psnr=round(psnr(harder * mse * (errors.mean() or 1.0)), 2),
             error=round(10 * math.log10(1 + error), 3),
-            low=round(float(np.quantile([psnr(one.mse) for one in own], LOW)), 1),
+            low=round(low_psnr([one.mse for one in own]), 1),
             ssim=round(_mean(own, "ssim"), 4),
             delta_e=round(colour * (_mean(clear, "delta_e") or 1.0), 2),
             pictures=len(own),

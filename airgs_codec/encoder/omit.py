@@ -43,7 +43,7 @@ class StateValues:
         path: Path, frames: Sequence[Gaussians], rows: NDArray[np.intp], base: Canonical, steps: StateSteps
     ) -> StateValues:
         """Differences of some `rows` (N,) of frames, which are looked at one by one, to a decoded canonical space."""
-        values = StateValues(path, len(frames), STATE.width(base.colours.shape[1]), len(rows))
+        values = StateValues(path, len(frames), STATE.width(base.colour.shape[1]), len(rows))
         drawn = np.empty((values.frames, values.rows), bool)
         with path.open("wb") as file:
             for t, frame in enumerate(frames):

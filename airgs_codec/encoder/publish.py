@@ -25,9 +25,8 @@ from airgs_codec.errors import ConfigError, FormatError, SceneError
 from airgs_codec.jobs.work import Work
 from airgs_codec.media.h264 import library_versions
 from airgs_codec.media.image import encode_jpeg, resize, to_bytes, to_floats
-from airgs_codec.package.dash_check import check_shared
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import LiveClock
+from airgs_codec.package.mpd import LiveClock, check_shared
 from airgs_codec.package.package import Package, find_faults, open_files, write_file
 from airgs_codec.package.publish import staged_package, write_tables
 from airgs_codec.package.region import first_views
@@ -101,7 +100,8 @@ def encode(
     expect_folder_name(path_argument("path", path), ENDING)
     jobs = Work.of(executor, work, told(progress))
     with staged_package(place_at(path)) as stage, closing(hold_frames(sequence)) as held:
-        watch, place, surveys = Stopwatch(), Folder(stage, alone=True), {}
+        watch, place = Stopwatch(), Folder(stage, alone=True)
+        surveys: Surveys = {}
         ordered = order_rows(held, settings.rows, jobs.progress)
         if plan is None:
             plan, surveys = choose(ordered, settings, goal, jobs.progress)
@@ -126,7 +126,7 @@ def encode_groups(
 ) -> Iterator[tuple[int, GroupFiles]]:
     """Encode all groups and give each, with its number, when it is there: in order, but for runs that are jobs."""
     runs, done = list(plan.runs(sequence)), 0
-    if jobs.executor is None and jobs.store is None:
+    if not jobs.elsewhere:
         for frames, group in zip(plan.frames(sequence), _fold(runs, plan, surveys), strict=True):
             done += 1
             jobs.progress(f"encoding: {frames.words}", done, len(plan.groups))

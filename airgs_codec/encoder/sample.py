@@ -15,13 +15,20 @@ from numpy.typing import NDArray
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.analysis.sensitivity import Sensitivity
 from airgs_codec.coding import escapes
-from airgs_codec.coding.atlas import assemble, centre_codes, fit_atlas, line_times, picture_size, read_codes
+from airgs_codec.coding.atlas import (
+    assemble,
+    centre_codes,
+    fit_atlas,
+    from_codes,
+    line_times,
+    picture_size,
+    read_codes,
+    to_codes,
+)
 from airgs_codec.coding.channels import Canonical, colour_transform, dequantise_key, key_channels, state_channels
-from airgs_codec.coding.grid import fit_grid, grid_codes
-from airgs_codec.coding.motion import channel_weights, withheld_error
-from airgs_codec.coding.quantize import StepSettings, from_codes, to_codes
+from airgs_codec.coding.motion import StepSettings, channel_weights, withheld_error
 from airgs_codec.coding.rangecoder import encode_columns
-from airgs_codec.coding.sidecar import KeySidecar, pack_key_sidecar
+from airgs_codec.coding.sidecar import KeySidecar, fit_grid, grid_codes, pack_key_sidecar
 from airgs_codec.media.h264 import (
     ClosedGop,
     CodecSettings,
@@ -31,7 +38,6 @@ from airgs_codec.media.h264 import (
     state_codec,
 )
 from airgs_codec.package.layout import KEY, STATE
-from airgs_codec.package.tables import unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 
 Weights = NDArray[np.float64]
@@ -132,12 +138,12 @@ class CalibrationSample:
         return self.row_ratio * withheld_error(errors, weights)
 
     def _transform(self, steps: StepSettings) -> NDArray[np.float64]:
-        return unpack_matrix(colour_transform(self.key, steps.key, steps.colours), 3 * (1 + self.key.sh_rest.shape[1]))
+        return colour_transform(self.key, steps.key, steps.colours)
 
     def states(self, base: Canonical, steps: StepSettings) -> NDArray[np.float64]:
         """(1 + T, 10 + C, n) differences of the canonical frame and the others to a canonical space, in steps."""
         values = state_channels([self.key, *self.frames], base, steps.state)
-        return values / STATE.steps(steps.state, base.colours.shape[1])[:, None]
+        return values / STATE.steps(steps.state, base.colour.shape[1])[:, None]
 
     def with_line(self, states: NDArray[np.float64], steps: StepSettings) -> CalibrationSample:
         """The same sample, with lines if its moving Gaussians take fewer bytes at equal error with them.

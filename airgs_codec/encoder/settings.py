@@ -12,11 +12,10 @@ import numpy as np
 from airgs_codec._settings import available_cores, computed_setting, documented, setting
 from airgs_codec.analysis.grouping import DEFAULT_GROUP_FRAMES
 from airgs_codec.analysis.rows import AUTO, ROWS
-from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.coding.motion import StepSettings
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.h264 import DEFAULT_PRESET, KEY_QP, PRESETS, STATE_QP
-from airgs_codec.package.parse import read_region
-from airgs_codec.package.references import fault_of
+from airgs_codec.package.parse import fault_of, read_region
 from airgs_codec.package.tables import GRID_BITS, MAX_CHOICES, Region, World
 from airgs_codec.scene.beside import MEASURES
 

@@ -19,8 +19,15 @@ from airgs_codec.analysis.importance import pooled_error
 from airgs_codec.analysis.sensitivity import CODING_VARIANCE
 from airgs_codec.coding.channels import key_channels, state_channels
 from airgs_codec.coding.kernels import row_chunks
-from airgs_codec.coding.motion import LEAVES, channel_weights, withheld_error
-from airgs_codec.coding.quantize import StepSettings, get_step, scale_steps, with_step
+from airgs_codec.coding.motion import (
+    LEAVES,
+    StepSettings,
+    channel_weights,
+    get_step,
+    scale_steps,
+    with_step,
+    withheld_error,
+)
 from airgs_codec.encoder.layout import GroupLayout, assign_depths, lay_out, rank_updates
 from airgs_codec.encoder.sample import CalibrationSample, Cost, block_rows
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, Shares

@@ -66,7 +66,7 @@ class Survey:
 
     @staticmethod
     def of(frames: Frames, views: Views, renderer: Renderer) -> Survey:
-        """Look at a group and at those that its keyframe is chosen for; the trainer's usage counts where it is known."""
+        """Look at a group and those that its keyframe is chosen for; usage is the trainer's where that is known."""
         sequence, seen = frames.sequence, range(frames.start, frames.spans[-1][1])
         decide, check = views.decide(seen, len(frames.spans)), views.check(seen)
         numbers = sorted({number for number, _ in (*decide, *check)})

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from airgs_codec import __version__
+from airgs_codec.coding.channels import pack_matrix
 from airgs_codec.coding.sidecar import pack_key_sidecar
 from airgs_codec.encoder.deltas import CodedDeltas
 from airgs_codec.encoder.keyframes import CodedKeys, key_sidecar
@@ -15,10 +16,9 @@ from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.streams import Clock, ErrorModel, Representation, with_bounds
 from airgs_codec.encoder.views import CHECKED
 from airgs_codec.media.h264 import KEY_QP, STATE_QP, library_versions, qp_step
+from airgs_codec.media.movie import SoundTrack
 from airgs_codec.media.mp4 import init_segment, sound_segment
-from airgs_codec.media.sound import SoundTrack
 from airgs_codec.package import tables
-from airgs_codec.package.dash_check import largest_picture
 from airgs_codec.package.layout import (
     INIT_NAME,
     KEY,
@@ -32,6 +32,7 @@ from airgs_codec.package.layout import (
     state_media_path,
 )
 from airgs_codec.package.manifest import Groups, Manifest
+from airgs_codec.package.mpd import largest_picture
 from airgs_codec.package.tables import (
     NO_FILE,
     STATIC,
@@ -42,7 +43,7 @@ from airgs_codec.package.tables import (
     SegmentLevel,
     file_entry,
 )
-from airgs_codec.scene.origin import ZERO
+from airgs_codec.scene.frames import ZERO
 from airgs_codec.scene.sequence import GaussianSequence
 
 
@@ -99,7 +100,7 @@ def _state_files(group: CodedGroup) -> Iterator[tuple[str, bytes]]:
 def build_manifest(
     plan: Plan, sequence: GaussianSequence, attribution: str, groups: Sequence[Group], poster: bytes
 ) -> tuple[Manifest, dict[str, bytes]]:
-    """Make the tables of a package that has these groups, without measured quality, and the files that are no group's."""
+    """Make the tables of a package of these groups, without measured quality, and the files that are no group's."""
     settings, views, clock = plan.settings, plan.views, Clock.of(sequence.fps)
     shared = {INIT_NAME: init_segment(clock.timescale, *largest_picture(groups)), POSTER_NAME: poster}
     decisions, differing = list(plan.notes), sum(group.keeps is not None for group in groups)
@@ -165,7 +166,7 @@ def _group_table(group: CodedGroup, files: Files) -> Group:
         grid=layout.grid,
         key_steps=layout.key_steps,
         state_steps=layout.state_steps,
-        colour_transform=tables.pack_matrix(layout.transform),
+        colour_transform=pack_matrix(layout.transform),
         tiers=[_tier_table(group, files, t) for t in range(len(layout.factors))],
         levels=[_bounded(level.atlas, level.error if of.gops else None, of, STATE) for level, of in levels],
         segments=_segment_tables(group, files),

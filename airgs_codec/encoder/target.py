@@ -174,7 +174,8 @@ def search_quality(
     sample = plan.frames(sequence)[:SAMPLE]
     begins = (part for part in sample if part.begins)
     known = {part.number: surveys.get(part.number) or Survey.of(part, plan.views, renderer) for part in begins}
-    settings, trials = plan.settings, []
+    settings = plan.settings
+    trials: list[tuple[float, float]] = []
     top = settings if goal.metric == SIZE else top_rung(settings)
 
     def trial(factor: float) -> float:

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.analysis.region import region_around
-from airgs_codec.analysis.sight import DATAPARSER, SEEN, in_trained_frame, see, seeing
+from airgs_codec.analysis.region import DATAPARSER, SEEN, in_trained_frame, region_around, see, seeing
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError

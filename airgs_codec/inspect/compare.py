@@ -1,8 +1,7 @@
 """Gaussians beside those that they should be, as pictures: PSNR, SSIM and CIEDE2000 over views and frames.
 
 Either many streams of frames, such as the rungs of a package, against the original; or two scenes or packages, A and B,
-of which A is the reference, with the worst picture and a typical one; or what cameras see of one scene, as a sheet.
-H x W pixels, 8-bit RGB.
+of which A is the reference, with the worst picture and a typical one. H x W pixels, 8-bit RGB.
 """
 
 from __future__ import annotations
@@ -11,7 +10,8 @@ import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,85 +19,292 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec._arguments import argument, brief
-from airgs_codec._report import table
+from airgs_codec._report import Table
+from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.errors import ConfigError
-from airgs_codec.inspect.sides import Side, before_both, comparable, is_package, shared_views, side_of, splits_of
+from airgs_codec.inspect.summary import QUALITY, Columns
 from airgs_codec.media.image import contact_sheet, to_bytes
-from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr, squared_error
-from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.media.metrics import Difference, Picture, Quality, pool, psnr
+from airgs_codec.package.layout import JSON_NAME
+from airgs_codec.package.manifest import Manifest, quality_of
 from airgs_codec.package.package import Package, open_package
+from airgs_codec.package.region import CHECKING, background_of, draw_views, from_origin
+from airgs_codec.package.tables import Region, RungQuality
+from airgs_codec.places.place import is_address, place_at
 from airgs_codec.progress import Progress, silent, told
 from airgs_codec.render import Camera
-from airgs_codec.render.compare import View, draw_frames, draw_once, draw_still, in_order
+from airgs_codec.render.compare import View, draw_once, draw_still
 from airgs_codec.render.compare import compare as compare_views
+from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME
+from airgs_codec.scene.camera import BLACK, UP, Background, cameras_from, orbit_views, with_near_planes
+from airgs_codec.scene.formats.form import Axes
+from airgs_codec.scene.frames import ZERO, Origin
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 
+DRAWS = 8  # views of a region
+REGION = "region"  # the split of views that are drawn from the package's region
 LABEL = 36  # pixels above each picture, for two lines
 LEAST_WIDTH = 320  # pixels; smaller pictures are shown with larger pixels, so that labels have room
-MOST_LETTERS = 44  # of a line
 MOST_GAIN = 64
 SHOWN = 0.999  # of the differences are not cut off
+SIDES: Columns = {
+    "side": ("", ""), "name": ("", ""), "rung": ("rung", ""), "frames": ("frames", "d"), "fps": ("fps", "g"),
+    "sh_degree": ("SH degree", ""), "bytes_per_frame": ("bytes a frame", ",.0f"),
+    "gaussians": ("Gaussians", lambda rows: " to ".join(f"{count:,}" for count in dict.fromkeys(rows))),
+}  # fmt: skip
 
 Measure = TypeVar("Measure")
 Scene = Package | GaussianSequence
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Side:
+    """A scene, or a package in one rung, whose frames are read when they are asked for."""
+
+    name: str  # where it is
+    rung: str | None  # key quality and level, as Q0+L0; None for a scene
+    frames: int
+    fps: Fraction | None  # frames a second; None where nothing states them
+    sh_degree: int
+    bytes_per_frame: float  # of a package what a viewer of the rung fetches: keys, states and all tables
+    origin: Origin  # in the world, that cameras, region and frames are from
+    background: Background  # what is seen behind it
+    read: Callable[[range], Iterator[Gaussians]]  # frames, repaired; raises SceneError or FormatError
+    cameras: tuple[Camera, ...] = ()
+    axes: Axes | None = None  # of a scene that says which way is up
+    region: Region | None = None
+    claimed: Quality | RungQuality | None = None  # of the rung, as the tables have it
+
+    @property
+    def label(self) -> str:
+        last = Path(self.name).name or self.name
+        return f"{last} {self.rung}" if self.rung else last
+
+    def from_origin(self, origin: Origin) -> Side:
+        if self.origin == origin:
+            return self
+        away = np.subtract(origin, self.origin)
+        return replace(
+            self,
+            origin=origin,
+            cameras=cameras_from(away, self.cameras),
+            region=self.region and from_origin(self.region, away),
+            read=lambda frames: (frame.placed(-away, 1.0) for frame in self.read(frames)),
+        )
+
+
+def is_package(scene: Scene | str | Path) -> bool:
+    """Return whether it is one, or one is there. Raises ConfigError for an address that cannot be, TransportError."""
+    if isinstance(scene, str | Path):
+        return place_at(scene).exists(JSON_NAME) if is_address(scene) else Path(scene, JSON_NAME).is_file()
+    return isinstance(scene, Package)
+
+
+def open_side(
+    scene: Scene | str | Path,
+    rung: str | None = None,
+    *,
+    name: str = "",
+    bake_fps: Fraction | None = None,
+    duration: Fraction | None = None,
+) -> Side:
+    """Return a scene or package, open or at a place, a package in one `rung`, such as Q0+L0 (default: its top).
+
+    `name`: for people, by default the place. `bake_fps` and `duration` are those of `open_sequence`, for a clip. Raises
+    ConfigError for a rung that it does not have, SceneError, FormatError and TransportError for what cannot be opened.
+    """
+    name = name or str(scene)
+    if isinstance(scene, str | Path):
+        scene = open_package(scene) if is_package(scene) else open_sequence(scene, bake_fps=bake_fps, duration=duration)
+    if isinstance(scene, Package):
+        package, m = scene, scene.manifest
+        key_quality, _, level = (rung or "Q0+L0").partition("+")
+        q, j = m.quality_index(key_quality), m.level_index(level)
+        return Side(
+            name=name,
+            rung=f"{m.qualities[q].id}+{m.levels[j].id}",
+            frames=m.frames,
+            fps=m.fps,
+            sh_degree=m.sh_degree,
+            bytes_per_frame=(package.manifest_bytes + m.bytes_of(m.rung_files(q, j))) / m.frames,
+            origin=package.origin,
+            background=background_of(m.region),
+            read=lambda frames: rung_frames(package, frames, m.levels[j].id, m.qualities[q].id),
+            region=m.region,
+            claimed=quality_of(m, j, q),
+        )
+    scene = argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one")
+    if rung is not None:
+        raise ConfigError(f"{name}: expected a package for the rung {rung}, got a scene")
+    stated = scene.clip or (scene.folder / SETTINGS_NAME).is_file() or scene.fps != DEFAULT_FPS
+    held = [header.bytes for header in scene.headers]  # of frames that are in no file
+    return Side(
+        name=name,
+        rung=None,
+        frames=len(scene),
+        fps=scene.fps if stated else None,
+        sh_degree=scene.sh_degree,
+        bytes_per_frame=sum(map(_size, set(scene.paths)) if scene.paths[0].exists() else held) / len(scene),
+        origin=scene.origin,
+        background=scene.background,
+        read=lambda frames: frames_of(scene, frames),
+        cameras=scene.cameras,
+        axes=scene.axes,
+    )
+
+
+def _size(path: Path) -> int:
+    return sum(p.stat().st_size for p in path.rglob("*") if p.is_file()) if path.is_dir() else path.stat().st_size
+
+
+def frames_of(sequence: GaussianSequence, numbers: Iterable[int]) -> Iterator[Gaussians]:
+    """Return frames of a sequence after repairs, each read when it is asked for."""
+    return (sequence.load([number]).frames[0] for number in numbers)
+
+
+def rung_streams(
+    package: Package, frames: range, level: str | None = None, key_quality: str | None = None
+) -> dict[str, Iterator[Gaussians]]:
+    """Return these frames of every rung of a package, or of those of one level or key quality, decoded one by one.
+
+    Raises ConfigError for a level or key quality that the package does not have.
+    """
+    m = package.manifest
+    levels = m.levels if level is None else [m.levels[m.level_index(level)]]
+    qualities = m.qualities if key_quality is None else [m.qualities[m.quality_index(key_quality)]]
+    return {f"{q.id}+{v.id}": rung_frames(package, frames, v.id, q.id) for q in qualities for v in levels}
+
+
+def rung_frames(package: Package, frames: range, level: str, key_quality: str) -> Iterator[Gaussians]:
+    """Yield these frames of one rung, at least one, each when it is asked for; `decode_frames` says what is raised."""
+    for frame in decode_frames(package, frames[0], frames[-1] + 1, level=level, key_quality=key_quality):
+        if frame.number in frames:
+            yield frame.gaussians
+
+
+def comparable(a: Side, b: Side) -> tuple[Side, Side]:
+    """Return both from one origin.
+
+    Raises ConfigError where both state frame rates that differ; a single frame has none.
+    """
+    if a.fps and b.fps and a.fps != b.fps and min(a.frames, b.frames) > 1:
+        raise ConfigError(f"{b.name}: expected {float(a.fps):g} frames a second as {a.name}, got {float(b.fps):g}")
+    origin = b.origin if a.origin == ZERO else a.origin
+    return a.from_origin(origin), b.from_origin(origin)
+
+
+def left_out(a: Side, b: Side) -> list[str]:
+    """Return what one side has that the other lacks, for people."""
+    short, long = sorted((a, b), key=lambda side: side.frames)
+    extra = range(short.frames, long.frames)
+    if not extra:
+        return []
+    which = f"frame {extra[0]}" if len(extra) == 1 else f"frames {extra[0]} to {extra[-1]}"
+    return [f"{which} of {long.name}, which {short.name} does not have"]
+
+
+def shared_views(a: Side, b: Side, cameras: Sequence[Camera] = (), source: str = "") -> tuple[str, list[Camera]]:
+    """Return what both are looked at from, in words too: these cameras, or the held-out ones of A or B, or all.
+
+    Without cameras they are drawn from the viewing region of B or A by the seed for checks, without a package they are
+    on an orbit around the first frame of A. Both are seen before the background of A or, where that is black, of B, and
+    behind near planes for the size of A.
+    """
+    first = next(a.read(range(1)))
+    sets = [(cameras, source), *((compared_views(side.cameras, None), side.name) for side in (a, b))]
+    views, name = next(((list(some), name) for some, name in sets if some), ([], ""))
+    if views:
+        held_out = "held-out " * (views[0].split == "test")
+        words = f"{len(views)} {held_out}camera{'s' * (len(views) > 1)} of {name}"
+    elif side := next((side for side in (b, a) if side.region), None):
+        assert side.region
+        views = region_views(side.region, DRAWS, CHECKING)
+        words = f"{len(views)} views drawn from the viewing region of {side.name}, seed {CHECKING}"
+    else:
+        views = orbit_views(first, up=np.array(a.axes.up) if a.axes else UP)
+        words = f"{len(views)} views on an orbit around frame 0 of {a.name}"
+    behind = b.background if a.background == BLACK else a.background
+    return words, [replace(view, background=behind) for view in with_near_planes(views, first)]
+
+
+def splits_of(cameras: Sequence[Camera]) -> dict[str, int]:
+    names = [camera.split for camera in cameras]
+    return {name: names.count(name) for name in dict.fromkeys(names)}
+
+
+def region_views(region: Region, count: int, seed: int) -> list[Camera]:
+    """Return views drawn from a region, as a split of their own."""
+    return [replace(view, split=REGION) for view in draw_views(region, count, seed)]
+
+
+def compared_views(cameras: Sequence[Camera], split: str | None) -> list[Camera]:
+    """Return the cameras of a split; without one those of REGION and those held out (`test`), or all if none is.
+
+    Raises ConfigError.
+    """
+    found = splits_of(cameras)
+    if split is not None and split not in found:
+        raise ConfigError(f"split: expected one of {', '.join(sorted(found))}, got {split!r}")
+    wanted = {split} if split else {REGION, "test"} if "test" in found else set(found)
+    return [camera for camera in cameras if camera.split in wanted]
+
+
 def compare_streams(
     streams: Mapping[str, Iterator[Gaussians]],
-    original: GaussianSequence,
+    reference: Iterator[Gaussians],
     views: Sequence[View],
     measure: Callable[[Picture, Picture], Measure],
     progress: Progress = silent,
 ) -> dict[str, list[Measure]]:
-    """Return what `render.compare.compare` says of every stream against the original after repairs, view by view.
+    """Return what `render.compare.compare` says of every stream against the reference, view by view.
 
-    Views of one frame follow each other; `streams` give their frames in that order and no others. Raises SceneError for
-    a frame that cannot be read, FormatError for a package that cannot be decoded.
+    Views of one frame follow each other; all streams give their frames in that order and no others. Raises SceneError
+    for a frame that cannot be read, FormatError for a package that cannot be decoded.
     """
     found: dict[str, list[Measure]] = {name: [] for name in streams}
-    frames = [(number, list(seen)) for number, seen in itertools.groupby(views, key=lambda view: view[0])]
-    for done, (number, seen) in enumerate(frames):
-        progress("rendering", done, len(frames))
-        reference = draw_once(draw_still(original.load([number]).frames[0]))
+    frames = [list(seen) for _, seen in itertools.groupby(views, key=lambda view: view[0])]
+    for done, seen in enumerate(frames, 1):
+        source = draw_once(draw_still(next(reference)))
         for name, stream in streams.items():
-            found[name] += compare_views(reference, draw_still(next(stream)), seen, measure)
+            found[name] += compare_views(source, draw_still(next(stream)), seen, measure)
+        progress("comparing", done, len(frames))
     return found
 
 
 def pool_splits(found: Mapping[str, Sequence[Difference]], views: Sequence[View]) -> dict[str, dict[str, Quality]]:
-    """The quality of every stream in each split of the cameras; `found`: a difference for each of the views."""
+    """Return the quality of every stream in each split of the cameras; `found`: a difference for each of the views."""
     splits = {split: [view[1].split == split for view in views] for split in splits_of([view[1] for view in views])}
-    expect_something(next(iter(found.values())))
+    _count_blank(next(iter(found.values())))
     return {
         split: {name: pool(list(itertools.compress(errors, inside))) for name, errors in found.items()}
         for split, inside in splits.items()
     }
 
 
-def expect_something(differences: Sequence[Difference]) -> int:
-    """How many of some pictures show nothing. Raises ConfigError where none shows anything."""
+def _count_blank(differences: Sequence[Difference]) -> int:
+    """Return how many pictures show nothing. Raises ConfigError where none shows anything."""
     blank = sum(difference.blank for difference in differences)
     if blank == len(differences):
         raise ConfigError(f"views: expected some that show something, got {blank} pictures of nothing")
     return blank
 
 
-def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, Quality | None]:
+def claimed_quality(m: Manifest, names: Iterable[str]) -> dict[str, RungQuality | None]:
     """Return what a package says of rungs named as in `rung_streams`; None where it was not measured."""
     pairs = {f"{q.id}+{v.id}": (j, i) for i, q in enumerate(m.qualities) for j, v in enumerate(m.levels)}
-    return {name: pooled_quality(m, *pairs[name]) for name in names}
+    return {name: quality_of(m, *pairs[name]) for name in names}
 
 
-def format_comparison(splits: Mapping[str, Mapping[str, Quality | None]]) -> str:
-    """A line for each stream, with columns for each split."""
-    head = ["decoded", *(word for split in splits for word in (f"{split}: dB", "worst", "SSIM", "ΔE"))]
-    names = next(iter(splits.values()))
-    return "\n".join(table(head, [[name, *(c for s in splits.values() for c in _cells(s[name]))] for name in names]))
-
-
-def _cells(q: Quality | None) -> list[str]:
-    return [f"{q.psnr:.2f}", f"{q.worst:.1f}", f"{q.ssim:.4f}", f"{q.delta_e:.2f}"] if q else ["-"] * 4
+def format_comparison(splits: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return a line for each stream, with columns for each split."""
+    columns: Columns = {"decoded": ("decoded", "")}
+    rows = {name: {"decoded": name} for name in next(iter(splits.values()))}
+    for split, qualities in splits.items():
+        columns |= {split + key: column for key, column in QUALITY.items()} | {f"{split}psnr": (f"{split}: dB", ".2f")}
+        for name, quality in qualities.items():
+            rows[name] |= {split + key: value for key, value in dataclasses.asdict(quality).items()} if quality else {}
+    return Table("", list(rows.values()), columns).to_text()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,13 +315,9 @@ class Seen:
     camera: Camera
     psnr: float  # dB, of B against A
 
-    def __str__(self) -> str:
-        return f"{self.psnr:.2f} dB, frame {self.frame}, camera {self.camera.name}"
-
     def to_json(self) -> dict[str, Any]:
-        """The same as plain values, the camera by its name and position."""
-        place = self.camera.position.tolist()
-        return {"frame": self.frame, "camera": self.camera.name, "position": place, "psnr": self.psnr}
+        camera = {"camera": self.camera.name, "position": self.camera.position.tolist()}
+        return {"frame": self.frame} | camera | {"psnr": self.psnr}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,14 +343,8 @@ class Comparison:
 
     @property
     def typical(self) -> Seen:
-        """The picture whose error is the median."""
+        """Return the picture whose error is the median."""
         return self.ranked[(len(self.pictures) - 1) // 2]
-
-    @property
-    def by_frame(self) -> list[float]:
-        """PSNR of each frame in dB, of the mean squared error over its pictures."""
-        errors = np.array([squared_error(seen.psnr) for seen in self.pictures]).reshape(len(self.frames), -1)
-        return [psnr(float(error)) for error in errors.mean(axis=1)]
 
 
 def compare(
@@ -159,35 +356,27 @@ def compare(
     cameras: Sequence[Camera] | None = None,
     progress: Progress | type = silent,
 ) -> Comparison:
-    """How near a scene or package is to another, each open or at a path: what `airgs-manifest compare` tells.
+    """Return how near a scene or package is to another, each open or at a path, as `airgs-manifest compare` does.
 
     `rung`: key quality and level of a package, such as Q1+L2 (default: Q0+L0); of the compared one where both are.
     `frames` are by default all that both have; `cameras` those that `shared_views` finds, from the
     origin of the reference. `progress`: a function, or a class of bars such as tqdm.auto.tqdm. Raises ConfigError for a
     rung or frames that are not there and for frame rates that differ, and what reading either raises.
     """
-    first, second = _opened("reference", reference), _opened("compared", compared)
-    rungs = (None, rung) if isinstance(second, Package) else (rung, None)
-    a, b = side_of(first, "reference", rungs[0]), side_of(second, "compared", rungs[1])
-    a, b = comparable(a, b)
+    rungs = (None, rung) if is_package(compared) else (rung, None)
+    a = open_side(reference, rungs[0], name="reference")
+    a, b = comparable(a, open_side(compared, rungs[1], name="compared"))
     both = range(min(a.frames, b.frames))
     numbers = both if frames is None else argument("frames", frames, range, "a range")
     if not numbers or numbers[0] not in both or numbers[-1] not in both:
         raise ConfigError(f"frames: expected some of {both}, got {numbers}")
-    views = shared_views(a, b)[1] if cameras is None else list(cameras)
-    return compare_two(a, b, numbers, before_both(a, b, views), told(progress))
-
-
-def _opened(name: str, scene: Scene | str | Path) -> Scene:
-    if isinstance(scene, Package):
-        return scene
-    if isinstance(scene, str | Path) and is_package(str(scene)):
-        return open_package(scene)
-    return argument(name, scene, GaussianSequence, "an open sequence or package, or the path of one", open_sequence)
+    if cameras is not None and not cameras:
+        raise ConfigError("cameras: expected at least one")
+    return compare_two(a, b, numbers, shared_views(a, b, cameras or ())[1], told(progress))
 
 
 def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], progress: Progress = silent) -> Comparison:
-    """B against A in the same frames and views, at least one of each.
+    """Return how near B is to A in the same frames and views, at least one of each.
 
     PSNR is of the mean squared error over all pictures (`media.metrics.PSNR_CAP` where there is none), SSIM and
     CIEDE2000 are means. Raises ConfigError where no picture shows anything, SceneError or FormatError for a frame that
@@ -195,36 +384,35 @@ def compare_two(a: Side, b: Side, frames: range, cameras: Sequence[Camera], prog
     """
     views = [(number, camera) for number in frames for camera in cameras]
     rows: tuple[list[int], list[int]] = ([], [])
-    first, second = (
-        draw_frames(in_order(frames, _counted(side.read(frames), count)))
-        for side, count in zip((a, b), rows, strict=True)
-    )
-    differences: list[Difference] = []
-    for difference in compare_views(first, second, views, Difference.of):
-        differences.append(difference)
-        progress("comparing", len(differences), len(views))
+    reference, stream = (_counted(side.read(frames), count) for side, count in zip((a, b), rows, strict=True))
+    differences = compare_streams({b.name: stream}, reference, views, Difference.of, progress)[b.name]
     return Comparison(
         frames=tuple(frames),
         cameras=tuple(camera.name for camera in cameras),
         gaussians=((min(rows[0]), max(rows[0])), (min(rows[1]), max(rows[1]))),
         quality=pool(differences),
         pictures=tuple(Seen(*view, psnr(difference.mse)) for view, difference in zip(views, differences, strict=True)),
-        blank=expect_something(differences),
+        blank=_count_blank(differences),
     )
 
 
 def _counted(frames: Iterator[Gaussians], rows: list[int]) -> Iterator[Gaussians]:
-    """The frames, whose numbers of rows are added to `rows` as they are read."""
     for frame in frames:
         rows.append(len(frame))
         yield frame
 
 
 def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
-    """The figures of both sides and of their comparison as plain values."""
+    """Return the figures of both sides and of their comparison as plain values."""
+    reference, compared = (
+        {"name": side.name, "rung": side.rung, "frames": side.frames, "fps": side.fps and float(side.fps)}
+        | {"sh_degree": side.sh_degree, "gaussians": list(rows), "bytes_per_frame": side.bytes_per_frame}
+        | {"claimed": side.claimed and dataclasses.asdict(side.claimed)}
+        for side, rows in zip((a, b), result.gaussians, strict=True)
+    )
     return {
-        "reference": _side(a, result.gaussians[0]),
-        "compared": _side(b, result.gaussians[1]),
+        "reference": reference,
+        "compared": compared,
         "frames": list(result.frames),
         "cameras": list(result.cameras),
         "blank": result.blank,
@@ -234,49 +422,31 @@ def comparison_json(a: Side, b: Side, result: Comparison) -> dict[str, Any]:
     }
 
 
-def _side(side: Side, gaussians: tuple[int, int]) -> dict[str, Any]:
-    return {
-        "name": side.name,
-        "rung": side.rung,
-        "frames": side.frames,
-        "fps": side.fps and float(side.fps),
-        "sh_degree": side.sh_degree,
-        "gaussians": list(gaussians),
-        "bytes_per_frame": side.bytes_per_frame,
-        "claimed": side.claimed and dataclasses.asdict(side.claimed),
+def format_two(record: Mapping[str, Any], views: str, notes: Iterable[str] = ()) -> str:
+    """Return `comparison_json` for people; `views` says what the cameras are, `notes` what was left out."""
+    q, frames, compared = record["quality"], record["frames"], record["compared"]
+    sides = [{"side": "A, the reference"} | record["reference"], {"side": "B"} | compared]
+    claim = f" (B's tables claim {compared['claimed']['psnr']:.2f} dB)" if compared["claimed"] else ""
+    seen = {
+        name: "{psnr:.2f} dB, frame {frame}, camera {camera}".format(**record[name]) for name in ("worst", "typical")
     }
-
-
-def format_two(a: Side, b: Side, result: Comparison, views: str, notes: Iterable[str] = ()) -> str:
-    """The same for people; `views` says what the cameras are, `notes` what was left out."""
-    q, frames = result.quality, result.frames
-    claim = f" (B's tables claim {b.claimed.psnr:.2f} dB)" if b.claimed else ""
     return "\n".join(
         [
-            f"A, the reference: {_words(a, result.gaussians[0])}",
-            f"B: {_words(b, result.gaussians[1])}, {b.bytes_per_frame / a.bytes_per_frame:.3g} times those of A",
+            Table("", sides, SIDES).to_text(),
             f"{len(frames)} frame{'s' * (len(frames) > 1)} ({frames[0]} to {frames[-1]}) in {views}",
             *(f"left out: {note}" for note in notes),
-            *([f"not counted: {result.blank} pictures that show nothing"] if result.blank else []),
-            f"PSNR    {q.psnr:.2f} dB pooled over pictures{claim}",
-            f"SSIM    {q.ssim:.4f}",
-            f"ΔE2000  {q.delta_e:.2f}",
-            f"worst   {result.worst}",
-            f"typical {result.typical}",
+            *([f"not counted: {record['blank']} pictures that show nothing"] if record["blank"] else []),
+            f"PSNR    {q['psnr']:.2f} dB pooled over pictures{claim}",
+            f"SSIM    {q['ssim']:.4f}",
+            f"ΔE2000  {q['delta_e']:.2f}",
+            f"bytes   {compared['bytes_per_frame'] / record['reference']['bytes_per_frame']:.3g} times those of A",
+            *(f"{name:<7} {words}" for name, words in seen.items()),
         ]
     )
 
 
-def _words(side: Side, gaussians: tuple[int, int]) -> str:
-    rows = f"{gaussians[0]:,}" if gaussians[0] == gaussians[1] else f"{gaussians[0]:,} to {gaussians[1]:,}"
-    rate = f" at {float(side.fps):g} fps" if side.fps else ""
-    name = f"{side.name} {side.rung}" if side.rung else side.name
-    count = f"{side.frames} frame{'s' * (side.frames > 1)}{rate}"
-    return f"{name}: {count}, {rows} Gaussians of SH degree {side.sh_degree}, {side.bytes_per_frame:,.0f} bytes a frame"
-
-
 def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
-    """(LABEL + H, 3 W, 3): A, B and their difference as one camera sees them, with labels above."""
+    """Return A, B and their difference as one camera sees them, with labels above, (LABEL + H, 3 W, 3)."""
     frames = range(seen.frame, seen.frame + 1)
     first, second = (draw_still(next(side.read(frames)))(seen.frame, seen.camera).rgb for side in (a, b))
     difference = np.abs(first - second)
@@ -287,20 +457,16 @@ def side_by_side(a: Side, b: Side, seen: Seen) -> NDArray[np.uint8]:
         f"difference x {gain}\nlargest {difference.max():.3f} of 1",
     ]
     pictures = [_with_room(to_bytes(picture)) for picture in (first, second, gain * difference)]
-    return contact_sheet(pictures, ["\n".join(map(_shortened, text.split("\n"))) for text in captions], columns=3)
+    return contact_sheet(pictures, captions, columns=3)
 
 
 def difference_gain(difference: NDArray[np.float32]) -> int:
-    """The power of 2, at most MOST_GAIN, that differences of [0, 1] are multiplied by to be seen."""
+    """Return the power of 2, at most MOST_GAIN, that differences of [0, 1] are multiplied by to be seen."""
     large = float(np.quantile(difference, SHOWN))
     return MOST_GAIN if large * MOST_GAIN <= 1 else 2 ** max(0, math.floor(-math.log2(large)))
 
 
 def _with_room(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """A picture below a black band, its pixels as many times as wide as it needs."""
+    """Return a picture below a black band, its pixels repeated until it is LEAST_WIDTH wide."""
     times = math.ceil(LEAST_WIDTH / picture.shape[1])
     return np.pad(picture.repeat(times, axis=0).repeat(times, axis=1), ((LABEL, 0), (0, 0), (0, 0)))
-
-
-def _shortened(text: str) -> str:
-    return text if len(text) <= MOST_LETTERS else f"{text[: MOST_LETTERS - 12]}..{text[-10:]}"

@@ -17,10 +17,9 @@ from scipy.spatial import cKDTree
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.rows import AUTO, restore_rows
+from airgs_codec.coding.atlas import scale_codes
 from airgs_codec.coding.channels import LEAST_DRAWN, Canonical, frame_channels, key_channels, state_channels
-from airgs_codec.coding.quantize import scale_codes
-from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_segment, key_units
-from airgs_codec.decoder.states import decode_pictures, state_units
+from airgs_codec.decoder.decode import decode_canonical, decode_key, decode_pictures, decode_segment, key_units
 from airgs_codec.errors import ConfigError
 from airgs_codec.package.layout import STATE, Layout, key_layout
 from airgs_codec.package.package import OPENED, Package, open_package
@@ -53,7 +52,7 @@ def input_rows(
     *,
     level: str | int = "L0",
 ) -> Iterator[NDArray[np.int32]]:
-    """For each of the frames that `decode_frames` gives, (N,) which row of the original's frame every row is.
+    """Yield for each frame that `decode_frames` gives which row of the original's frame every row is, (N,).
 
     It is found by what the rows are, as `measure_errors` does; -1 where the original has no such row, or several
     would do. Raises ConfigError, FormatError, SceneError.
@@ -74,7 +73,7 @@ def input_rows(
 
 
 def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Measured]:
-    """Every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError.
+    """Yield the errors of every key atlas and every level of every group. Raises ConfigError, FormatError, SceneError.
 
     Rows of the sequence that lost their order are matched again as the encoder did.
     """
@@ -89,7 +88,7 @@ def measure_errors(package: Package, sequence: GaussianSequence) -> Iterator[Mea
 
 
 def _in_order(package: Package, sequence: GaussianSequence) -> GaussianSequence:
-    """The original as the encoder took it: from the package's origin, with rows in order. Raises ConfigError."""
+    """Return the original as the encoder took it, from the package's origin, rows in order. Raises ConfigError."""
     m = package.manifest
     if len(sequence) != m.frames or sequence.sh_degree < m.sh_degree:
         expected = f"{sequence.name_of(sequence.folder)}: expected {m.frames} frames of SH degree {m.sh_degree}"
@@ -99,13 +98,12 @@ def _in_order(package: Package, sequence: GaussianSequence) -> GaussianSequence:
 
 
 def _frames(package: Package, group: Group, sequence: GaussianSequence) -> list[Gaussians]:
-    """The frames of a group as the encoder took them."""
     frames = turn_least(sequence.load(range(group.start, group.stop))).frames
     return [frame.with_degree(package.manifest.sh_degree) for frame in frames]
 
 
 def _held(frames: list[Gaussians]) -> list[Gaussians]:
-    """Frames whose rows, where they are not drawn, are those that were drawn last, or will be first, but for alpha."""
+    """Return frames whose rows, where not drawn, are those last drawn, or first to be, but for alpha."""
     drawn = [g.opacities() >= LEAST_DRAWN for g in frames]
     held = frames[-1]
     for g, rows in zip(reversed(frames), reversed(drawn), strict=True):
@@ -120,7 +118,7 @@ def _held(frames: list[Gaussians]) -> list[Gaussians]:
 def _match(
     package: Package, index: int, group: Group, base: Canonical, frames: list[Gaussians]
 ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-    """(N,) original of every row; (N,) False where more rows have it than there are such originals."""
+    """Return the original of every row, (N,), and (N,) False where more rows have it than there are such originals."""
     m, frames = package.manifest, _held(frames)
     picks = sorted({0, len(frames) // 2, len(frames) - 1})
     decoded: list[Gaussians] = []
@@ -143,7 +141,7 @@ def _match(
 def _nearest(
     originals: NDArray[np.float64], found: NDArray[np.float64], promised: NDArray[np.float64]
 ) -> NDArray[np.intp]:
-    """(n,) original of each row found, (n, 19 F): of the NEAREST the first within what is promised, (n, 19)."""
+    """Return the original of each row found, (n, 19 F): of the NEAREST the first within what is promised, (n, 19)."""
     _, near = cKDTree(originals).query(found, range(1, 1 + min(NEAREST, len(originals))), workers=-1)
     allowed = np.tile(promised, originals.shape[1] // promised.shape[1])
     kept = np.stack([(np.abs(found - originals[rows]) <= allowed).all(1) for rows in near.T], axis=1)
@@ -151,7 +149,7 @@ def _nearest(
 
 
 def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
-    """(N, 19) what each feature may err by: of rows with states in the top level, of others in their key.
+    """Return what each feature may err by, (N, 19): of rows with states in the top level, of others in their key.
 
     Colours have it from all C channels; a key that is no difference promises nothing of means.
     """
@@ -172,7 +170,7 @@ def _promised(group: Group, base: Canonical) -> NDArray[np.float64]:
 
 
 def _features(frames: list[Gaussians], group: Group, scale: float) -> NDArray[np.float64]:
-    """(N, 19 F) in steps; of rotations matrices, which know no half turn and differ by sqrt(2) times small angles."""
+    """Return (N, 19 F) in steps; rotations as matrices: no half turns, they differ by sqrt(2) times small angles."""
     steps = group.state_steps
     each = []
     for g in frames:
@@ -221,9 +219,8 @@ def _states(
         sent = [s for s in m.segments_of(index) if m.state_files(s, j)]
         for s in sent:
             segment = m.segments[s]
-            frames, units = range(segment.stop - segment.start), state_units(package, s, j)
-            for t, state in enumerate(decode_pictures(package, s, j, frames)):
-                decoded = state.values(slice(None), units)
+            for t, state in enumerate(decode_pictures(package, s, j, range(segment.stop - segment.start))):
+                decoded = state.values(slice(None))
                 shown = [_shown(v, base, rows) for v in (values[segment.start - group.start + t][:, rows], decoded)]
                 worst = np.maximum(worst, np.abs(shown[0] - shown[1]))
         if sent:
@@ -232,7 +229,7 @@ def _states(
 
 
 def _shown(channels: NDArray[np.floating], base: Canonical, rows: NDArray[np.intp]) -> NDArray[np.floating]:
-    """(10 + C, n) state channels of some rows with the change of alpha that is shown, which leaves nothing below 0."""
+    """Return (10 + C, n) state channels of some rows with the change of alpha that is shown: no alpha is below 0."""
     out = channels.copy()
     out[STATE.slice("opacity")] = np.maximum(out[STATE.slice("opacity")], -base.opacity[rows])
     return out
@@ -248,7 +245,7 @@ def _measured(
 
 
 def format_errors(measured: list[Measured]) -> str:
-    """A line for each atlas: what was measured and what `max_error` promises, for each attribute."""
+    """Return a line for each atlas: what was measured and what `max_error` promises, for each attribute."""
     lines = ["largest error, measured / max_error, in the units of the channels (FORMAT.md, section 5):"]
     for where in dict.fromkeys(m.where for m in measured):
         same = [m for m in measured if m.where == where]

@@ -16,9 +16,8 @@ from airgs_codec.decoder.sound import decode_group
 from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.inspect.errors import Measured
 from airgs_codec.media.h264 import BRIGHTEST, DARKEST, check_segment, in_range, open_segment
-from airgs_codec.package.dash_check import check_mpd, check_shared, check_sound
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME, belongs, group_path
-from airgs_codec.package.mpd import still_files
+from airgs_codec.package.mpd import check_mpd, check_shared, check_sound, still_files
 from airgs_codec.package.package import Package, find_file, open_files, read_file
 from airgs_codec.package.parse import MAX_TABLE_BYTES
 from airgs_codec.package.tables import Atlas, file_entry
@@ -40,20 +39,16 @@ class Finding:
 
 
 def validate(path: str | Path) -> list[Finding]:
-    """Everything that is wrong with the package at `path`, a folder or an address, as `validate_files` finds it.
-
-    Raises TransportError where a store does not answer.
-    """
-    return validate_files(place_at(path))
-
-
-def validate_files(files: Place) -> list[Finding]:
-    """Everything that is wrong with the package of these files: an empty list for a good one.
+    """Return everything that is wrong with the package at a path or an address: an empty list for a good one.
 
     Checks the tables, the MPD against them, every file's length and digest, that there is no other file, and that every
     key tier and every segment of every level decodes to the promised pictures and to finite numbers. Never raises
     for a bad package; TransportError where a store does not answer.
     """
+    return validate_files(place_at(path))
+
+
+def validate_files(files: Place) -> list[Finding]:
     try:
         package = open_files(files)
     except FormatError as error:
@@ -71,7 +66,7 @@ def validate_files(files: Place) -> list[Finding]:
 
 
 def exceeded(measured: Iterable[Measured]) -> list[Finding]:
-    """Every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
+    """Return every `max_error` that a comparison with the original (`errors.measure_errors`) found too small."""
     return [
         Finding("bound_exceeded", m.where, f"{m.attribute}: max_error {m.bound:g}, measured {m.error:g}")
         for m in measured
@@ -84,7 +79,6 @@ def _finding(error: FormatError) -> Finding:
 
 
 def _attempt(where: str, work: Callable[[], object]) -> list[Finding]:
-    """The finding of a step that raises, or nothing."""
     try:
         work()
     except FormatError as error:
@@ -102,7 +96,7 @@ def _check_mpd(package: Package) -> None:
 
 
 def _check_tables(package: Package) -> Iterator[Finding]:
-    """Every page and the table of every group can be read, and the group that its keys are differences to fits."""
+    """Check that every page and group table can be read, and that the group its keys are differences to fits."""
     m = package.manifest
     for number in m.groups.places.sweep():
         if isinstance(number, FormatError):
@@ -128,7 +122,7 @@ def _check_files(package: Package) -> Iterator[Finding]:
 
 
 def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
-    """A file that is not listed, or a link, or what is neither; but not what a run that was killed may leave."""
+    """Find a file that is not listed, a link or neither; but not what a run that was killed may leave."""
     try:
         found = package.files.open(relative)
     except FormatError as error:
@@ -141,7 +135,7 @@ def _check_stranger(package: Package, relative: str) -> Iterator[Finding]:
 
 
 def _check_measures(package: Package) -> Iterator[Finding]:
-    """The H.264 bytes of the frames of a segment are no more than the file that holds them."""
+    """Check that the H.264 bytes of the frames of a segment are no more than the file that holds them."""
     for s, segment in enumerate(package.manifest.segments):
         for j, level in enumerate(segment.levels):
             if (total := sum(level.frame_bytes)) > level.file.bytes:

@@ -24,6 +24,15 @@ class Work:
         """Open the store at a place, where there is one. Raises ConfigError as `open_store` does."""
         return Work(executor, None if place is None else open_store(place), progress)
 
+    @property
+    def elsewhere(self) -> bool:
+        """Whether calls are done by others, or their results stored."""
+        return self.executor is not None or self.store is not None
+
+    def results(self, *what: Any) -> list[Any]:
+        """Give the results of `map` in the order of the calls."""
+        return [value for _, value in sorted(self.map(*what), key=lambda found: found[0])]
+
     def map(
         self,
         stage: str,
@@ -40,7 +49,8 @@ class Work:
         entries: list[str | None] = [None] * len(calls)
         if self.store and contents is not None:
             entries = [digest(function.__module__, function.__qualname__, version, content) for content in contents]
-        left, done = [], 0
+        left: list[int] = []
+        done = 0
         for place, entry in enumerate(entries):
             found = load(self.store, entry) if self.store and entry else None
             if found is None:

@@ -105,32 +105,25 @@ class CodecSettings:
     between: int = BETWEEN  # B-pictures in a row; 0: every GOP is one picture: nothing is referred to or reordered
 
     def options(self, size: tuple[int, int], rate: Fraction) -> dict[str, str]:
-        """AVOptions. AQ, psy and mb-tree off: every sample counts alike. Scene cuts off: `ClosedGop`s decide the IDRs.
+        """AVOptions for pictures of `size` (width, height), `rate` a second.
 
-        Deblocking off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
+        AQ, psy and mb-tree are off: every sample counts alike. Scene cuts are off: `ClosedGop`s decide the IDRs.
+        Deblocking is off: neighbours in a plane are near in space, not parts of a smooth picture (+0.1 dB on the fox).
         Nothing moves across a plane, so that a wide search for motion finds chance. States of the fox took 4 % fewer
         bytes at equal error with these searches, references and B-pictures than with the preset's.
-        x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that, the
-        `size` (width, height) and the `rate`. Where it would come to more than 5.1 it is told 5.1, which leaves as many
-        reference pictures as that allows.
+        x264 writes into the SPS how many pictures it reorders and refers to, and derives the level from that. Where it
+        would come to more than 5.1 it is told 5.1, which leaves as many reference pictures as that allows.
         """
+        references = _MOST_REFERENCES if self.between else 1
+        macroblocks = -(-size[0] // 16) * -(-size[1] // 16)
+        suits_level = macroblocks * references <= _LEVEL_BUFFER and macroblocks * rate <= _LEVEL_RATE
         params = (
             f"keyint=infinite:scenecut=0:open-gop=0:aq-mode=0:psy=0:mbtree=0:rc-lookahead=0:sync-lookahead=0:"
             f"no-deblock=1:ipratio=1:pbratio={self.pb_ratio}:fullrange=on:threads=1:b-adapt=0:me=dia:merange=4"
         )
         options = {"preset": self.preset, "qp": str(self.qp), "forced-idr": "1", "x264-params": params}
-        options |= {"refs": str(self._references), "bf": str(self.between)}
-        return options if self._suits_level(size, rate) else options | {"level": _LEVEL}
-
-    @property
-    def _references(self) -> int:
-        return _MOST_REFERENCES if self.between else 1
-
-    def _suits_level(self, size: tuple[int, int], rate: Fraction) -> bool:
-        """Whether x264 derives no higher level than 5.1, whatever the preset."""
-        macroblocks = -(-size[0] // 16) * -(-size[1] // 16)
-        held = macroblocks * self._references
-        return held <= _LEVEL_BUFFER and macroblocks * rate <= _LEVEL_RATE
+        options |= {"refs": str(references), "bf": str(self.between)}
+        return options if suits_level else options | {"level": _LEVEL}
 
 
 def key_codec(preset: str) -> CodecSettings:
@@ -154,12 +147,17 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
     front = read_samples(gop.slopes.fragment) if gop.slopes else ()
     number = len(front)
     try:
-        encoder = _Encoder(size, rate, settings)
-        for page in _cut(gop.pictures, size[1]):
-            for place, picture in enumerate(page):
-                coded += encoder.encode(picture, number, idr=place == 0)
+        encoder = _open_encoder(size, rate, settings)
+        lines = len(next(iter(gop.pictures)))
+        for top in range(0, lines, size[1]):
+            for place, picture in enumerate(gop.pictures):
+                frame = _frame(picture[top : top + size[1]])
+                frame.pts, frame.time_base = number, encoder.time_base
+                kinds = av.video.frame.PictureType
+                frame.pict_type = kinds.I if place == 0 else kinds.NONE
+                coded += map(_coded, encoder.encode(frame))
                 number += 1
-        coded += encoder.finish()
+        coded += map(_coded, encoder.encode(None))
     except av.FFmpegError as error:
         raise CodecError(f"H.264 encoder refused {size[0]}x{size[1]} pictures: {error}") from error
     if len(coded) != number - len(front):
@@ -174,47 +172,24 @@ def encode_gop(gop: ClosedGop, size: tuple[int, int], rate: Fraction, settings: 
     return CodedGop(media_segment(coded, gop.start, gop.ticks, len(front)), pages, frame_bytes, slopes=gop.slopes)
 
 
-def _cut(pictures: Iterable[NDArray[np.uint8]], height: int) -> Iterator[Iterator[NDArray[np.uint8]]]:
-    """The pages of pictures, `height` lines each: all pictures of the first page, then all of the next."""
-    lines = len(next(iter(pictures)))
-    for top in range(0, lines, height):
-        yield (picture[top : top + height] for picture in pictures)
+def _open_encoder(size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> av.VideoCodecContext:
+    """x264, whose time counts pictures."""
+    context = av.CodecContext.create("libx264", "w")
+    assert isinstance(context, av.VideoCodecContext)
+    context.width, context.height, context.pix_fmt = *size, "yuv420p"
+    context.color_range = FULL_RANGE
+    context.framerate, context.time_base = rate, 1 / rate
+    context.options = settings.options(size, rate)
+    context.thread_count = 1
+    return context
 
 
-class _Encoder:
-    """x264 at work; its time counts pictures."""
-
-    def __init__(self, size: tuple[int, int], rate: Fraction, settings: CodecSettings) -> None:
-        context = av.CodecContext.create("libx264", "w")
-        assert isinstance(context, av.VideoCodecContext)
-        context.width, context.height, context.pix_fmt = *size, "yuv420p"
-        context.color_range = FULL_RANGE
-        context.framerate, context.time_base = rate, 1 / rate
-        context.options = settings.options(size, rate)
-        context.thread_count = 1
-        self._context = context
-
-    def encode(self, picture: NDArray[np.uint8], number: int, idr: bool) -> list[CodedPicture]:
-        """Code an (H, W) picture that is the `number`-th shown; gives what is finished, in decoding order."""
-        frame = _frame(picture)
-        frame.pts, frame.time_base = number, self._context.time_base
-        kinds = av.video.frame.PictureType
-        frame.pict_type = kinds.I if idr else kinds.NONE
-        return self._coded(self._context.encode(frame))
-
-    def finish(self) -> list[CodedPicture]:
-        return self._coded(self._context.encode(None))
-
-    def _coded(self, packets: Iterable[av.Packet]) -> list[CodedPicture]:
-        out = []
-        for packet in packets:
-            if packet.pts is None:
-                raise CodecError("a packet has no presentation time")
-            units = [(unit[0] & 31, struct.pack(">I", len(unit)) + unit) for unit in units_without_sei(bytes(packet))]
-            data = b"".join(unit for _, unit in units)
-            size = sum(len(unit) for kind, unit in units if kind in _SLICES)
-            out.append(CodedPicture(data, packet.pts, size, any(kind == _IDR for kind, _ in units)))
-        return out
+def _coded(packet: av.Packet) -> CodedPicture:
+    if packet.pts is None:
+        raise CodecError("a packet has no presentation time")
+    units = [(unit[0] & 31, struct.pack(">I", len(unit)) + unit) for unit in units_without_sei(bytes(packet))]
+    size = sum(len(unit) for kind, unit in units if kind in _SLICES)
+    return CodedPicture(b"".join(unit for _, unit in units), packet.pts, size, any(kind == _IDR for kind, _ in units))
 
 
 def units_without_sei(stream: bytes) -> list[bytes]:
@@ -384,21 +359,20 @@ def check_gop(coded: CodedGop, gop: ClosedGop, settings: CodecSettings) -> Decod
     its QP; a whole step means that something else was decoded. Raises CodecError.
     """
     where = f"the segment at {gop.start} ticks"
-    squared, count = 0.0, 0
+    squared: list[float] = []
     largest, inside = np.zeros((1, 1), np.uint8), True
     checksums: list[list[int]] = []  # of the pages of each picture
     try:
         for picture, shown in zip(gop.pictures, coded.pictures(where), strict=True):
             checksums.append([crc32(page.data) for page in np.split(shown, coded.pages)])
             difference = np.maximum(picture, shown) - np.minimum(picture, shown)
-            squared += float(np.mean(np.square(difference, dtype=np.float32)))
+            squared.append(float(np.mean(np.square(difference, dtype=np.float32))))
             largest = np.maximum(largest, difference)
             inside = inside and in_range(shown)
-            count += 1
     except (ValueError, FormatError) as error:  # another number of pictures, or pictures of another size
         raise CodecError(f"{where} does not decode to the pictures it was made of: {error}") from error
-    if (squared / count) ** 0.5 > qp_step(settings.qp):
-        raise CodecError(f"{where} decodes {(squared / count) ** 0.5:.1f} levels off the pictures encoded")
+    if (error_levels := (sum(squared) / len(squared)) ** 0.5) > qp_step(settings.qp):
+        raise CodecError(f"{where} decodes {error_levels:.1f} levels off the pictures encoded")
     return DecodedGop(largest, inside, tuple(chain.from_iterable(zip(*checksums, strict=True))))
 
 

@@ -117,17 +117,11 @@ def _samples(picture: Image.Image) -> NDArray[np.uint8]:
     return np.asarray(picture.convert("RGBA" if picture.has_transparency_data else "RGB"))
 
 
-def decode_webp(data: bytes) -> NDArray[np.uint8]:
-    """(H, W, 4) samples of lossless WebP exactly as they are stored. Raises ValueError for what is broken."""
-    return _decode(data, "WEBP")
+def decode_rgba(data: bytes, form: str, most: float = np.inf) -> NDArray[np.uint8]:
+    """(H, W, 4) samples of a picture in Pillow's format `form`, of up to `most` pixels a side.
 
-
-def decode_jpeg(data: bytes, most: int) -> NDArray[np.uint8]:
-    """(H, W, 4) samples of a JPEG of up to `most` pixels a side. Raises ValueError for what is broken, or larger."""
-    return _decode(data, "JPEG", most)
-
-
-def _decode(data: bytes, form: str, most: float = np.inf) -> NDArray[np.uint8]:
+    Those of lossless WebP are exactly as they are stored. Raises ValueError for what is broken, or larger.
+    """
     try:
         with Image.open(io.BytesIO(data), formats=(form,)) as picture:
             if max(picture.size) > most:
@@ -168,8 +162,9 @@ def contact_sheet(
         for line, text in enumerate(caption.splitlines()):
             picture = label(picture, text, line)
         tiles.append(picture)
-    black = np.zeros_like(tiles[0]) if tiles else np.zeros(0, np.uint8)
-    tiles += [black] * (-len(tiles) % columns)
+    if not tiles:
+        raise ValueError("expected at least one picture")
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
     return np.concatenate([np.concatenate(tiles[i : i + columns], axis=1) for i in range(0, len(tiles), columns)])
 
 

@@ -24,6 +24,7 @@ MOST_COLOURS = 2048  # pixels whose colours are compared; all of 320x320 take tw
 _WINDOW = np.exp(-(np.arange(-5, 6) ** 2) / (2 * 1.5**2))  # Wang et al. 2004: 11x11, Gaussian
 _WINDOW = (_WINDOW / _WINDOW.sum()).astype(np.float32)
 _C1, _C2 = 0.01**2, 0.03**2  # same paper, K1 and K2 for a range of 1
+LOW = 0.05  # the quantile of pictures that stands beside their mean
 SMALL = 0.01  # change of a sample by which the metric of colours is taken, and what is black
 _LOADING = threading.Lock()  # filters of warnings and print options are those of all threads
 
@@ -120,7 +121,7 @@ class Quality:
     """How near some pictures are to what they should be."""
 
     psnr: float  # dB, of the mean squared error over pictures
-    worst: float  # dB, of the picture with the largest error
+    low: float  # dB: the quantile LOW of the PSNR of pictures
     ssim: float  # mean over pictures
     delta_e: float  # CIEDE2000, mean over pictures
 
@@ -128,9 +129,14 @@ class Quality:
 def pool(differences: Sequence[Difference]) -> Quality:
     """The quality of all of some pictures together, at least one: of those that show something, if any does."""
     differences = [d for d in differences if not d.blank] or differences
-    count, squared = len(differences), [d.mse for d in differences]
-    ssim, delta_e = (sum(getattr(d, name) for d in differences) / count for name in ("ssim", "delta_e"))
-    return Quality(psnr(sum(squared) / count), psnr(max(squared)), ssim, delta_e)
+    squared = [d.mse for d in differences]
+    ssim, delta_e = (float(np.mean([getattr(d, name) for d in differences])) for name in ("ssim", "delta_e"))
+    return Quality(psnr(float(np.mean(squared))), low_psnr(squared), ssim, delta_e)
+
+
+def low_psnr(squared: Sequence[float]) -> float:
+    """Find the quantile LOW of the PSNR, in dB, of pictures with these mean squared errors."""
+    return float(np.quantile([psnr(error) for error in squared], LOW))
 
 
 def mse(a: Floats, b: Floats) -> float:

@@ -1,27 +1,35 @@
-"""Ordinary films: camera videos that are read, and films that are written for people to watch. H x W pixels."""
+"""Films and sound by FFmpeg: videos of cameras, films that people watch, and sound as packets of Opus.
+
+H x W pixels, C channels of 48,000 samples a second. Packets last 20 ms. Packet k decodes to the samples from
+PACKET_TICKS * k - pre_skip on: Opus lags behind (RFC 7845).
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import av
 import numpy as np
-from av.container import OutputContainer
 from numpy.typing import NDArray
 
 from airgs_codec.errors import CodecError, SceneError
-from airgs_codec.media.mp4 import SOUND_RATE
-from airgs_codec.media.sound import LAYOUTS
-from airgs_codec.places.whole import atomic_path
+from airgs_codec.media.mp4 import PACKET_TICKS, SOUND_RATE, sound_init
+from airgs_codec.places.whole import atomic_path, expect_plain
 
 X264_OPTIONS = {"crf": "18", "preset": "medium"}  # nearly without visible loss
 MOST_OFF = 0.25  # frames that a picture may be beside an even rate before that is said
+LAYOUTS = {1: "mono", 2: "stereo"}  # by channels
+BITS_S = {1: 64_000, 2: 96_000}  # of the encoder of sound, by channels
+MOST_S = 21_600  # of a sound, most of which would be silence
+TOLERANCE_S = Fraction(1, 25)  # time stamps of sound are this rough; a larger gap is silence
 
 
 def write_movie(
@@ -29,49 +37,40 @@ def write_movie(
 ) -> None:
     """Write (H, W, 3) RGB frames as an H.264 film; an odd last row or column is cut off, as 4:2:0 asks.
 
-    `sound`: (n, C) samples, 48,000 a second, which go with them as AAC. The film is whole or not there. Raises
-    CodecError when there is no frame or it cannot be written.
+    `sound`: (n, C) samples, which go with them as AAC. The film is whole or not there. Raises CodecError when there is
+    no frame or it cannot be written.
     """
     try:
         with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
             stream = voice = None
+            heard = 0
             for number, picture in enumerate(frames, 1):
                 if stream is None:
                     stream = container.add_stream("libx264", rate=fps, options=X264_OPTIONS)
                     stream.height, stream.width = (side - side % 2 for side in picture.shape[:2])
                     stream.pix_fmt = "yuv420p"
-                    voice = None if sound is None else _Voice(container, sound)
+                    if sound is not None:
+                        voice = container.add_stream("aac", rate=SOUND_RATE, layout=LAYOUTS[sound.shape[1]])
                 even = np.ascontiguousarray(picture[: stream.height, : stream.width])
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(even, "rgb24")))
-                if voice:
-                    voice.go_on(round(number / fps * SOUND_RATE))
+                if voice and sound is not None and len(part := sound[heard : round(number / fps * SOUND_RATE)]):
+                    container.mux(voice.encode(_audio_frame(part, heard)))
+                    heard += len(part)
             if stream is None:
                 raise CodecError(f"{path}: expected at least one frame")
             container.mux(stream.encode(None))
             if voice:
-                voice.end()
+                container.mux(voice.encode(None))
     except (av.FFmpegError, OSError) as error:
         raise CodecError(f"{path}: cannot write the film: {error}") from error
 
 
-class _Voice:
-    """The sound of a film on its way, beside the pictures of its time."""
-
-    def __init__(self, container: OutputContainer, samples: NDArray[np.int16]) -> None:
-        self._container, self._samples, self._given = container, samples, 0
-        self._stream = container.add_stream("aac", rate=SOUND_RATE, layout=LAYOUTS[samples.shape[1]])
-
-    def go_on(self, stop: int) -> None:
-        part = np.ascontiguousarray(self._samples[self._given : stop])
-        if not len(part):
-            return
-        frame = av.AudioFrame.from_ndarray(part.reshape(1, -1), "s16", LAYOUTS[part.shape[1]])
-        frame.sample_rate, frame.pts = SOUND_RATE, self._given
-        self._given += len(part)
-        self._container.mux(self._stream.encode(frame))
-
-    def end(self) -> None:
-        self._container.mux(self._stream.encode(None))
+def _audio_frame(samples: NDArray[np.int16], at: int) -> av.AudioFrame:
+    """(n, C) samples, the first of which is the number `at`."""
+    channels = samples.shape[1]
+    frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(samples).reshape(1, -1), "s16", LAYOUTS[channels])
+    frame.sample_rate, frame.pts = SOUND_RATE, at
+    return frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,30 +179,26 @@ class VideoReader:
         Raises SceneError when the video ends before it, cannot be decoded, or has a picture of another size.
         """
         with self._reading:
-            return self._read(number)
-
-    def _read(self, number: int) -> NDArray[np.uint8]:
-        if number == self._next - 1 and self._last is not None:
+            if number == self._next - 1 and self._last is not None:
+                return self._last
+            if number < self._next:
+                self._container.close()
+                self._open()
+            try:
+                while self._next <= number:
+                    frame = next(self._decoded)
+                    if (found := (frame.width, frame.height)) != self._stored:
+                        expected, got = (f"{width}x{height}" for width, height in (self._stored, found))
+                        raise SceneError(f"{self._path}: expected frames of {expected}, got {got} at {self._next}")
+                    self._next += 1
+            except StopIteration:
+                raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
+            except av.FFmpegError as error:
+                raise SceneError(f"{self._path}: cannot decode frame {self._next}: {error}") from error
+            if self._stamps and frame.pts != self._stamps[number]:
+                raise SceneError(f"{self._path}: expected frame {number}, it or one before cannot be decoded")
+            self._last = self._upright(frame)
             return self._last
-        if number < self._next:
-            self._container.close()
-            self._open()
-        try:
-            while True:
-                frame = next(self._decoded)
-                if (found := (frame.width, frame.height)) != self._stored:
-                    expected, got = (f"{width}x{height}" for width, height in (self._stored, found))
-                    raise SceneError(f"{self._path}: expected frames of {expected}, got {got} at {self._next}")
-                self._next += 1
-                if self._next > number:
-                    if self._stamps and frame.pts != self._stamps[number]:
-                        raise SceneError(f"{self._path}: expected frame {number}, it or one before cannot be decoded")
-                    self._last = self._upright(frame)
-                    return self._last
-        except StopIteration:
-            raise SceneError(f"{self._path}: expected frame {number}, the video ends after {self._next}") from None
-        except av.FFmpegError as error:
-            raise SceneError(f"{self._path}: cannot decode frame {self._next}: {error}") from error
 
     def close(self) -> None:
         self._container.close()
@@ -236,3 +231,120 @@ def _turn(frame: av.VideoFrame) -> NDArray[np.intp]:
     data: Any = frame.side_data.get("DISPLAYMATRIX")
     matrix = np.eye(3) if data is None else np.frombuffer(bytes(data), np.int32).reshape(3, 3)
     return np.sign(matrix[:2, :2]).astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class SoundTrack:
+    """Packets of Opus as long as a sequence."""
+
+    packets: tuple[bytes, ...]
+    channels: int
+    pre_skip: int  # samples
+    note: str  # on its length, for people; empty where it fits
+
+    @property
+    def init(self) -> bytes:
+        return sound_init(self.channels, self.pre_skip)
+
+
+def encode_sound(path: Path, seconds: Fraction) -> SoundTrack:
+    """The first sound of a file, as long as a sequence of so many seconds: cut at its end, or silent from its own on.
+
+    Raises SceneError for a file without sound, one that cannot be read, and a sequence longer than MOST_S, CodecError
+    when the encoder fails.
+    """
+    if seconds > MOST_S:
+        raise SceneError(f"{path}: expected at most {MOST_S} s of pictures beside sound, got {float(seconds):.0f}")
+    count = math.ceil(seconds * SOUND_RATE / PACKET_TICKS)
+    samples, end = _read_sound(path, count * PACKET_TICKS)
+    channels, note = samples.shape[1], ""
+    if end - len(samples) > TOLERANCE_S * SOUND_RATE:
+        note = f"cut after {float(seconds):.2f} s, where the pictures end"
+    elif end < (seconds - TOLERANCE_S) * SOUND_RATE:
+        note = f"silent after {end / SOUND_RATE:.2f} of {float(seconds):.2f} s"
+    encoder = _opus("w", channels)
+    encoder.bit_rate, encoder.format = BITS_S[channels], "s16"
+    packets: list[bytes] = []
+    try:
+        for at in range(0, len(samples), SOUND_RATE):
+            packets += map(bytes, encoder.encode(_audio_frame(samples[at : at + SOUND_RATE], at)))
+        packets += map(bytes, encoder.encode(None))
+    except av.FFmpegError as error:
+        raise CodecError(f"{path}: cannot encode the sound: {error}") from error
+    pre_skip = int.from_bytes((encoder.extradata or b"")[10:12], "little")  # of OpusHead
+    return SoundTrack(tuple(packets[:count]), channels, pre_skip, note)
+
+
+def decode_sound(packets: Iterable[bytes], channels: int) -> NDArray[np.int16]:
+    """(n, C) samples of packets, PACKET_TICKS of each; the first WARM_UP are not right where others came before.
+
+    Raises CodecError.
+    """
+    decoder = _opus("r", channels)
+    parts = [np.zeros((0, channels), np.int16)]
+    try:
+        for packet in packets:
+            parts += [_samples(frame, channels) for frame in decoder.decode(av.Packet(packet))]
+    except av.FFmpegError as error:
+        raise CodecError(f"a packet of sound cannot be decoded: {error}") from error
+    return np.concatenate(parts)
+
+
+def _samples(frame: av.AudioFrame, channels: int) -> NDArray[np.int16]:
+    """(n, C) samples of a frame of 16 bits."""
+    return np.asarray(frame.to_ndarray(), np.int16).reshape(-1, channels)
+
+
+def _opus(mode: Literal["r", "w"], channels: int) -> av.AudioCodecContext:
+    coder = av.CodecContext.create("libopus", mode)
+    assert isinstance(coder, av.AudioCodecContext)
+    coder.sample_rate, coder.layout = SOUND_RATE, LAYOUTS[channels]
+    return coder
+
+
+def _read_sound(path: Path, count: int) -> tuple[NDArray[np.int16], int]:
+    """(count, C) samples of a file from its beginning on, silence where it has none, and where its own end.
+
+    What comes more than TOLERANCE_S later is not read. Raises SceneError.
+    """
+    try:
+        expect_plain(path)
+        container = av.open(str(path), "r")
+    except (av.FFmpegError, OSError) as error:
+        raise SceneError(f"{path}: expected a file with sound: {error}") from error
+    with container:
+        if not container.streams.audio:
+            raise SceneError(f"{path}: expected a file with sound, got one without")
+        stream = container.streams.audio[0]
+        channels = min(2, stream.codec_context.layout.nb_channels)
+        if not channels:
+            raise SceneError(f"{path}: expected a file with sound, got a track of no channels")
+        samples, end = np.zeros((count, channels), np.int16), 0
+        try:
+            for at, part in _placed(container, stream, channels):
+                end = max(end, at + len(part))
+                part = part[max(0, -at) :][: max(0, count - max(0, at))]
+                samples[max(0, at) :][: len(part)] = part
+                if end - count > TOLERANCE_S * SOUND_RATE:
+                    break
+        except av.FFmpegError as error:
+            raise SceneError(f"{path}: cannot decode the sound: {error}") from error
+    return samples, end
+
+
+def _placed(
+    container: av.container.InputContainer, stream: av.AudioStream, channels: int
+) -> Iterator[tuple[int, NDArray[np.int16]]]:
+    """Samples with their places in the file, counted from where all of its streams begin."""
+    resampler = av.AudioResampler("s16", LAYOUTS[channels], SOUND_RATE)
+    begins = Fraction(container.start_time or 0, av.time_base)
+    at: int | None = None
+    for frame in itertools.chain(container.decode(stream), [None]):
+        if frame and frame.pts is not None and frame.time_base:
+            stamp = round((frame.pts * frame.time_base - begins) * SOUND_RATE)
+            if stamp - (at or 0) > TOLERANCE_S * SOUND_RATE or (at is None and stamp < 0):
+                at = stamp
+        for part in resampler.resample(frame):
+            samples = _samples(part, channels)
+            yield at or 0, samples
+            at = (at or 0) + len(samples)

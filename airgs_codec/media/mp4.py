@@ -11,7 +11,7 @@ from __future__ import annotations
 import base64
 import struct
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from airgs_codec.errors import CodecError
@@ -22,7 +22,7 @@ HEADER = 8  # bytes of size and type
 OWN = uuid.uuid5(uuid.NAMESPACE_URL, "urn:airgs:media").bytes  # of the uuid box with checksums and a column file
 # Flags of a trun box, 8.8.8: which fields it has; those from 0x100 on are repeated for every sample.
 DATA_OFFSET, FIRST_SAMPLE_FLAGS, DURATION, SIZE, COMPOSITION_OFFSET = 0x1, 0x4, 0x100, 0x200, 0x800
-# Flags of a tfhd box, 8.8.7.
+# Flags of a tfhd box, 8.8.7, as the browser player reads it.
 BASE_DATA_OFFSET, DESCRIPTION_INDEX, DEFAULT_DURATION, DEFAULT_SIZE = 0x1, 0x2, 0x8, 0x10
 PROFILE, CONSTRAINTS, LEVEL = 100, 0, 51  # High at 5.1: the most that a picture of a package may ask for
 CODECS = f"avc3.{PROFILE:02X}{CONSTRAINTS:02X}{LEVEL:02X}"  # RFC 6381
@@ -31,7 +31,7 @@ SOUND_RATE = 48_000  # samples, and ticks, a second
 PACKET_TICKS = 960  # 20 ms
 WARM_UP = 4  # packets that a decoder of Opus needs before the first one that is right
 _DEFAULT_BASE_IS_MOOF = 0x020000  # flags of tfhd
-_DURATION_AND_FLAGS = 0x8 | 0x20  # of tfhd: defaults of all samples
+_DURATION_AND_FLAGS = DEFAULT_DURATION | 0x20  # of tfhd: defaults of all samples
 _SYNC, _OTHER = 0x02000000, 0x01010000  # sample flags: depends on nothing; depends on others and is no sync sample
 _GREY = base64.b64decode(  # an IDR picture of 64x64 grey samples with its parameter sets: a sample of a track of H.264
     "AAAAF2dkAAqstCE02QAAAwABAAADADwPEiagAAAABWjvAzywAAAAGGWIhK/+9dnjxcMJ25ojZkJMaU8x1QMnGw=="
@@ -85,13 +85,26 @@ def read_samples(fragment: bytes) -> tuple[bytes, ...]:
     boxes = read_boxes(fragment)
     if (kinds := [kind for kind, _ in boxes]) != [b"moof", b"mdat"]:
         raise CodecError(f"expected one moof and one mdat, got {kinds[:8]}")
-    return tuple(_samples(boxes[0][1], boxes[1][1][HEADER:]))
+    moof, payload = boxes[0][1], boxes[1][1][HEADER:]
+    run = _inside(moof, b"traf", b"trun")
+    flags, count, offset = _unpack(">IIi", run, 0)
+    if not flags & DATA_OFFSET or not flags & SIZE or offset != len(moof) + HEADER:
+        raise CodecError("the samples do not follow the moof, or have no sizes")
+    stride = 4 * (flags >> 8 & 0xF).bit_count()
+    first = 12 + 4 * bool(flags & FIRST_SAMPLE_FLAGS) + 4 * bool(flags & DURATION)
+    samples, at = [], 0
+    for number in range(count):
+        size = _unpack(">I", run, first + number * stride)[0]
+        if not 0 < size <= len(payload) - at:
+            raise CodecError(f"sample {number} of {size} bytes at {at} of {len(payload)}")
+        samples.append(payload[at : at + size])
+        at += size
+    return tuple(samples)
 
 
 def read_start(fragment: bytes) -> int:
     """When the first sample of a moof is decoded, ticks. Raises CodecError as `read_segment` does."""
-    moof = read_boxes(fragment)[0][1]
-    return int(_unpack(">Q", _child(_child(moof[HEADER:], b"traf")[HEADER:], b"tfdt"), 12)[0])
+    return int(_unpack(">Q", _inside(read_boxes(fragment)[0][1], b"traf", b"tfdt"), 4)[0])
 
 
 def units_of(sample: bytes) -> list[bytes]:
@@ -129,44 +142,14 @@ def check_boxes(expected: bytes, got: bytes, inside: str = "the file") -> None:
             raise CodecError(f"box {name}, byte {at}: expected {wanted}, got {number}")
 
 
-def _samples(moof: bytes, payload: bytes) -> Iterator[bytes]:
-    """The samples that a moof finds in the payload of the mdat behind it."""
-    fragment = _child(moof[HEADER:], b"traf")[HEADER:]
-    at = 0
-    for number, size in enumerate(_sample_sizes(fragment, len(moof) + HEADER)):
-        if not 0 < size <= len(payload) - at:
-            raise CodecError(f"sample {number} of {size} bytes at {at} of {len(payload)}")
-        yield payload[at : at + size]
-        at += size
-
-
-def _sample_sizes(fragment: bytes, payload_offset: int) -> Iterator[int]:
-    """Bytes of each sample of a track fragment; the first must begin `payload_offset` bytes after the moof begins."""
-    default = _default_sample_size(_child(fragment, b"tfhd"))
-    run = _child(fragment, b"trun")
-    flags, count, offset = _unpack(">IIi", run, 8)
-    if not flags & DATA_OFFSET or offset != payload_offset:
-        raise CodecError("the samples do not follow the moof")
-    stride = 4 * (flags >> 8 & 0xF).bit_count()
-    first = 20 + 4 * bool(flags & FIRST_SAMPLE_FLAGS) + 4 * bool(flags & DURATION)
-    for number in range(count):
-        yield _unpack(">I", run, first + number * stride)[0] if flags & SIZE else default
-
-
-def _default_sample_size(header: bytes) -> int:
-    """The default sample size of a tfhd box; 0 when it has none."""
-    flags = _unpack(">I", header, 8)[0]
-    at = 16 + 8 * bool(flags & BASE_DATA_OFFSET) + 4 * bool(flags & DESCRIPTION_INDEX)
-    at += 4 * bool(flags & DEFAULT_DURATION)
-    return int(_unpack(">I", header, at)[0]) if flags & DEFAULT_SIZE else 0
-
-
-def _child(data: bytes, kind: bytes) -> bytes:
-    """The first box of this type in `data`. Raises CodecError when there is none."""
-    for found, whole in read_boxes(data):
-        if found == kind:
-            return whole
-    raise CodecError(f"expected a box {kind.decode()}, got none")
+def _inside(whole: bytes, *kinds: bytes) -> bytes:
+    """The content of a box in a box, each the first of its type. Raises CodecError when there is none."""
+    for kind in kinds:
+        boxes = [box for found, box in read_boxes(whole[HEADER:]) if found == kind]
+        if not boxes:
+            raise CodecError(f"expected a box {kind.decode()}, got none")
+        whole = boxes[0]
+    return whole[HEADER:]
 
 
 def _unpack(form: str, data: bytes, at: int) -> tuple:
@@ -179,7 +162,11 @@ def _unpack(form: str, data: bytes, at: int) -> tuple:
 def init_segment(timescale: int, width: int, height: int) -> bytes:
     """ftyp and moov of a track without samples; `timescale` ticks a second, pictures of about this size."""
     size = struct.pack(">2I", width << 16, height << 16)
-    media = _handler(b"vide"), full_box(b"vmhd", 1, bytes(8)), _sample_entry(width, height), b""
+    record = bytes([1, PROFILE, CONSTRAINTS, LEVEL, 0xFF, 0xE0, 0, 0xFD, 0xF8, 0xF8, 0])  # no sets; 4:2:0 of 8 bits
+    colour = box(b"colr", b"nclx", struct.pack(">3HB", 2, 2, 2, 0x80))  # unspecified but for the full range
+    entry = bytes(6) + struct.pack(">H", 1) + bytes(16) + struct.pack(">2H", width, height)
+    entry += struct.pack(">3IH", 0x480000, 0x480000, 0, 1) + bytes(32) + struct.pack(">Hh", 24, -1)
+    media = _handler(b"vide"), full_box(b"vmhd", 1, bytes(8)), box(b"avc3", entry, box(b"avcC", record), colour), b""
     return _init(timescale, bytes(16) + _UNITY + size, b"", media)
 
 
@@ -194,12 +181,10 @@ def sound_init(channels: int, pre_skip: int) -> bytes:
     return _init(SOUND_RATE, header, edit, media)
 
 
-_PLAYBACK = struct.pack(">IH", 0x10000, 0x100) + bytes(10)  # rate 1, volume 1
-
-
 def _init(timescale: int, header: bytes, edit: bytes, media: tuple[bytes, bytes, bytes, bytes]) -> bytes:
     """ftyp and moov of a track; `header`: the end of its tkhd; `media`: hdlr, media header, sample entry, groups."""
     handler, kind, entry, groups = media
+    playback = struct.pack(">IH", 0x10000, 0x100) + bytes(10)  # rate 1, volume 1
     empty = [full_box(name, 0, _word(0)) for name in (b"stts", b"stsc", b"stco")]
     table = box(b"stbl", full_box(b"stsd", 0, _word(1), entry), *empty, full_box(b"stsz", 0, bytes(8)), groups)
     data = box(b"dinf", full_box(b"dref", 0, _word(1), full_box(b"url ", 1)))
@@ -207,7 +192,7 @@ def _init(timescale: int, header: bytes, edit: bytes, media: tuple[bytes, bytes,
     track = box(b"mdia", clock, handler, box(b"minf", kind, data, table))
     return box(b"ftyp", b"iso6", struct.pack(">I", 0), b"iso6", b"cmfc", b"dash") + box(
         b"moov",
-        full_box(b"mvhd", 0, struct.pack(">4I", 0, 0, timescale, 0), _PLAYBACK, _UNITY, bytes(24), _word(2)),
+        full_box(b"mvhd", 0, struct.pack(">4I", 0, 0, timescale, 0), playback, _UNITY, bytes(24), _word(2)),
         box(b"trak", full_box(b"tkhd", 3, struct.pack(">5I", 0, 0, 1, 0, 0), header), edit, track),
         box(b"mvex", full_box(b"trex", 0, struct.pack(">5I", 1, 1, 0, 0, 0))),
     )
@@ -215,14 +200,6 @@ def _init(timescale: int, header: bytes, edit: bytes, media: tuple[bytes, bytes,
 
 def _handler(kind: bytes) -> bytes:
     return full_box(b"hdlr", 0, bytes(4), kind, bytes(12), b"\0")
-
-
-def _sample_entry(width: int, height: int) -> bytes:
-    record = bytes([1, PROFILE, CONSTRAINTS, LEVEL, 0xFF, 0xE0, 0, 0xFD, 0xF8, 0xF8, 0])  # no sets; 4:2:0 of 8 bits
-    colour = box(b"colr", b"nclx", struct.pack(">3HB", 2, 2, 2, 0x80))  # unspecified but for the full range
-    entry = bytes(6) + struct.pack(">H", 1) + bytes(16) + struct.pack(">2H", width, height)
-    entry += struct.pack(">3IH", 0x480000, 0x480000, 0, 1) + bytes(32) + struct.pack(">Hh", 24, -1)
-    return box(b"avc3", entry, box(b"avcC", record), colour)
 
 
 def media_segment(pictures: Sequence[CodedPicture], start: int, ticks: int, slopes: int = 0) -> bytes:

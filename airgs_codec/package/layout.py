@@ -1,6 +1,7 @@
 """How a package is laid out: its files by their paths, and the channels of its key and state atlases.
 
-FORMAT.md, sections 2 and 5. Numbers in paths count from 1. A channel is one scalar of an attribute and, where it
+FORMAT.md, sections 2 and 5. Numbers in paths, and levels of the index, count from 1; that of a media file may be the
+placeholder of a template. A channel is one scalar of an attribute and, where it
 varies, one plane of an atlas. The channels of an attribute follow each other; colour comes last, since only its width,
 C channels, depends on the scene. This is the one place that knows their order, steps and units.
 """
@@ -43,8 +44,6 @@ PATTERNS = {  # how a path is built -> what `locate` calls it
     rf"group/{_NUMBER}\.json\.gz": "group",
     rf"index/([1-9])/{_NUMBER}\.json": "page",
 }
-
-
 RETAINED = 1 << 14  # paths whose place is known: more than a session looks at again and again
 
 
@@ -60,15 +59,9 @@ class FileKind(StrEnum):
     MANIFESTS = "manifests"  # airgs.json, the MPD, pages of the index and tables of groups
 
 
-@lru_cache(RETAINED)
-def file_kind(path: str) -> FileKind:
-    """Return what a file carries, by its place in the package."""
-    if path in (INIT_NAME, SOUND_INIT_NAME, POSTER_NAME):
-        return FileKind.POSTER if path == POSTER_NAME else FileKind.INIT
-    folder = path.split("/")[0]
-    if folder not in ("key", "state", "sound"):
-        return FileKind.MANIFESTS
-    return FileKind.SIDECARS if path.endswith(".bin") else FileKind(folder)
+_FIXED = dict.fromkeys(ROOTS, FileKind.MANIFESTS) | {POSTER_NAME: FileKind.POSTER}
+_FIXED |= dict.fromkeys((INIT_NAME, SOUND_INIT_NAME), FileKind.INIT)
+_LOCATED = {"sidecar": FileKind.SIDECARS, "key": FileKind.KEY, "state": FileKind.STATE, "sound": FileKind.SOUND}
 
 
 @lru_cache(RETAINED)
@@ -80,28 +73,28 @@ def locate(path: str) -> tuple[str, tuple[int, ...]]:
     return "", ()
 
 
+def file_kind(path: str) -> FileKind:
+    """Return what a file carries, by its place in the package."""
+    return _FIXED.get(path) or _LOCATED.get(locate(path)[0], FileKind.MANIFESTS)
+
+
 def belongs(path: str) -> bool:
-    """Whether a file of a package can have this path."""
-    return path in (JSON_NAME, MPD_NAME, INIT_NAME, SOUND_INIT_NAME, POSTER_NAME) or locate(path)[0] != ""
+    return path in _FIXED or locate(path)[0] != ""
 
 
 def key_sidecar_path(tier: int, number: int) -> str:
-    """Sidecar of a key tier, the same for all its qualities."""
     return f"key/T{tier}/{number}.bin"
 
 
 def key_media_path(tier: int, quality: int, number: int | str) -> str:
-    """Picture of a key tier with its detail; `number` may be the placeholder of a template."""
     return f"key/T{tier}/Q{quality}/{number}.m4s"
 
 
 def state_media_path(level: int, number: int | str) -> str:
-    """Pictures of a state segment with its escapes; `number` may be the placeholder of a template."""
     return f"state/L{level}/{number}.m4s"
 
 
 def sound_path(number: int | str) -> str:
-    """Sound of a group; `number` may be the placeholder of a template."""
     return f"sound/{number}.m4a"
 
 
@@ -110,7 +103,6 @@ def group_path(number: int) -> str:
 
 
 def page_path(level: int, number: int) -> str:
-    """Page of the index; the level counts from 1 as well."""
     return f"index/{level}/{number}.json"
 
 
@@ -119,7 +111,7 @@ COLOUR = "colour"
 
 @dataclass(frozen=True, slots=True)
 class ChannelRun:
-    """The channels of one attribute of fixed width."""
+    """The channels of one attribute of fixed width. `coding.channels` makes them and puts them back."""
 
     attribute: str  # the field of KeySteps or StateSteps that holds its quantiser step
     axes: tuple[str, ...]  # one name a channel
@@ -138,51 +130,36 @@ class Layout:
         """Attributes in channel order, colour last: the order of `Atlas.max_error`."""
         return (*(run.attribute for run in self.runs), COLOUR)
 
-    @property
-    def colour_start(self) -> int:
-        """Index of the first colour channel."""
-        return sum(len(run.axes) for run in self.runs)
+    def names(self, colours: int) -> list[str]:
+        """The attribute of each channel, `colours` of which are of colour."""
+        return [run.attribute for run in self.runs for _ in run.axes] + [COLOUR] * colours
 
     def width(self, colours: int) -> int:
-        """Channels in all, of which `colours` are of colour."""
-        return self.colour_start + colours
+        return len(self.names(colours))
 
     def slice(self, attribute: str) -> slice:
-        """Where the channels of an attribute are. Raises KeyError for an attribute this kind of atlas has not."""
-        start = 0
-        for run in self.runs:
-            if run.attribute == attribute:
-                return slice(start, start + len(run.axes))
-            start += len(run.axes)
-        if attribute != COLOUR:
-            raise KeyError(attribute)
-        return slice(start, None)
+        """Where the channels of an attribute are. Raises ValueError for an attribute this kind of atlas has not."""
+        names = self.names(1)
+        start = names.index(attribute)
+        return slice(start, None if attribute == COLOUR else start + names.count(attribute))
 
     def attribute_index(self, channels: int) -> NDArray[np.intp]:
         """(channels,) place of each channel's attribute in `attributes`."""
-        widths = [len(run.axes) for run in self.runs]
-        return np.repeat(np.arange(len(widths) + 1), [*widths, channels - sum(widths)])
-
-    def attribute_of(self, channel: int) -> str:
-        """The attribute that a channel belongs to."""
-        return self.attributes[int(self.attribute_index(max(channel + 1, self.colour_start))[channel])]
+        return np.array([self.attributes.index(name) for name in self.names(channels)[:channels]])
 
     def steps(self, steps: KeySteps | StateSteps, colours: int) -> NDArray[np.float64]:
         """(channels,) quantiser step of each channel at factor 1; colour channels count in steps already."""
-        fixed = [getattr(steps, run.attribute) for run in self.runs for _ in run.axes]
-        return np.array(fixed + [1.0] * colours)
+        return np.array([1.0 if name == COLOUR else getattr(steps, name) for name in self.names(colours)])
 
 
 _XYZ = ("x", "y", "z")
-KEY = Layout(
-    "key",
-    (
-        ChannelRun("log_scales", _XYZ, "ln(world units)"),
-        ChannelRun("quaternions", _XYZ, "radians"),
-        ChannelRun("opacity", ("alpha",), "of [0, 1]"),
-    ),
+_RUNS = (
+    ChannelRun("means", _XYZ, "motion units"),
+    ChannelRun("log_scales", _XYZ, "ln(world units)"),
+    ChannelRun("quaternions", _XYZ, "radians"),
+    ChannelRun("opacity", ("alpha",), "of [0, 1]"),
 )
-STATE = Layout("state", (ChannelRun("means", _XYZ, "motion units"), *KEY.runs))
+KEY, STATE = Layout("key", _RUNS[1:]), Layout("state", _RUNS)  # canonical means travel in the sidecar
 
 
 def key_layout(group: Group) -> Layout:

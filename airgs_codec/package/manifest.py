@@ -1,34 +1,190 @@
-"""A package's tables as one value: the root and its groups, whose tables are read when they are asked for.
+"""A package's tables as one value: the root and its groups, found by its index and read when they are asked for.
 
 Groups, segments, key tiers, qualities and levels are counted from 0; groups and segments in paths from 1.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import partial
-from typing import Any, overload
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from itertools import accumulate
+from typing import Literal, overload
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import Entry, GroupIndex, ReadPage
-from airgs_codec.package.layout import (
-    INIT_NAME,
-    POSTER_NAME,
-    SOUND_INIT_NAME,
-    group_path,
-    key_media_path,
-    key_sidecar_path,
-    locate,
-    sound_path,
-    state_media_path,
-)
-from airgs_codec.package.parse import build_index, pack_group
-from airgs_codec.package.references import check_base
-from airgs_codec.package.tables import FileEntry, Group, Header, RungQuality, Segment, Spans
+from airgs_codec.package import layout
+from airgs_codec.package.layout import group_path, page_path
+from airgs_codec.package.parse import check_base, pack_group, pack_json
+from airgs_codec.package.tables import PAGE, Entry, FileEntry, Group, Header, RungQuality, Segment, Spans, file_entry
 
 KEPT = 1024  # tables of groups
+EMPTY = Spans([], [], [], "")
+Count = Literal["groups", "frames", "segments"]
+ReadPage = Callable[[str, Entry], Spans]  # path and what is said of a page -> the page
+
+
+def count_groups(index: Sequence[Spans]) -> int:
+    return sum(len(spans) * PAGE**level for level, spans in enumerate(index))
+
+
+def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
+    """The index of groups whose tables are these bytes, and its pages by their paths."""
+    index: list[Spans] = []
+    pages: dict[str, Spans] = {}
+    for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
+        index, filled = extend_index(index, number, group, table)
+        pages |= filled
+    return index, pages
+
+
+def extend_index(
+    index: Sequence[Spans], number: int, group: Group, table: bytes
+) -> tuple[list[Spans], dict[str, Spans]]:
+    """The index with one more group, counted from 0, whose table is these bytes, and the pages that it has filled.
+
+    As with the digits of a number in base PAGE: a level that would have PAGE entries has none, and the one above has
+    one more, which is the page that they stand on.
+    """
+    frames, segments, file = group.stop - group.start, len(group.segments), file_entry(table)
+    pages: dict[str, Spans] = {}
+    for level, s in enumerate([*index, EMPTY]):
+        full = Spans([*s.frames, frames], [*s.segments, segments], [*s.bytes, file.bytes], s.sha256 + file.sha256)
+        if len(full) < PAGE:
+            return [*[EMPTY] * level, full, *index[level + 1 :]], pages
+        pages[page_path(level + 1, (number + 1) // PAGE ** (level + 1))] = full
+        frames, segments, file = sum(full.frames), sum(full.segments), file_entry(pack_json(full))
+    raise AssertionError("the level above all others has one entry")
+
+
+class _Block:
+    """Parts that follow each other: those of a level in the root, or those on a page. `level` 0: they are groups."""
+
+    def __init__(self, spans: Spans, level: int, group: int, frame: int, segment: int) -> None:
+        """The last three are where the first part begins."""
+        self.level, self.spans = level, spans
+        self.groups = range(group, group + PAGE**level * len(spans), PAGE**level)
+        self.frames = list(accumulate(spans.frames, initial=frame))[:-1]
+        self.segments = list(accumulate(spans.segments, initial=segment))[:-1]
+
+    def place(self, count: Count, number: int) -> int:
+        """The place of the last part that begins at a group, frame or segment or before; -1 where all are later."""
+        return bisect_right(getattr(self, count), number) - 1
+
+    def path(self, place: int) -> str:
+        return page_path(self.level, self.groups[place] // PAGE**self.level + 1)
+
+    def entry(self, place: int) -> Entry:
+        start, spans = self.frames[place], self.spans
+        return Entry(start, start + spans.frames[place], self.segments[place], spans.segments[place], spans.file(place))
+
+
+class GroupIndex:
+    """Finds groups by descending from the root. `read_page` gives the page at a path; each is asked for once.
+
+    What is asked for may raise what `read_page` raises, and IndexError for what is outside the sequence.
+    """
+
+    def __init__(self, index: Sequence[Spans], read_page: ReadPage) -> None:
+        self._read_page = read_page
+        self._pages: dict[str, _Block] = {}
+        self._top: list[_Block] = []  # those of the root, the last groups first
+        self.groups = self.frames = self.segments = 0
+        for level in reversed(range(len(index))):
+            spans = index[level]
+            self._top.insert(0, _Block(spans, level, self.groups, self.frames, self.segments))
+            self.groups += PAGE**level * len(spans)
+            self.frames += sum(spans.frames)
+            self.segments += sum(spans.segments)
+
+    def entry(self, group: int) -> Entry:
+        *_, (block, place) = self._descend("groups", group)
+        return block.entry(place)
+
+    def at_frame(self, frame: int) -> int:
+        *_, (block, place) = self._descend("frames", frame)
+        return block.groups[place]
+
+    def at_segment(self, segment: int) -> int:
+        *_, (block, place) = self._descend("segments", segment)
+        return block.groups[place]
+
+    def pages(self) -> Iterator[str]:
+        """The paths of all pages, those that lead to others first."""
+        for level in reversed(range(1, len(self._top) + 1)):
+            yield from (page_path(level, number) for number in range(1, self.groups // PAGE**level + 1))
+
+    def sweep(self, blocks: Iterable[_Block] | None = None) -> Iterator[int | FormatError]:
+        """Every group, in order; in place of those that a page would lead to that cannot be read, why not."""
+        for block in reversed(self._top) if blocks is None else blocks:
+            for place, group in enumerate(block.groups):
+                if not block.level:
+                    yield group
+                    continue
+                try:
+                    page = self._page(block, place)
+                except FormatError as error:
+                    yield error
+                else:
+                    yield from self.sweep([page])
+
+    def page_file(self, level: int, number: int) -> FileEntry:
+        for block, place in self._descend("groups", number * PAGE**level):
+            if block.level == level:
+                return block.entry(place).file
+        raise IndexError(f"page {number} of level {level}: there is none")
+
+    def check_page(self, level: int, number: int) -> None:
+        next(block for block, _ in self._descend("groups", number * PAGE**level) if block.level < level)
+
+    def pages_to(self, count: Count, number: int) -> Iterator[str]:
+        """The pages that lead to a group, frame or segment, from the root on; each is read when the next is wanted."""
+        return (block.path(place) for block, place in self._descend(count, number) if block.level)
+
+    def missing_pages(self, segments: range, there: Container[str]) -> list[str]:
+        """Pages with some of these segments that are not there, as far as pages that are there lead to them."""
+        missing, blocks = [], [block for block in self._top if block.level]
+        while blocks:
+            block = blocks.pop()
+            for place, first in enumerate(block.segments):
+                if first >= segments.stop or first + block.spans.segments[place] <= segments.start:
+                    continue
+                if block.path(place) not in there:
+                    missing.append(block.path(place))
+                elif block.level > 1:
+                    blocks.append(self._page(block, place))
+        return missing
+
+    def guess_span(self, segment: int) -> tuple[int, int]:
+        """Frames [start, stop) of a segment as if those of its group were of one length, or those of a page that
+        cannot be read.
+        """
+        with suppress(FormatError):
+            for block, place in self._descend("segments", segment):
+                entry = block.entry(place)
+        before, frames = segment - entry.first_segment, entry.stop - entry.start
+        return entry.start + frames * before // entry.segments, entry.start + frames * (before + 1) // entry.segments
+
+    def _descend(self, count: Count, number: int) -> Iterator[tuple[_Block, int]]:
+        """The blocks that lead to a group, frame or segment, and the places in them; the first is of the root."""
+        total: int = getattr(self, count)
+        if not 0 <= number < total:
+            raise IndexError(f"{count}: expected 0 to {total - 1}, got {number}")
+        block = next(block for block in self._top if block.place(count, number) >= 0)
+        while True:
+            place = block.place(count, number)
+            yield block, place
+            if not block.level:
+                return
+            block = self._page(block, place)
+
+    def _page(self, block: _Block, place: int) -> _Block:
+        path, entry = block.path(place), block.entry(place)
+        if path not in self._pages:
+            page, group = self._read_page(path, entry), block.groups[place]
+            self._pages[path] = _Block(page, block.level - 1, group, entry.start, entry.first_segment)
+        return self._pages[path]
 
 
 class Groups(Sequence[Group]):
@@ -46,17 +202,15 @@ class Groups(Sequence[Group]):
     @staticmethod
     def of(groups: Sequence[Group]) -> Groups:
         index, pages = build_index(groups, [pack_group(group) for group in groups])
-        return Groups(index, partial(_stored, pages), partial(_stored, groups))
+        return Groups(index, lambda path, _: pages[path], lambda number, _: groups[number])
 
     def __len__(self) -> int:
         return self.places.groups
 
     @overload
     def __getitem__(self, place: int) -> Group: ...
-
     @overload
     def __getitem__(self, place: slice) -> list[Group]: ...
-
     def __getitem__(self, place: int | slice) -> Group | list[Group]:
         if isinstance(place, slice):
             return [self[i] for i in range(len(self))[place]]
@@ -74,19 +228,12 @@ class Groups(Sequence[Group]):
         return self._kept[number]
 
     def keep(self, number: int, group: Group) -> None:
-        """Keep a table that is known, counted from 0, so that it need not be read."""
         self._kept[number] = group
         if len(self._kept) > KEPT:
             self._kept.popitem(last=False)
 
 
-def _stored(tables: Any, which: str | int, _entry: Entry) -> Any:
-    return tables[which]
-
-
 class Segments(Sequence[Segment]):
-    """The segments of all groups, one after another."""
-
     def __init__(self, groups: Groups) -> None:
         self._groups = groups
 
@@ -101,8 +248,6 @@ class Segments(Sequence[Segment]):
 
 @dataclass(frozen=True, slots=True)
 class Manifest(Header):
-    """Everything a decoder needs that is not pixels."""
-
     init: FileEntry
     groups: Groups
 
@@ -111,7 +256,6 @@ class Manifest(Header):
         return Segments(self.groups)
 
     def group_of(self, segment: int) -> int:
-        """The group that a segment belongs to. Raises IndexError."""
         return self.groups.places.at_segment(segment)
 
     def segments_of(self, group: int) -> range:
@@ -126,9 +270,10 @@ class Manifest(Header):
 
     def key_files(self, group: int, tier: int, quality: int) -> list[str]:
         """Sidecar and picture of one key tier; no picture of an atlas without rows, nothing of a tier without."""
-        entry = self.groups[group].tiers[tier]
-        files = [key_sidecar_path(tier, group + 1), key_media_path(tier, quality, group + 1)]
-        return files[: (entry.count > 0) + (entry.count > 0 and entry.qualities[quality].rows > 0)]
+        entry, files = self.groups[group].tiers[tier], [layout.key_sidecar_path(tier, group + 1)]
+        if entry.qualities[quality].rows:
+            files.append(layout.key_media_path(tier, quality, group + 1))
+        return files if entry.count else []
 
     def base_of(self, group: int) -> int | None:
         """The group whose rows a group keeps, counted from 0 as well; None where it keeps none.
@@ -143,28 +288,27 @@ class Manifest(Header):
         return table.keeps - 1
 
     def state_files(self, segment: int, level: int) -> list[str]:
-        """The file of one state segment; none where there is nothing to fetch."""
         there = self.segments[segment].levels[level].file.bytes > 0
-        return [state_media_path(level, segment + 1)] if there else []
+        return [layout.state_media_path(level, segment + 1)] if there else []
 
     def sound_files(self, group: int) -> list[str]:
-        """The sound of a group; none where there is nothing to fetch."""
         entry = self.groups[group].sound
-        return [sound_path(group + 1)] if entry and entry.bytes else []
+        return [layout.sound_path(group + 1)] if entry and entry.bytes else []
 
     def group_files(self, group: int) -> list[str]:
-        """Every file that the table of a group lists."""
         tiers, qualities, levels = range(self.tiers), range(len(self.qualities)), range(len(self.levels))
         keys = [path for t in tiers for q in qualities for path in self.key_files(group, t, q)]
         states = [path for s in self.segments_of(group) for j in levels for path in self.state_files(s, j)]
         return sorted({*self.sound_files(group), *keys, *states})
 
     def shared_files(self) -> list[str]:
-        """Files of the whole sequence that are no tables."""
-        return [INIT_NAME] + [POSTER_NAME] * (self.poster is not None) + [SOUND_INIT_NAME] * (self.sound is not None)
+        return [path for path, entry in self._shared().items() if entry]
+
+    def _shared(self) -> dict[str, FileEntry | None]:
+        sound = self.sound.init if self.sound else None
+        return {layout.INIT_NAME: self.init, layout.POSTER_NAME: self.poster, layout.SOUND_INIT_NAME: sound}
 
     def table_files(self) -> Iterator[str]:
-        """Pages of the index and tables of the groups."""
         yield from self.groups.places.pages()
         yield from (group_path(number + 1) for number in range(len(self.groups)))
 
@@ -177,16 +321,13 @@ class Manifest(Header):
 
     def entry(self, path: str) -> FileEntry:
         """Length and digest of a file. Raises FormatError(missing_entry) for one that the tables do not have."""
-        try:
-            found = self._entry(path)
-        except IndexError:
-            found = None
-        if found is None or not found.bytes:
-            raise FormatError("missing_entry", path, "no table has such a file")
-        return found
+        with suppress(IndexError):
+            if (found := self._entry(path)) and found.bytes:
+                return found
+        raise FormatError("missing_entry", path, "no table has such a file")
 
     def _entry(self, path: str) -> FileEntry | None:
-        match locate(path):
+        match layout.locate(path):
             case "sidecar", [tier, number]:
                 return self.groups[number - 1].tiers[tier].sidecar
             case "key", [tier, quality, number]:
@@ -199,17 +340,15 @@ class Manifest(Header):
                 return self.groups.places.entry(number - 1).file
             case "page", [level, number]:
                 return self.groups.places.page_file(level, number - 1)
-        sound = self.sound.init if self.sound else None
-        return {INIT_NAME: self.init, POSTER_NAME: self.poster, SOUND_INIT_NAME: sound}.get(path)
+        return self._shared().get(path)
 
     def bytes_of(self, paths: Iterable[str]) -> int:
         return sum(self.entry(path).bytes for path in paths)
 
     def media_bytes(self) -> int:
         """Length of all files but the tables and manifest.mpd."""
-        return self.bytes_of(self.shared_files()) + sum(
-            self.bytes_of(self.group_files(group)) for group in range(len(self.groups))
-        )
+        groups = (self.bytes_of(self.group_files(group)) for group in range(len(self.groups)))
+        return self.bytes_of(self.shared_files()) + sum(groups)
 
     def rung_files(self, quality: int, level: int, groups: Sequence[int] | None = None) -> list[str]:
         """Every file a viewer of one rung fetches of some groups, by default of all, without tables."""
@@ -233,13 +372,14 @@ class Rung:
 
 def rungs_of(m: Manifest, manifest_bytes: int) -> tuple[Rung, ...]:
     """The rungs of a package whose tables and manifest.mpd have `manifest_bytes` together, quality by quality."""
-    places = [(q, j) for q in range(len(m.qualities)) for j in range(len(m.levels))]
-    sizes = [manifest_bytes + m.bytes_of(m.rung_files(q, j)) for q, j in places]
-    measured = [quality_of(m, j, q) for q, j in places]
-    psnr = [None if one is None else one.psnr for one in measured]
-    names = [(m.qualities[q].id, m.levels[j].id) for q, j in places]
-    rest = zip(names, sizes, psnr, on_ladder(list(zip(sizes, psnr, strict=True))), strict=True)
-    return tuple(Rung("+".join(name), *name, *figures) for name, *figures in rest)  # type: ignore[arg-type]
+    rungs = []
+    for q, quality in enumerate(m.qualities):
+        for j, level in enumerate(m.levels):
+            size, pooled = manifest_bytes + m.bytes_of(m.rung_files(q, j)), quality_of(m, j, q)
+            name, psnr = f"{quality.id}+{level.id}", pooled.psnr if pooled else None
+            rungs.append(Rung(name, quality.id, level.id, size, psnr, False))
+    best = on_ladder([(rung.bytes, rung.psnr) for rung in rungs])
+    return tuple(replace(rung, best=chosen) for rung, chosen in zip(rungs, best, strict=True))
 
 
 def quality_of(m: Manifest, level: int, quality: int) -> RungQuality | None:
@@ -265,6 +405,5 @@ def on_ladder(rungs: Sequence[tuple[float, float | None]]) -> list[bool]:
 
 
 def _slope(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Change of the mean squared error for each byte from one point (bytes, PSNR) to a larger one."""
     errors = [10.0 ** (-psnr / 10) for _, psnr in (a, b)]
     return (errors[1] - errors[0]) / (b[0] - a[0])

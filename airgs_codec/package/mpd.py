@@ -8,45 +8,53 @@ Representations are equal; otherwise each has its own, and the set has none (vid
 Runs of equal segments are one S, so that the MPD does not grow with a regular sequence. DASH players stop at a gap in a
 timeline, and count files from its beginning: where nothing of a level moves, and the tables have no file, a still file
 of one grey picture takes its place, which only DASH players fetch. Key tiers without a picture in a group leave gaps.
-`dash_check` reads an MPD back and refuses others.
+
+What only DASH players and pages read is checked against the tables: the MPD, which is refused with its reason where a
+player would follow it elsewhere, init files, the poster, and the boxes of sound. No video is decoded.
 """
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
+from itertools import accumulate
 
-from airgs_codec.errors import ConfigError
-from airgs_codec.media.mp4 import CODECS, OPUS, still_segment
-from airgs_codec.package.layout import (
-    INIT_NAME,
-    JSON_NAME,
-    MPD_NAME,
-    SOUND_INIT_NAME,
-    key_media_path,
-    sound_path,
-    state_media_path,
-)
+from airgs_codec.errors import CodecError, ConfigError, FormatError
+from airgs_codec.media import mp4
+from airgs_codec.media.image import decode_rgba
+from airgs_codec.package import layout
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, POSTER_NAME, SOUND_INIT_NAME
 from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.tables import Group, Header, Segment
+from airgs_codec.package.package import Package
+from airgs_codec.package.parse import expect
+from airgs_codec.package.tables import MAX_POSTER_SIDE, Group, Header, Segment
 
 DASH = "urn:mpeg:dash:schema:mpd:2011"
 MIN_BUFFER_S = 1.0
 NUMBER = "$Number$"  # stands for the number of a file in a SegmentTemplate
 SOUND = "sound"
 ID = "$RepresentationID$"  # stands there for the id, which is the folder of the files below that of all of its kind
-CONTENT = {  # the elements that this format uses, and their children in the order of ISO/IEC 23009-1's schema
-    "MPD": ("Period", "UTCTiming"),
-    "UTCTiming": (),
-    "Period": ("AdaptationSet", "SupplementalProperty"),
-    "AdaptationSet": ("SupplementalProperty", "SegmentTemplate", "Representation"),
-    "SupplementalProperty": (),
-    "Representation": ("SegmentTemplate",),
-    "SegmentTemplate": ("SegmentTimeline",),
-    "SegmentTimeline": ("S",),
-    "S": (),
+_XLINK = "{http://www.w3.org/1999/xlink}"
+_LEAD_AWAY = ("BaseURL", "Location", "PatchLocation")  # elements that change where a player fetches
+_ELEMENTS = {  # that this format uses: their attributes, and children in the order of ISO/IEC 23009-1's schema
+    "MPD": (
+        "type profiles minBufferTime mediaPresentationDuration availabilityStartTime publishTime minimumUpdatePeriod",
+        "Period UTCTiming",
+    ),
+    "UTCTiming": ("schemeIdUri value", ""),
+    "Period": ("id start duration", "AdaptationSet SupplementalProperty"),
+    "AdaptationSet": (
+        "id selectionPriority contentType mimeType codecs segmentAlignment startWithSAP",
+        "SupplementalProperty SegmentTemplate Representation",
+    ),
+    "SupplementalProperty": ("schemeIdUri value", ""),
+    "Representation": ("id bandwidth", "SegmentTemplate"),
+    "SegmentTemplate": ("timescale startNumber initialization media", "SegmentTimeline"),
+    "SegmentTimeline": ("", "S"),
+    "S": ("t n d r", ""),
 }
 
 
@@ -60,29 +68,38 @@ class Run:
     count: int = 1
 
     def follows(self, before: Run) -> bool:
-        """Whether it begins, in number and in time, where another run ends."""
         end = before.number + before.count, before.start + before.count * before.duration
         return (self.number, self.start) == end
 
 
-def append(timeline: list[Run], run: Run) -> None:
-    """Add what plays next, as part of the last run where it goes on like that."""
-    last = timeline[-1] if timeline else None
-    if last and run.follows(last) and run.duration == last.duration:
-        timeline[-1] = replace(last, count=last.count + run.count)
-    else:
-        timeline.append(run)
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Representation:
-    """What the MPD says of one stream: its files and when they play."""
+    """What the MPD says of one stream: its files and when they play. It grows by one file after the other."""
 
     id: str
     media: str  # template with $Number$
-    timeline: tuple[Run, ...]  # no two of which could be one
+    timeline: list[Run] = field(default_factory=list)  # no two of which could be one
     init: str = INIT_NAME
-    bandwidth: int = field(default=0, compare=False)  # bit/s
+    rate: float = field(default=0.0, compare=False, repr=False)  # bit/s
+
+    @property
+    def bandwidth(self) -> int:
+        """Bits a second: at this rate every run of files has come MIN_BUFFER_S after its first one begins to play."""
+        return int(self.rate) + 1
+
+    def append(self, run: Run) -> None:
+        last = self.timeline[-1] if self.timeline else None
+        if last and run.follows(last) and run.duration == last.duration:
+            self.timeline[-1] = replace(last, count=last.count + run.count)
+        else:
+            self.timeline.append(run)
+
+    def add(self, m: Header, number: int, span: Group | Segment, size: int) -> None:
+        """Add the next file; one of no bytes is not there."""
+        if size:
+            frames, ticks = span.stop - span.start, m.frame_ticks
+            self.append(Run(number, span.start * ticks, frames * ticks))
+            self.rate = max(self.rate, 8 * size / min(MIN_BUFFER_S, float(frames / m.fps)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +108,7 @@ class AdaptationSet:
 
     role: str  # "state", the key tier, or "sound"
     priority: int  # a DASH player that knows nothing of this format shows the state
-    representations: tuple[Representation, ...]
+    representations: list[Representation]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,56 +119,30 @@ class LiveClock:
     published: datetime  # of this MPD
 
 
-@dataclass(slots=True)
-class _Stream:
-    """A Representation as its files are found."""
-
-    id: str
-    media: str
-    init: str = INIT_NAME
-    timeline: list[Run] = field(default_factory=list)
-    rate: float = 0.0  # bit/s
-
-    def add(self, m: Header, number: int, span: Group | Segment, size: int) -> None:
-        """The next file; one of no bytes is not there.
-
-        At the largest `rate` every run of files has come MIN_BUFFER_S after its first one begins to play.
-        """
-        if size:
-            frames, ticks = span.stop - span.start, m.frame_ticks
-            append(self.timeline, Run(number, span.start * ticks, frames * ticks))
-            self.rate = max(self.rate, 8 * size / min(MIN_BUFFER_S, float(frames / m.fps)))
-
-    def listed(self) -> Representation:
-        """Return what the MPD says of it."""
-        return Representation(self.id, self.media, tuple(self.timeline), self.init, int(self.rate) + 1)
-
-
 class Streams:
     """What the MPD says of all groups, whose tables are looked at once, in their order; regular ones take no room."""
 
     def __init__(self, m: Header) -> None:
         """`m`: the package, whose groups are added one by one."""
         self._header = m
-        self._states = [_Stream(f"L{j}", state_media_path(j, NUMBER)) for j in range(len(m.levels))]
+        self._states = [Representation(f"L{j}", layout.state_media_path(j, NUMBER)) for j in range(len(m.levels))]
         self._keys = [
-            [_Stream(f"T{t}/Q{q}", key_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
+            [Representation(f"T{t}/Q{q}", layout.key_media_path(t, q, NUMBER)) for q in range(len(m.qualities))]
             for t in range(m.tiers)
         ]
-        self._sound = _Stream(SOUND, sound_path(NUMBER), SOUND_INIT_NAME)
+        self._sound = Representation(SOUND, layout.sound_path(NUMBER), init=SOUND_INIT_NAME)
         self._groups = self._segments = 0  # so far
         self.longest = 0  # frames of a group
 
     @staticmethod
     def of(m: Manifest) -> Streams:
-        """Those of all groups of a package."""
         streams = Streams(m)
         for group in m.groups:
             streams.add(group)
         return streams
 
     def add(self, group: Group) -> dict[str, bytes]:
-        """The next group; gives its still files by their paths."""
+        """Add the next group, and return its still files by their paths."""
         m = self._header
         self._groups += 1
         for row, tier in zip(self._keys, group.tiers, strict=True):
@@ -165,7 +156,7 @@ class Streams:
                 size = level.file.bytes
                 if not size and stream.timeline:
                     ticks = m.frame_ticks
-                    data = still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
+                    data = mp4.still_segment(segment.start * ticks, (segment.stop - segment.start) * ticks)
                     stills[stream.media.replace(NUMBER, str(self._segments))], size = data, len(data)
                 stream.add(m, self._segments, segment, size)
         self.longest = max(self.longest, group.stop - group.start)
@@ -175,12 +166,11 @@ class Streams:
         """The state, then each key tier, then the sound, as far as they have files."""
         keys = [(f"key;tier={t}", 1, row) for t, row in enumerate(self._keys)]
         sets = [("state", 10, self._states), *keys, (SOUND, 1, [self._sound])]
-        listed = [(role, priority, tuple(r.listed() for r in row if r.timeline)) for role, priority, row in sets]
-        return [AdaptationSet(role, priority, row) for role, priority, row in listed if row]
+        listed = [AdaptationSet(role, priority, [r for r in row if r.timeline]) for role, priority, row in sets]
+        return [one for one in listed if one.representations]
 
 
 def still_files(m: Manifest) -> Iterator[tuple[str, bytes]]:
-    """Path and bytes of every still file of a package, for which no table has an entry."""
     streams = Streams(m)
     for group in m.groups:
         yield from streams.add(group).items()
@@ -193,9 +183,18 @@ def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | No
     """
     streams = streams or Streams.of(m)
     ET.register_namespace("", DASH)
-    duration = f"PT{float(m.frames / m.fps):.6f}S"
-    root = _element(None, "MPD", **_presentation(m, duration, clock, streams.longest))
-    period = _element(root, "Period", id="p0", start="PT0S", **({} if m.live else {"duration": duration}))
+    duration = {} if m.live else {"duration": f"PT{float(m.frames / m.fps):.6f}S"}
+    about = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
+    if not m.live:
+        about = {"type": "static", **about, "mediaPresentationDuration": duration["duration"]}
+    elif clock is None:
+        raise ConfigError("the MPD of a growing package: expected the time from which it is available")
+    else:
+        update = f"PT{float(streams.longest / m.fps):.6f}S"
+        times = {"availabilityStartTime": clock.available.isoformat(), "publishTime": clock.published.isoformat()}
+        about = {"type": "dynamic", **about, **times, "minimumUpdatePeriod": update}
+    root = _element(None, "MPD", **about)
+    period = _element(root, "Period", id="p0", start="PT0S", **duration)
     for number, adaptation_set in enumerate(streams.sets(), 1):
         _write_set(period, m, number, adaptation_set)
     _element(period, "SupplementalProperty", schemeIdUri="urn:airgs:scene:2", value=JSON_NAME)
@@ -205,70 +204,220 @@ def write_mpd(m: Manifest, clock: LiveClock | None = None, streams: Streams | No
     return b'<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(root, encoding="utf-8") + b"\n"
 
 
-def _presentation(m: Manifest, duration: str, clock: LiveClock | None, longest: int) -> dict[str, str]:
-    common = {"profiles": "urn:mpeg:dash:profile:isoff-live:2011", "minBufferTime": f"PT{MIN_BUFFER_S:g}S"}
-    if not m.live:
-        return {"type": "static", **common, "mediaPresentationDuration": duration}
-    if clock is None:
-        raise ConfigError("the MPD of a growing package: expected the time from which it is available")
-    return {
-        "type": "dynamic",
-        **common,
-        "availabilityStartTime": clock.available.isoformat(),
-        "publishTime": clock.published.isoformat(),
-        "minimumUpdatePeriod": f"PT{float(longest / m.fps):.6f}S",
-    }
-
-
-def _write_set(period: ET.Element, m: Manifest, number: int, adaptation_set: AdaptationSet) -> None:
-    listed = adaptation_set.representations
-    kind, codecs = ("audio", OPUS) if adaptation_set.role == SOUND else ("video", CODECS)
-    element = _element(
-        period,
-        "AdaptationSet",
-        id=str(number),
-        selectionPriority=str(adaptation_set.priority),
-        contentType=kind,
-        mimeType=f"{kind}/mp4",
-        codecs=codecs,
-        segmentAlignment="true",
-        startWithSAP="1",
-    )
-    _element(element, "SupplementalProperty", schemeIdUri="urn:airgs:plane:2", value=adaptation_set.role)
-    one_timeline = len({r.timeline for r in listed}) == 1
+def _write_set(period: ET.Element, m: Manifest, number: int, row: AdaptationSet) -> None:
+    about = {"id": str(number), "selectionPriority": str(row.priority), **_kind_of(row.role == SOUND)}
+    element = _element(period, "AdaptationSet", **about, segmentAlignment="true", startWithSAP="1")
+    _element(element, "SupplementalProperty", schemeIdUri="urn:airgs:plane:2", value=row.role)
+    one_timeline = all(r.timeline == row.representations[0].timeline for r in row.representations)
     if one_timeline:
-        _write_template(element, m, listed[0])
-    for r in listed:
-        row = _element(element, "Representation", id=r.id, bandwidth=str(r.bandwidth))
+        _write_template(element, m, row.representations[0])
+    for r in row.representations:
+        listed = _element(element, "Representation", id=r.id, bandwidth=str(r.bandwidth))
         if not one_timeline:
-            _write_template(row, m, r)
+            _write_template(listed, m, r)
+
+
+def _kind_of(sound: bool) -> dict[str, str]:
+    kind, codecs = ("audio", mp4.OPUS) if sound else ("video", mp4.CODECS)
+    return {"contentType": kind, "mimeType": f"{kind}/mp4", "codecs": codecs}
 
 
 def _write_template(parent: ET.Element, m: Manifest, r: Representation) -> None:
-    template = _element(
-        parent,
-        "SegmentTemplate",
-        timescale=str(m.timescale),
-        initialization=r.init,
-        media=r.media.replace(r.id, ID),
-        startNumber=str(r.timeline[0].number),
-    )
+    about = {"timescale": str(m.timescale), "initialization": r.init, "media": r.media.replace(r.id, ID)}
+    template = _element(parent, "SegmentTemplate", **about, startNumber=str(r.timeline[0].number))
     timeline = _element(template, "SegmentTimeline")
-    for attributes in _runs(r.timeline):
-        _element(timeline, "S", **attributes)
-
-
-def _runs(timeline: Iterable[Run]) -> Iterator[dict[str, str]]:
-    """Attributes of an S for each run; t where it begins the timeline, t and n after a gap."""
     before: Run | None = None
-    for run in timeline:
+    for run in r.timeline:  # t where it begins the timeline, t and n after a gap
         place = {} if before and run.follows(before) else {"t": run.start}
         gap = {"n": run.number} if place and before else {}
         repeats = {"r": run.count - 1} if run.count > 1 else {}
-        yield {name: str(value) for name, value in (place | {"d": run.duration} | gap | repeats).items()}
+        numbers = place | {"d": run.duration} | gap | repeats
+        _element(timeline, "S", **{name: str(value) for name, value in numbers.items()})
         before = run
 
 
 def _element(parent: ET.Element | None, tag: str, **attributes: str) -> ET.Element:
     name = f"{{{DASH}}}{tag}"
     return ET.Element(name, attributes) if parent is None else ET.SubElement(parent, name, attributes)
+
+
+def check_mpd(data: bytes, m: Manifest, streams: Streams | None = None) -> None:
+    """Raise FormatError unless an MPD says what the tables say, and nothing else about files and times.
+
+    `streams`: those of all groups, where they are known; by default the table of every group is read.
+    Reasons: doctype, bad_mpd, foreign_url, mpd_mismatch.
+    """
+    root = _read_xml(data)
+    periods = root.findall(f"{{{DASH}}}Period")
+    expect(_local(root) == "MPD" and len(periods) == 1, MPD_NAME, "expected an MPD with one Period", "bad_mpd")
+    for parent in root.iter():
+        _check_attributes(parent)
+        for child in parent:
+            _check_child(_local(parent), child)
+    _check_times(root, periods[0], m)
+    found = [(row, row.findall(f"{{{DASH}}}Representation")) for row in root.iter(f"{{{DASH}}}AdaptationSet")]
+    expected = [s.representations for s in (streams or Streams.of(m)).sets()]
+    _check_ids([[r.get("id", "") for r in rows] for _, rows in found], [[r.id for r in rows] for rows in expected])
+    wanted = {r.id: r for rows in expected for r in rows}
+    for row, rows in found:
+        _check_kind(row, rows)
+        for element in rows:
+            expects = wanted[element.get("id", "")]
+            got = _read(row, element, m, expects.id)
+            expect(got == expects, f"{MPD_NAME} {expects.id}", f"expected {expects}, got {got}", "mpd_mismatch")
+
+
+def _read_xml(data: bytes) -> ET.Element:
+    """The root element. One encoding, so that a DOCTYPE cannot hide from the search in another one."""
+    try:
+        text = data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError("bad_mpd", MPD_NAME, f"expected UTF-8: {error.reason} at byte {error.start}") from error
+    # Of zero bytes the parser would take it for UTF-16, in which the search below finds nothing.
+    expect("\0" not in text, MPD_NAME, "expected UTF-8 without zero bytes", "bad_mpd")
+    declared = re.match(r"""\ufeff?<\?xml[^>]*?\sencoding\s*=\s*["']([^"']*)""", text)
+    encoding = declared[1] if declared else "utf-8"
+    expect(encoding.lower() == "utf-8", MPD_NAME, f"expected UTF-8, got {encoding!r}", "bad_mpd")
+    plain = not re.search("<!(DOCTYPE|ENTITY)", text, re.IGNORECASE)
+    expect(plain, MPD_NAME, "expected XML without a DOCTYPE", "doctype")
+    try:
+        return ET.fromstring(text)
+    except ET.ParseError as error:
+        raise FormatError("bad_mpd", MPD_NAME, f"expected XML: {error}") from error
+
+
+def _local(element: ET.Element) -> str:
+    """Name of a DASH element without its namespace; empty for any other element."""
+    namespace, _, name = element.tag.rpartition("}")
+    return name if namespace == f"{{{DASH}" else ""
+
+
+def _check_attributes(element: ET.Element) -> None:
+    """Only what this format uses, and no address outside the package: a player might follow it, a check would not."""
+    name = _local(element)
+    where = f"{MPD_NAME} {name}"
+    for attribute, value in element.attrib.items():
+        expect(not attribute.startswith(_XLINK), where, "expected no xlink", "foreign_url")
+        known = name not in _ELEMENTS or attribute in _ELEMENTS[name][0].split()
+        expect(known, where, f"unknown attribute {attribute!r}", "bad_mpd")
+        if name == "UTCTiming" and attribute == "value":
+            expect(value == MPD_NAME, where, f"expected {MPD_NAME}, got {value!r}", "foreign_url")
+        if name == "SegmentTemplate":
+            inside = not (":" in value or value.startswith("/") or ".." in value.split("/"))
+            words = f"expected a relative address inside the package, got {value!r}"
+            expect(inside, MPD_NAME, words, "foreign_url")
+
+
+def _check_child(parent: str, child: ET.Element) -> None:
+    name, where = _local(child), f"{MPD_NAME} {parent}"
+    expect(name not in _LEAD_AWAY, where, f"expected relative addresses without {name}", "foreign_url")
+    expect(name in _ELEMENTS[parent][1].split(), where, f"unknown element {child.tag!r}", "bad_mpd")
+
+
+def _check_times(root: ET.Element, period: ET.Element, m: Manifest) -> None:
+    kind, text = root.get("type", "static"), root.get("mediaPresentationDuration")
+    words = f"airgs.json says live: {m.live}, got a {kind} presentation"
+    expect(kind == ("dynamic" if m.live else "static"), MPD_NAME, words, "mpd_mismatch")
+    if m.live:
+        fits = not text and root.get("availabilityStartTime")
+        expect(fits, MPD_NAME, "expected an availabilityStartTime and no duration", "bad_mpd")
+    else:
+        found, seconds = re.fullmatch(r"PT(\d{1,12}(?:\.\d{1,12})?)S", text or "", re.ASCII), float(m.frames / m.fps)
+        if found is None:
+            words = f"expected mediaPresentationDuration as PT…S, got {text or ''!r}"
+            raise FormatError("bad_mpd", MPD_NAME, words)
+        words = f"expected a presentation of {seconds:.6f} s, got {text}"
+        expect(abs(float(found[1]) - seconds) <= 1e-5, MPD_NAME, words, "mpd_mismatch")
+    got = period.get("start", "PT0S"), period.get("duration", text), root.get("minBufferTime")
+    expected = "PT0S", text, f"PT{MIN_BUFFER_S:g}S"
+    words = f"expected the start and duration of the Period and minBufferTime {expected}, got {got}"
+    expect(got == expected, MPD_NAME, words, "mpd_mismatch")
+
+
+def _check_ids(found: list[list[str]], expected: list[list[str]]) -> None:
+    """The same Representations in the same AdaptationSets; the order of either is free."""
+    got, wanted = ([name for row in rows for name in row] for rows in (found, expected))
+    words = "expected a different id for each Representation"
+    expect(len(set(got)) == len(got), MPD_NAME, words, "bad_mpd")
+    for name in sorted(set(got) ^ set(wanted)):
+        raise FormatError("mpd_mismatch", f"{MPD_NAME} {name}", "is not in both the MPD and the tables")
+    words = "expected an AdaptationSet for the state, for each key tier and for the sound"
+    fits = {frozenset(row) for row in found if row} == {frozenset(row) for row in expected}
+    expect(fits, MPD_NAME, words, "mpd_mismatch")
+
+
+def _check_kind(row: ET.Element, rows: list[ET.Element]) -> None:
+    expected = _kind_of(any(r.get("id") == SOUND for r in rows))
+    got = {name: row.get(name) for name in expected}
+    expect(got == expected, f"{MPD_NAME} AdaptationSet", f"expected {expected}, got {got}", "mpd_mismatch")
+    for r in rows:
+        where = f"{MPD_NAME} {r.get('id')}"
+        expect(_whole(r.get("bandwidth"), where), where, "expected a bandwidth above 0, got 0", "bad_mpd")
+
+
+def _read(row: ET.Element, element: ET.Element, m: Manifest, name: str) -> Representation:
+    """A Representation with what it has from its AdaptationSet `row`: players disagree on what two templates mean."""
+    where, tag = f"{MPD_NAME} {name}", f"{{{DASH}}}SegmentTemplate"
+    found = [*row.findall(tag), *element.findall(tag)]
+    expect(len(found) == 1, where, f"expected one SegmentTemplate, got {len(found)}", "bad_mpd")
+    (template,) = found
+    expect(len(template) == 1, where, f"expected one SegmentTimeline, got {len(template)}", "bad_mpd")
+    init, media = (template.get(which, "").replace(ID, name) for which in ("initialization", "media"))
+    ticks = _whole(template.get("timescale"), where)
+    expect(ticks == m.timescale, where, f"expected timescale {m.timescale}", "mpd_mismatch")
+    out, end, number = Representation(name, media, init=init), 0, _whole(template.get("startNumber", "1"), where)
+    for s in template.iter(f"{{{DASH}}}S"):
+        start, duration, repeats = (_whole(a, where) for a in (s.get("t", str(end)), s.get("d"), s.get("r", "0")))
+        number = _whole(s.get("n", str(number)), where)
+        out.append(Run(number, start, duration, 1 + repeats))
+        end, number = start + (1 + repeats) * duration, number + 1 + repeats
+    return out
+
+
+def _whole(text: str | None, where: str) -> int:
+    words = f"expected a whole number of at most 18 digits, got {text!r}"
+    expect(re.fullmatch(r"\d{1,18}", text or "", re.ASCII), where, words, "bad_mpd")
+    return int(text or "")
+
+
+def largest_picture(groups: Sequence[Group]) -> tuple[int, int]:
+    atlases = [a for g in groups for row in (*(tier.qualities for tier in g.tiers), g.levels) for a in row]
+    return max(atlas.width for atlas in atlases), max(atlas.height for atlas in atlases)
+
+
+def check_shared(package: Package, path: str) -> None:
+    """Raise FormatError unless a file that is no group's, the poster or what tracks begin with, is what it should be.
+
+    Reasons: bad_picture, bad_sound, and what `Package.read` raises.
+    """
+    m, data = package.manifest, package.read(path)
+    if path == POSTER_NAME:
+        try:
+            decode_rgba(data, "JPEG", MAX_POSTER_SIDE)
+        except ValueError as error:
+            raise FormatError("bad_picture", path, f"expected a JPEG: {error}") from error
+        return
+    wanted = [mp4.sound_init(m.sound.channels, m.sound.pre_skip)] if m.sound and path == SOUND_INIT_NAME else _inits(m)
+    try:
+        if data not in wanted:
+            mp4.check_boxes(wanted[-1], data)
+    except CodecError as error:
+        raise FormatError("bad_picture" if path == INIT_NAME else "bad_sound", path, str(error)) from error
+
+
+def _inits(m: Manifest) -> list[bytes]:
+    """What init.mp4 may be: it is made for the largest picture of the groups that were there when it was written."""
+    sizes = accumulate((largest_picture([g]) for g in m.groups), lambda a, b: (max(a[0], b[0]), max(a[1], b[1])))
+    return [mp4.init_segment(m.timescale, *size) for size in dict.fromkeys(sizes)]
+
+
+def check_sound(package: Package, group: int) -> None:
+    """Raise FormatError(bad_sound) unless the sound of a group is the boxes and times of its packets."""
+    m = package.manifest
+    span = m.packets(m.groups[group].start, m.groups[group].stop)
+    for path in m.sound_files(group):
+        data = package.read(path)
+        try:
+            mp4.check_boxes(mp4.sound_segment(mp4.read_samples(data), span.start), data)
+        except CodecError as error:
+            raise FormatError("bad_sound", path, str(error)) from error

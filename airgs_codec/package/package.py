@@ -6,26 +6,23 @@ import base64
 import hashlib
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import partial
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airgs_codec.errors import FormatError
-from airgs_codec.package.index import Entry
-from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_NAME, ROOTS, group_path, locate
+from airgs_codec.package.layout import JSON_NAME, MEDIA_TYPES, MPD_NAME, ROOTS, group_path, locate
 from airgs_codec.package.manifest import Groups, Manifest, Rung, rungs_of
 from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_group, parse_page, parse_root
-from airgs_codec.package.tables import FileEntry, Group, Header, Root, Spans, digest, file_entry
+from airgs_codec.package.tables import Entry, FileEntry, Group, Header, Root, Spans, digest, file_entry
 from airgs_codec.places.place import BUCKETS, WEB, Place, got_words, is_address, place_at, split_query
-from airgs_codec.scene.origin import ZERO, Origin
+from airgs_codec.scene.frames import ZERO, Origin
 
 if TYPE_CHECKING:  # decoding needs no cameras
     from airgs_codec.scene.camera import Camera
 
-PATIENCE_S, MOST_OF_PAGE = 2.0, 1 << 16  # bytes, of a page that may have a player
+SHORT = 1 << 16  # bytes: a file of another length is read to say what it is
 OPENED = "an open package or the path of one"  # what functions expect that take either
 REPR_DIGEST = "Repr-Digest"  # of an answer over HTTP (RFC 9530): all that checks airgs.json, which no table lists
 Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -> its bytes
@@ -33,8 +30,6 @@ Read = Callable[[str, FileEntry], bytes]  # path and what is known of the file -
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Package:
-    """An open package: its tables, and its files by their relative paths."""
-
     files: Place
     manifest: Manifest
     root_bytes: int  # of airgs.json
@@ -59,21 +54,12 @@ class Package:
 
     @property
     def rungs(self) -> tuple[Rung, ...]:
-        """What viewers can choose among, key quality by key quality. Raises FormatError as `read` does."""
         return rungs_of(self.manifest, self.manifest_bytes)
 
     def __repr__(self) -> str:
-        return f"Package({_words(self)})"
-
-    def _repr_html_(self) -> str:
-        """A line for notebooks, below the player where the package is served with one, else below its poster."""
-        m, picture = self.manifest, _player_at(self.files.name)
-        if m.poster and not picture:
-            with suppress(FormatError):
-                data = base64.b64encode(self.read(POSTER_NAME)).decode()
-                picture = f'<img src="data:{MEDIA_TYPES[".jpg"]};base64,{data}" alt=""><br>'
-        words = f"{_words(self)}; {m.attribution}"
-        return f"<figure>{picture}<figcaption>{escape(words.removesuffix('; '))}</figcaption></figure>"
+        m = self.manifest
+        rungs = f"{len(m.qualities)} key qualities of {len(m.levels)} levels"
+        return f"Package({self.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs})"
 
     def read(self, relative: str) -> bytes:
         """A file that the tables list, whole and unaltered.
@@ -84,31 +70,9 @@ class Package:
         return read_file(self.files, relative, self.manifest.entry(relative))
 
 
-def _words(package: Package) -> str:
-    m = package.manifest
-    rungs = f"{len(m.qualities)} key qualities of {len(m.levels)} levels"
-    return f"{package.files.name}: {m.frames} frames at {float(m.fps):g} a second, {rungs}"
-
-
-def _player_at(address: str) -> str:
-    """The page that airgs-serve answers with at the address of a package, as HTML; nothing where there is none."""
-    if not address.startswith(tuple(f"{scheme}://" for scheme in WEB)):
-        return ""
-    from urllib.request import urlopen  # 50 ms, which a decoder need not wait for
-
-    page = address.rstrip("/") + "/"
-    try:
-        with urlopen(page, timeout=PATIENCE_S) as answer:
-            found = b"airgs-player" in answer.read(MOST_OF_PAGE)
-    except (OSError, ValueError):
-        return ""
-    return f'<iframe src="{escape(page)}" width="640" height="360" allowfullscreen></iframe><br>' if found else ""
-
-
 def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
-    """A file of a package whose length and digest are known; `Package.read` says what is raised."""
     size, read = find_file(files, relative)
-    if size > max(entry.bytes, MOST_OF_PAGE):
+    if size > max(entry.bytes, SHORT):
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {size}")
     data = read()
     check_file(relative, data, entry)
@@ -117,15 +81,12 @@ def read_file(files: Place, relative: str, entry: FileEntry) -> bytes:
 
 def write_file(files: Place, relative: str, data: bytes) -> FileEntry:
     """Write a file of a package, whole or not at all, and return its entry for the tables. Raises OSError."""
-    files.write(relative, data, _headers(relative))
-    return file_entry(data)
-
-
-def _headers(relative: str) -> dict[str, str]:
-    """Return what a bucket says of a file to those who fetch it over HTTP; docs/serving.md gives the reasons."""
     name = relative.rpartition("/")[2]
-    headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}
-    return headers | {"Cache-Control": "no-cache"} if name in ROOTS else headers
+    headers = {"Content-Type": MEDIA_TYPES[name[name.index(".") :]]}  # what a bucket says over HTTP: docs/serving.md
+    if name in ROOTS:
+        headers["Cache-Control"] = "no-cache"
+    files.write(relative, data, headers)
+    return file_entry(data)
 
 
 def check_file(relative: str, data: bytes, entry: FileEntry) -> None:
@@ -133,18 +94,12 @@ def check_file(relative: str, data: bytes, entry: FileEntry) -> None:
     if len(data) != entry.bytes:
         got = "JSON that was unpacked on the way" if is_unpacked(relative, data) else f"{len(data)}"
         raise FormatError("size_mismatch", relative, f"expected {entry.bytes} bytes, got {got_words(data, got)}")
-    check_digest(relative, data, entry)
+    if digest(data) != entry.sha256:
+        raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in the tables")
 
 
 def is_unpacked(relative: str, data: bytes) -> bool:
-    """Whether a table that is packed in a package is plain JSON."""
     return relative.endswith(".gz") and data.startswith(b"{")
-
-
-def check_digest(relative: str, data: bytes | bytearray, entry: FileEntry) -> None:
-    """Raise FormatError(hash_mismatch) unless a file has the digest of its entry."""
-    if digest(data) != entry.sha256:
-        raise FormatError("hash_mismatch", relative, "the SHA-256 differs from the one in the tables")
 
 
 def repr_digest(data: bytes) -> str:
@@ -160,21 +115,19 @@ def check_repr_digest(where: str, data: bytes, header: str) -> None:
 
 def open_manifest(root: Root, read: Read) -> Manifest:
     """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
-    return Manifest(**_shared(root), groups=Groups(root.index, partial(_page, read), partial(_group, read, root)))
 
+    def table(path: str, file: FileEntry) -> bytes:
+        if file.bytes > MAX_TABLE_BYTES:
+            raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
+        return read(path, file)
 
-def _table(read: Read, path: str, file: FileEntry) -> bytes:
-    if file.bytes > MAX_TABLE_BYTES:
-        raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
-    return read(path, file)
+    def page(path: str, entry: Entry) -> Spans:
+        return parse_page(table(path, entry.file), entry, path)
 
+    def group(number: int, entry: Entry) -> Group:
+        return parse_group(table(group_path(number + 1), entry.file), root, entry, number)
 
-def _page(read: Read, path: str, entry: Entry) -> Spans:
-    return parse_page(_table(read, path, entry.file), entry, path)
-
-
-def _group(read: Read, root: Root, number: int, entry: Entry) -> Group:
-    return parse_group(_table(read, group_path(number + 1), entry.file), root, entry, number)
+    return Manifest(**_shared(root), groups=Groups(root.index, page, group))
 
 
 def root_of(m: Manifest) -> Root:

@@ -1,7 +1,7 @@
 """Tables and the bytes of their files: packing, and strict reading, whose schema is the dataclasses of `tables`.
 
-What is not in their annotations is refused, never ignored or repaired. `references` then checks what no single field
-can tell.
+What is not in their annotations is refused, never ignored or repaired; then what no single field can tell: counts,
+spans, and fields that refer to each other. Each check relies on those before it.
 """
 
 from __future__ import annotations
@@ -10,20 +10,32 @@ import dataclasses
 import gzip
 import json
 import math
+import re
 import types
 import typing
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+
 from airgs_codec.errors import FormatError, SceneError
-from airgs_codec.package.index import Entry
-from airgs_codec.package.layout import JSON_NAME, group_path, page_path
-from airgs_codec.package.references import check_group, check_keeps, check_page, check_region, check_root
-from airgs_codec.package.tables import PAGE, VERSION, Group, Header, Region, Root, Spans, file_entry
+from airgs_codec.package import tables
+from airgs_codec.package.layout import JSON_NAME, STATE, Layout, group_path, key_layout
+from airgs_codec.package.tables import Atlas, Entry, FileEntry, Group, Header, Region, Root, Segment, Spans
 from airgs_codec.places.place import got_words
+
+MAX_TABLE_BYTES = 1 << 24  # of JSON: what it may cost is known before it is read
+MAX_VALUES = 1 << 21  # commas and opening brackets: a value follows each
+_GZIP = 31  # zlib's window bits: the largest window, in a gzip wrapper
+LEAST_SCALE, MOST_SCALE = 1e-6, 1e6  # of a transform to the world
+MOST_NUMBER = 1e30  # of such a transform, as of all coordinates in tables
+TOLERANCE = 1e-5  # of the products of its axes at length 1, and of the scale, beside its bounds
+Bound = tuple[str, float, float, float]  # where, what came, the least and the most that may stand there
+
+Table = typing.TypeVar("Table")
 
 
 def parse_root(text: bytes) -> Root:
@@ -34,8 +46,10 @@ def parse_root(text: bytes) -> Root:
     data = _load(text, JSON_NAME)
     if not isinstance(data, dict):
         raise FormatError("wrong_type", JSON_NAME, f"expected an object, got {type(data).__name__}")
-    if data.get("version") != VERSION:
-        raise FormatError("unknown_version", JSON_NAME, f"expected version {VERSION}, got {data.get('version')!r}")
+    if data.get("version") != tables.VERSION:
+        raise FormatError(
+            "unknown_version", JSON_NAME, f"expected version {tables.VERSION}, got {data.get('version')!r}"
+        )
     root: Root = _parse(Root, data, JSON_NAME)
     check_root(root)
     return root
@@ -47,7 +61,10 @@ def parse_page(text: bytes, entry: Entry, where: str) -> Spans:
     Raises FormatError as `parse_root` does.
     """
     page: Spans = _parse(Spans, _load(text, where), where)
-    check_page(entry, page, where)
+    _check_columns(where, page)
+    got = len(page), sum(page.frames), sum(page.segments)
+    expected = tables.PAGE, entry.stop - entry.start, entry.segments
+    expect(got == expected, where, f"expected {expected} entries, frames and segments, got {got}")
     return page
 
 
@@ -59,18 +76,9 @@ def parse_group(data: bytes, header: Header, entry: Entry, number: int) -> Group
     where = group_path(number + 1)
     group: Group = _parse(Group, _load(inflate(data, where), where), where)
     check_group(header, entry, group, where)
-    check_keeps(group, number, where)
+    early = group.keeps is None or group.keeps <= number
+    expect(early, f"{where}.keeps", f"expected a group before {number + 1}, got {group.keeps}")
     return group
-
-
-def _load(data: bytes, where: str) -> Any:
-    if len(data) > MAX_TABLE_BYTES or sum(map(data.count, (b",", b"[", b"{"))) > MAX_VALUES:
-        detail = f"expected at most {MAX_TABLE_BYTES} bytes of JSON with {MAX_VALUES} commas and opening brackets"
-        raise FormatError("too_large", where, detail)
-    try:
-        return json.loads(data.decode(), parse_constant=_refuse_constant)
-    except (ValueError, RecursionError) as error:
-        raise FormatError("not_json", where, f"expected JSON in UTF-8, got {got_words(data, str(error))}") from error
 
 
 def read_region(path: Path) -> Region:
@@ -83,7 +91,7 @@ def read_region(path: Path) -> Region:
     except OSError as error:
         raise SceneError(f"{path}: cannot read a viewing region: {error.strerror}") from error
     region: Region = _parse(Region, _load(text, str(path)), str(path))
-    check_region(region, str(path))
+    _check_region(region, str(path))
     return dataclasses.replace(region, source="file")
 
 
@@ -95,116 +103,10 @@ def read_as(kind: type[Table], data: bytes, where: str) -> Table:
 
 def check_written(region: Region) -> None:
     """Raise FormatError for a region that no reader would take."""
-    check_region(_parse(Region, json.loads(_text(region)), "region"), "region")
+    _check_region(_parse(Region, json.loads(pack_json(region)), "region"), "region")
 
 
-def _refuse_constant(name: str) -> float:
-    raise ValueError(f"{name} is not a JSON number")
-
-
-def _parse(kind: Any, data: Any, where: str) -> Any:
-    """`data` as a value of the annotated type `kind`."""
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin is Annotated:
-        value = _parse(arguments[0], data, where)
-        for constraint in arguments[1:]:
-            if refusal := constraint.refusal(value):
-                raise FormatError("bad_value", where, refusal)
-        return value
-    if origin is list:
-        return [_parse(arguments[0], d, f"{where}[{i}]") for i, d in enumerate(_expect(data, list, where))]
-    if origin is tuple:
-        data = _expect(data, list, where)
-        kinds = arguments[:1] * len(data) if arguments[-1] is ... else arguments
-        if len(data) != len(kinds):
-            raise FormatError("bad_value", where, f"expected {len(kinds)} values, got {len(data)}")
-        return tuple(_parse(kind, d, f"{where}[{i}]") for i, (kind, d) in enumerate(zip(kinds, data, strict=True)))
-    if origin is dict:
-        name, item = arguments
-        data = _expect(data, dict, where)
-        return {_parse(name, k, where): _parse(item, d, f"{where}[{k!r}]") for k, d in data.items()}
-    if dataclasses.is_dataclass(kind):
-        return _parse_dataclass(kind, _expect(data, dict, where), where)
-    if kind is float:
-        return _parse_float(data, where)
-    if kind is int and isinstance(data, float) and data.is_integer():
-        return int(data)  # 4.0, which is 4 in JSON Schema and in browsers
-    if kind is str and not str.isascii(_expect(data, str, where)):
-        return _parse_text(data, where)
-    if kind is bool and isinstance(data, bool):
-        return data
-    return _expect(data, kind, where)
-
-
-def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
-    hints, optional = _fields(kind)
-    if unknown := sorted(data.keys() - hints.keys()):
-        raise FormatError("unknown_field", where, f"unknown fields {unknown[:8]}")
-    if missing := sorted(hints.keys() - optional - data.keys(), key=list(hints).index):
-        raise FormatError("missing_field", where, f"missing fields {missing}")
-    given = {name: _parse(hints[name], data[name], f"{where}.{name}") for name in hints if name in data}
-    return kind(**dict.fromkeys(optional) | given)
-
-
-@cache
-def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
-    """The types of a dataclass's fields, and which fields may be missing: None stands for them."""
-    hints = typing.get_type_hints(kind, include_extras=True)
-    required = {name: as_required(hint) for name, hint in hints.items()}
-    return required, frozenset(name for name in hints if required[name] is not hints[name])
-
-
-def as_required(hint: Any) -> Any:
-    """T for the type T | None of a field that may be missing; any other type as it is."""
-    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
-        return hint
-    (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
-    return kind
-
-
-def _parse_float(data: Any, where: str) -> float:
-    try:
-        number = float(_expect(data, (int, float), where))
-    except OverflowError:  # an integer of hundreds of digits
-        number = math.inf
-    if not math.isfinite(number):
-        raise FormatError("bad_value", where, "expected a finite number")
-    return number
-
-
-def _parse_text(text: str, where: str) -> str:
-    try:
-        text.encode()
-    except UnicodeEncodeError as error:  # half a pair that JSON gave as \ud800
-        raise FormatError("bad_value", where, f"expected text, got {text[error.start]!r} alone") from error
-    return text
-
-
-def _expect(data: Any, kind: type | tuple[type, ...], where: str) -> Any:
-    if not isinstance(data, kind) or isinstance(data, bool):
-        names = kind.__name__ if isinstance(kind, type) else "number"
-        raise FormatError("wrong_type", where, f"expected {names}, got {type(data).__name__}")
-    return data
-
-
-Table = typing.TypeVar("Table")
-MAX_TABLE_BYTES = 1 << 24  # of JSON: what it may cost is known before it is read
-MAX_VALUES = 1 << 21  # commas and opening brackets: a value follows each
-_GZIP = 31  # zlib's window bits: the largest window, in a gzip wrapper
-
-
-def pack_json(table: Root | Spans) -> bytes:
-    """The text of airgs.json or of a page."""
-    return _text(table)
-
-
-def pack_group(group: Group) -> bytes:
-    """The bytes of group/{n}.json.gz, the same for the same table."""
-    return gzip.compress(_text(group), 9, mtime=0)
-
-
-def _text(table: Any) -> bytes:
-    """The JSON of a table; fields that may be missing are left out where they are None."""
+def pack_json(table: Root | Spans | Group | Region) -> bytes:
     return json.dumps(table, default=as_plain, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -212,6 +114,11 @@ def as_plain(table: Any) -> dict[str, Any]:
     """The fields of a dataclass, which JSON knows nothing of. `dataclasses.asdict` would copy every list of numbers."""
     values = ((field.name, getattr(table, field.name)) for field in dataclasses.fields(table))
     return {name: value for name, value in values if value is not None}
+
+
+def pack_group(group: Group) -> bytes:
+    """The bytes of group/{n}.json.gz, the same for the same table."""
+    return gzip.compress(pack_json(group), 9, mtime=0)
 
 
 def inflate(data: bytes, where: str) -> bytes:
@@ -228,41 +135,298 @@ def inflate(data: bytes, where: str) -> bytes:
     return text
 
 
-EMPTY = Spans([], [], [], "")
+def _load(data: bytes, where: str) -> Any:
+    if len(data) > MAX_TABLE_BYTES or sum(map(data.count, (b",", b"[", b"{"))) > MAX_VALUES:
+        detail = f"expected at most {MAX_TABLE_BYTES} bytes of JSON with {MAX_VALUES} commas and opening brackets"
+        raise FormatError("too_large", where, detail)
+    try:
+        return json.loads(data.decode(), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
+        raise FormatError("not_json", where, f"expected JSON in UTF-8, got {got_words(data, str(error))}") from error
 
 
-def build_index(groups: Sequence[Group], tables: Sequence[bytes]) -> tuple[list[Spans], dict[str, Spans]]:
-    """The index of groups whose tables are these bytes, and its pages by their paths."""
-    index: list[Spans] = []
-    pages: dict[str, Spans] = {}
-    for number, (group, table) in enumerate(zip(groups, tables, strict=True)):
-        index, filled = extend_index(index, number, group, table)
-        pages |= filled
-    return index, pages
+def _refuse_constant(name: str) -> float:
+    raise ValueError(f"{name} is not a JSON number")
 
 
-def extend_index(
-    index: Sequence[Spans], number: int, group: Group, table: bytes
-) -> tuple[list[Spans], dict[str, Spans]]:
-    """The index with one more group, counted from 0, whose table is these bytes, and the pages that it has filled.
+def _parse(kind: Any, data: Any, where: str) -> Any:
+    """`data` as a value of the annotated type `kind`."""
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is Annotated:
+        value = _parse(arguments[0], data, where)
+        for constraint in arguments[1:]:
+            _check_constraint(constraint, value, where)
+        return value
+    if origin is list:
+        return [_parse(arguments[0], d, f"{where}[{i}]") for i, d in enumerate(_typed(list, data, where))]
+    if origin is tuple:
+        data = _typed(list, data, where)
+        kinds = arguments[:1] * len(data) if arguments[-1] is ... else arguments
+        if len(data) != len(kinds):
+            raise FormatError("bad_value", where, f"expected {len(kinds)} values, got {len(data)}")
+        return tuple(_parse(kind, d, f"{where}[{i}]") for i, (kind, d) in enumerate(zip(kinds, data, strict=True)))
+    if origin is dict:
+        name, item = arguments
+        items = _typed(dict, data, where).items()
+        return {_parse(name, k, where): _parse(item, d, f"{where}[{k!r}]") for k, d in items}
+    if dataclasses.is_dataclass(kind):
+        return _parse_dataclass(kind, _typed(dict, data, where), where)
+    if kind is float:
+        return _parse_float(data, where)
+    if kind is int and isinstance(data, float) and data.is_integer():
+        return int(data)  # 4.0, which is 4 in JSON Schema and in browsers
+    if kind is str and (half := re.search("[\ud800-\udfff]", _typed(str, data, where))):  # JSON gave it as \ud800
+        raise FormatError("bad_value", where, f"expected text, got {half[0]!r} alone")
+    return _typed(kind, data, where)
 
-    As with the digits of a number in base PAGE: a level that would have PAGE entries has none, and the one above has
-    one more, which is the page that they stand on.
-    """
-    entry = (group.stop - group.start, len(group.segments), table)
-    pages: dict[str, Spans] = {}
-    for level, spans in enumerate([*index, EMPTY]):
-        full = _with(spans, *entry)
-        if len(full) < PAGE:
-            return [*[EMPTY] * level, full, *index[level + 1 :]], pages
-        pages[page_path(level + 1, (number + 1) // PAGE ** (level + 1))] = full
-        entry = sum(full.frames), sum(full.segments), pack_json(full)
-    raise AssertionError("the level above all others has one entry")
+
+def _check_constraint(
+    constraint: tables.Range | tables.Length | tables.OneOf | tables.Pattern, value: Any, where: str
+) -> None:
+    match constraint:
+        case tables.Range(low, high):
+            expect(low <= value <= high, where, f"expected {low} to {high}, got {value}")
+        case tables.Length(low, high):
+            expect(low <= len(value) <= high, where, f"expected {low} to {high} values, got {len(value)}")
+        case tables.OneOf(words):
+            expect(value in words, where, f"expected one of {', '.join(words)}, got {value!r}")
+        case tables.Pattern(expression, what):
+            expect(re.fullmatch(expression, value), where, f"expected {what}, got {value!r}")
 
 
-def _with(spans: Spans, frames: int, segments: int, data: bytes) -> Spans:
-    """The columns with one more part, whose file has these bytes."""
-    file = file_entry(data)
-    return Spans(
-        [*spans.frames, frames], [*spans.segments, segments], [*spans.bytes, file.bytes], spans.sha256 + file.sha256
-    )
+def _parse_dataclass(kind: Any, data: dict[str, Any], where: str) -> Any:
+    hints, optional = _fields(kind)
+    if unknown := sorted(data.keys() - hints.keys()):
+        raise FormatError("unknown_field", where, f"unknown fields {unknown[:8]}")
+    if missing := [name for name in hints if name not in data and name not in optional]:
+        raise FormatError("missing_field", where, f"missing fields {missing}")
+    given = {name: _parse(hints[name], data[name], f"{where}.{name}") for name in hints if name in data}
+    return kind(**dict.fromkeys(optional) | given)
+
+
+@cache
+def _fields(kind: Any) -> tuple[dict[str, Any], frozenset[str]]:
+    hints = typing.get_type_hints(kind, include_extras=True)
+    required = {name: as_required(hint) for name, hint in hints.items()}
+    return required, frozenset(name for name in hints if required[name] is not hints[name])
+
+
+def as_required(hint: Any) -> Any:
+    """T for the type T | None of a field that may be missing; any other type as it is."""
+    if typing.get_origin(hint) not in (types.UnionType, typing.Union):
+        return hint
+    (kind,) = (argument for argument in typing.get_args(hint) if argument is not type(None))
+    return kind
+
+
+def _parse_float(data: Any, where: str) -> float:
+    try:
+        number = float(data if type(data) is int else _typed(float, data, where))
+    except OverflowError:  # an integer of hundreds of digits
+        number = math.inf
+    expect(math.isfinite(number), where, "expected a finite number")
+    return number
+
+
+def _typed(kind: type, data: Any, where: str) -> Any:
+    if type(data) is not kind:
+        expected = "number" if kind is float else kind.__name__
+        raise FormatError("wrong_type", where, f"expected {expected}, got {type(data).__name__}")
+    return data
+
+
+def expect(fits: object, where: str, detail: str, reason: str = "bad_value") -> None:
+    """Raise FormatError with a reason, a place and a detail unless `fits` is true."""
+    if not fits:
+        raise FormatError(reason, where, detail)
+
+
+def _check_bounds(where: str, bounds: Iterable[Bound]) -> None:
+    for name, value, low, high in bounds:
+        expect(low <= value <= high, f"{where}.{name}", f"expected {low} to {high}, got {value}")
+
+
+def check_root(m: Root) -> None:
+    """Raise FormatError (bad_value, missing_entry) unless what airgs.json says fits together."""
+    ids = [*(q.id for q in m.qualities), *(v.id for v in m.levels)]
+    expected = [*(f"Q{i}" for i in range(len(m.qualities))), *(f"L{i}" for i in range(len(m.levels)))]
+    expect(ids == expected, f"{JSON_NAME}.levels", f"expected {expected}, got {ids}")
+    _check_bounds(JSON_NAME, _root_bounds(m))
+    _check_region(m.region, f"{JSON_NAME}.region")
+    if m.world and (fault := fault_of(m.world.transform)):
+        raise FormatError("bad_value", f"{JSON_NAME}.world.transform", fault)
+    whole = m.timescale * m.frame_rate[1] % m.frame_rate[0] == 0
+    expect(whole, f"{JSON_NAME}.timescale", "a frame is not a whole number of ticks")
+    _check_file(f"{JSON_NAME}.init", m.init, True)
+    if m.poster:
+        _check_file(f"{JSON_NAME}.poster", m.poster, True)
+        _check_bounds(JSON_NAME, [("poster.bytes", m.poster.bytes, 1, tables.MAX_POSTER_BYTES)])
+    if m.sound:
+        _check_file(f"{JSON_NAME}.sound.init", m.sound.init, True)
+    _check_index(f"{JSON_NAME}.index", m)
+
+
+def check_group(m: Header, entry: Entry, group: Group, where: str) -> None:
+    """Raise FormatError (bad_value, missing_entry) unless the table of a group fits the package and itself."""
+    got, expected = (group.start, group.stop, len(group.segments)), (entry.start, entry.stop, entry.segments)
+    expect(got == expected, where, f"expected the start, stop and number of segments {expected}, got {got}")
+    for name, length, wanted in _shapes(m, group):
+        expect(length == wanted, f"{where}.{name}", f"expected {wanted}, got {length}")
+    _check_bounds(where, _group_bounds(m, group))
+    words = "expected an entry where, and only where, airgs.json has sound"
+    expect((group.sound is None) == (m.sound is None), f"{where}.sound", words)
+    if group.sound:  # there is a file where a packet starts in the time of the group
+        _check_file(f"{where}.sound", group.sound, len(m.packets(group.start, group.stop)) > 0)
+    for t, tier in enumerate(group.tiers):
+        _check_file(f"{where}.tiers[{t}].sidecar", tier.sidecar, tier.count > 0)
+        for q, picture in enumerate(tier.pictures):
+            _check_file(f"{where}.tiers[{t}].pictures[{q}]", picture, tier.qualities[q].rows > 0)
+    stop = group.start
+    for s, segment in enumerate(group.segments):
+        fits, here = segment.start == stop < segment.stop <= group.stop, f"{where}.segments[{s}]"
+        expect(fits, here, f"expected a start at {stop}, got [{segment.start}, {segment.stop})")
+        stop = segment.stop
+        _check_segment(m, group, segment, here)
+    expect(stop == group.stop, f"{where}.segments", f"end at {stop}, the group at {group.stop}")
+
+
+def check_base(group: Group, base: Group, where: str) -> None:
+    """Raise FormatError (bad_value) unless `base`, whose rows a group keeps, keeps none and is laid out alike."""
+    words = f"expected a group that keeps none, got {group.keeps}, which keeps {base.keeps}"
+    expect(base.keeps is None, f"{where}.keeps", words)
+    alike = [
+        (g.grid, g.key_steps, g.colour_transform, [(tier.count, tier.factor) for tier in g.tiers])
+        for g in (group, base)
+    ]
+    words = f"expected a group of equal tiers, grid, key_steps and colours, got {group.keeps}"
+    expect(alike[0] == alike[1], f"{where}.keeps", words)
+
+
+def _check_region(region: Region, where: str) -> None:
+    """Every place has a direction to look in and one that is up."""
+    for p, place in enumerate(region.places):
+        for name, other in (("focus", place.position), ("up", [0.0, 0.0, 0.0])):
+            apart = np.linalg.norm(np.subtract(got := getattr(place, name), other)) != 0
+            expect(apart, f"{where}.places[{p}].{name}", f"expected other than {other}, got {got}")
+
+
+def fault_of(transform: Sequence[float]) -> str | None:
+    """Return what is wrong with a transform of 12 numbers, in words; None where it is a similarity without mirror."""
+    large = [value for value in transform if not abs(value) <= MOST_NUMBER]
+    if len(transform) != 12 or large:
+        return f"expected 12 finite numbers of at most {MOST_NUMBER:g}, got {large[0] if large else len(transform)}"
+    axes = np.reshape(transform, (3, 4))[:, :3]
+    scale = float(np.linalg.norm(axes, axis=1).mean())
+    if not LEAST_SCALE * (1 - TOLERANCE) <= scale <= MOST_SCALE * (1 + TOLERANCE):
+        return f"expected a scale of {LEAST_SCALE:g} to {MOST_SCALE:g}, got {scale:g}"
+    if np.abs(axes @ axes.T / scale**2 - np.eye(3)).max() > TOLERANCE:
+        return f"expected a rotation with one scale for all axes, got rows {axes.tolist()}"
+    if np.linalg.det(axes / scale) < 0:
+        return "expected a right-handed turn, got one that mirrors"
+    return None
+
+
+def _check_columns(where: str, spans: Spans) -> None:
+    lengths = [len(spans.frames), len(spans.segments), len(spans.bytes), len(spans.sha256) / tables.DIGEST]
+    expect(len(set(lengths)) == 1, where, f"expected columns of one length, got {lengths}")
+
+
+def _check_index(where: str, m: Root) -> None:
+    """What fills no page, level by level, with no empty level at the end; the groups have all frames."""
+    for level, spans in enumerate(m.index):
+        here, fewest = f"{where}[{level}]", tables.PAGE**level
+        _check_columns(here, spans)
+        expect(len(spans) < tables.PAGE, here, f"expected at most {tables.PAGE - 1} entries, got {len(spans)}")
+        least = min([*spans.frames, *spans.segments], default=fewest)
+        words = f"expected {fewest} frames and segments or more in each entry, got {least}"
+        expect(least >= fewest, here, words)
+    expect(len(m.index[-1]) > 0, where, "expected an entry in the last level, got none")
+    total = sum(sum(spans.frames) for spans in m.index)
+    expect(total == m.frames, where, f"covers {total} of {m.frames} frames")
+
+
+def _check_file(where: str, entry: FileEntry, wanted: bool) -> None:
+    """A file is there where one is wanted, and only there; a length and a digest come together."""
+    expect(wanted or not entry.bytes, where, "expected no file: nothing is to be fetched")
+    if wanted and not entry.bytes:
+        raise FormatError("missing_entry", where, "expected a file")
+    words = f"expected both a length and a digest or neither, got {entry.bytes} and {entry.sha256!r}"
+    expect(bool(entry.bytes) == bool(entry.sha256), where, words)
+
+
+def _root_bounds(m: Header) -> Iterator[Bound]:
+    for q, quality in enumerate(m.qualities):
+        yield (
+            f"qualities[{q}].coarser",
+            quality.coarser,
+            m.qualities[q - 1].coarser if q else 0,
+            tables.GRID_BITS if q else 0,
+        )
+    finest, most = 0, m.tiers  # every tier is some level's: the first level has all of them
+    for j, level in enumerate(m.levels):
+        yield f"levels[{j}].tiers", level.tiers, 1 if j else most, most
+        yield f"levels[{j}].quality", level.quality, finest, len(m.qualities) - 1
+        most, finest = level.tiers, level.quality
+
+
+def _shapes(m: Header, group: Group) -> Iterator[tuple[str, int, int]]:
+    yield "tiers", len(group.tiers), m.tiers
+    yield "levels", len(group.levels), len(m.levels)
+    for t, tier in enumerate(group.tiers):
+        yield f"tiers[{t}].qualities", len(tier.qualities), len(m.qualities)
+        yield f"tiers[{t}].pictures", len(tier.pictures), len(m.qualities)
+    for s, segment in enumerate(group.segments):
+        yield f"segments[{s}].levels", len(segment.levels), len(m.levels)
+
+
+def _group_bounds(m: Header, group: Group) -> Iterator[Bound]:
+    fewest = m.levels[-1].tiers
+    yield "static", group.static, 0, group.count
+    yield "sum of tier counts", sum(tier.count for tier in group.tiers), group.count, group.count
+    first = sum(tier.count for tier in group.tiers[:fewest])
+    yield f"rows of the first {fewest} tiers", first, 1, group.count
+    layout = key_layout(group)
+    yield "grid.step", group.grid.unit, 1 / MOST_NUMBER, MOST_NUMBER
+    for t, tier in enumerate(group.tiers):
+        for q, atlas in enumerate(tier.qualities):
+            where, same = f"tiers[{t}].qualities[{q}]", group.keeps is not None and not atlas.rows
+            yield f"{where}.rows", atlas.rows, 0 if same else tier.count, tier.count
+            yield f"len({where}.planes)", len(atlas.planes), min(1, atlas.rows), layout.width(m.colour_channels)
+            yield from _atlas_bounds(where, atlas, layout, m.colour_channels)
+    for j, atlas in enumerate(group.levels):
+        yield f"levels[{j}].rows", atlas.rows, 0, group.count - group.static
+        yield from _atlas_bounds(f"levels[{j}]", atlas, STATE, m.colour_channels)
+
+
+def _atlas_bounds(where: str, atlas: Atlas, layout: Layout, colours: int) -> Iterator[Bound]:
+    channels, attributes = layout.width(colours), len(layout.attributes)
+    yield f"len({where}.centres)", len(atlas.centres), channels, channels
+    yield f"len({where}.max_error)", len(atlas.max_error), attributes, attributes
+    for i, plane in enumerate(atlas.planes):
+        yield f"{where}.planes[{i}]", plane, atlas.planes[i - 1] + 1 if i else 0, channels - 1
+    if atlas.planes:
+        yield f"{where}.plane_width", atlas.plane_width, tables.BLOCK, tables.MAX_PICTURE_SIDE
+        yield f"{where}.plane_width % {tables.BLOCK}", atlas.plane_width % tables.BLOCK, 0, 0
+        yield f"{where}.columns", atlas.columns, 1, len(atlas.planes)
+        yield f"{where}.height", atlas.height, tables.BLOCK, tables.MAX_PICTURE_SIDE
+        yield f"{where}.width", atlas.width, tables.BLOCK, max(tables.MIN_PICTURE_SIDE, atlas.size[0])
+        yield f"{where}.width % {tables.BLOCK}", atlas.width % tables.BLOCK, 0, 0
+        yield f"{where}.height % {tables.BLOCK}", atlas.height % tables.BLOCK, 0, 0
+        yield f"{where} macroblocks", atlas.width * atlas.height // tables.BLOCK**2, 1, tables.MAX_MACROBLOCKS
+        yield f"{where} width of the planes", atlas.size[0], tables.BLOCK, atlas.width
+        yield f"{where} pages", atlas.pages, 1, tables.MAX_PAGES
+
+
+def _check_segment(m: Header, group: Group, segment: Segment, where: str) -> None:
+    """A segment says as much of each level as there is to say."""
+    measured = len(m.qualities) if m.measured else 0
+    for j, level in enumerate(segment.levels):
+        here, fetched = f"{where}.levels[{j}]", level.file.bytes > 0
+        _check_file(f"{here}.file", level.file, fetched and bool(group.levels[j].planes))
+        wanted = {"frame_bytes": segment.stop - segment.start if fetched else 0}
+        wanted |= dict.fromkeys(("psnr", "worst", "ssim", "delta_e"), measured)
+        for name, expected in wanted.items():
+            got = len(getattr(level, name))
+            expect(got == expected, f"{here}.{name}", f"expected {expected} values, got {got}")
+        frames = len(level.frame_bytes)
+        expect(not level.line or frames > 1, f"{here}.line", f"expected at least 2 frames, got {frames}")

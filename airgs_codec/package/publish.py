@@ -1,4 +1,4 @@
-"""Publishing a package: tables of the groups, full pages of the index, the MPD, and airgs.json last.
+"""Publishing a package: tables of the groups, full pages of the index, the MPD, and airgs.json last; and changes of it.
 
 Each file is written whole or not at all, and nothing that airgs.json leads to is ever written twice; so a reader finds
 a whole package whenever it looks, also while groups are added.
@@ -14,23 +14,26 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
+
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.dash_check import check_mpd
-from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, belongs, group_path
-from airgs_codec.package.manifest import Manifest
-from airgs_codec.package.mpd import LiveClock, Streams, still_files, write_mpd
-from airgs_codec.package.package import open_manifest, read_file, root_of, write_file
-from airgs_codec.package.parse import build_index, extend_index, pack_group, pack_json, parse_root
-from airgs_codec.package.tables import FileEntry, Group
-from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place
-from airgs_codec.places.whole import finished_path, staged_folder
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MPD_NAME, POSTER_NAME, belongs, group_path
+from airgs_codec.package.manifest import Manifest, build_index, extend_index
+from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, still_files, write_mpd
+from airgs_codec.package.package import open_manifest, open_package, read_file, root_of, write_file
+from airgs_codec.package.parse import pack_group, pack_json, parse_root
+from airgs_codec.package.region import levelled, unit_of, upright, world_from
+from airgs_codec.package.tables import MAX_PLACES, FileEntry, Group, Region, Root, Rungs
+from airgs_codec.package.tables import Place as ViewPlace
+from airgs_codec.places.place import PARALLEL, Bucket, Folder, Place, place_at
+from airgs_codec.places.whole import finished_path, staged_folder, written_alone
 
 NEW = ".new/"  # a package below it takes the place of the one that is there
 
@@ -112,7 +115,6 @@ class GrowingPackage:
         self._write_root()
 
     def _read(self, path: str, entry: FileEntry) -> bytes:
-        """A page or a table of a group."""
         return self._unwritten[path] if path in self._unwritten else read_file(self.files, path, entry)
 
     def _write_root(self) -> None:
@@ -134,7 +136,6 @@ def staged_package(place: Place) -> AbstractContextManager[Path]:
 
 
 def _is_package(folder: Path) -> bool:
-    """Return whether a package, and nothing else, lies in a folder; files of it may be unfinished."""
     files = Folder(folder)
     try:
         parse_root(files.read(JSON_NAME) or b"")
@@ -204,3 +205,56 @@ def _for_each(names: Iterable[str], work: Callable[[str], object]) -> None:
     for name in last:
         if name in names:
             work(name)
+
+
+def set_view(
+    path: str | Path,
+    *,
+    up: Sequence[float] | None = None,
+    view: tuple[Sequence[float], Sequence[float]] | None = None,
+    name: str | None = None,
+) -> Root:
+    """Change the package at `path`, whole or not at all, and return what is written.
+
+    `up` (3,) is up from now on. `view` is a position and the point looked at, (3,) each: viewers begin there, or, with
+    a `name`, find it under that name, instead of what had it before; they may go as far from it as from the place next
+    to it. A poster shows what was the first view, so it goes where that changes. Whoever else changes a package in a
+    folder at this moment is waited for.
+
+    Raises ConfigError for nothing to change or a package that is still growing, FormatError for values that no reader
+    takes, OSError where nothing can be written.
+    """
+    if up is None and view is None:
+        raise ConfigError(f"{path}: expected a way up or a view, got nothing to change")
+    place = place_at(path)
+    with written_alone(place.path) if isinstance(place, Folder) and place.path.is_dir() else nullcontext():
+        package = open_package(path)
+        root = root_of(package.manifest)
+        if root.live:
+            raise ConfigError(f"{path}: expected a package that is whole, got one that is still growing")
+        if up is not None:
+            root = replace(root, world=world_from(up, unit_of(root.world) if root.world else None))
+        if view is not None:
+            if not np.isfinite(view).all():
+                raise ConfigError(f"view: expected finite numbers, got {view[0]} and {view[1]}")
+            root = replace(root, region=_with_view(root, view, name))
+        if up is not None or name is None:
+            root = replace(root, poster=None)
+        text = pack_json(root)
+        parse_root(text)
+        write_file(package.files, JSON_NAME, text)
+        if root.poster is None:  # a run that was killed here may have left it
+            package.files.delete([POSTER_NAME])
+    return root
+
+
+def _with_view(root: Root, view: tuple[Sequence[float], Sequence[float]], name: str | None) -> Region:
+    position, focus = (list(map(float, point)) for point in view)
+    region = levelled(root.region, root.world)
+    away = [float(np.linalg.norm(np.subtract(place.position, position))) for place in region.places]
+    reach = region.places[int(np.argmin(away))].reach
+    place = ViewPlace(position, focus, upright(region).tolist(), reach, name)
+    others = [other for other in root.region.places if name is None or other.name != name]
+    if len(others) == MAX_PLACES:
+        raise ConfigError(f"region: expected at most {MAX_PLACES} places, got one more")
+    return replace(root.region, places=[place, *others] if name is None else [*others, place])

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.references import LEAST_SCALE, MOST_SCALE, fault_of
+from airgs_codec.package.parse import LEAST_SCALE, MOST_SCALE, fault_of
 from airgs_codec.package.tables import Place, Region, World
 from airgs_codec.places.whole import expect_plain
 from airgs_codec.scene.camera import BLACK, Background, Camera, look_at
 from airgs_codec.scene.formats.form import Axes
-from airgs_codec.scene.origin import Origin
+from airgs_codec.scene.frames import Origin
 
 AGREEMENT = 0.1  # directions whose mean is shorter do not agree on where up is
 FORGIVEN_DEGREES = 1e-4  # beyond the turn, by which players let viewers look further aside
@@ -36,7 +36,6 @@ Vector = NDArray[np.float64]
 
 
 def place_view(region: Region, place: Place, name: str = "place") -> Camera:
-    """Return what a viewer sees who stands at a place and looks where it says."""
     return view_from(region, np.array(place.position), np.array(place.focus), np.array(place.up), name)
 
 
@@ -62,7 +61,8 @@ def upright(region: Region) -> Vector:
     """
     ups = np.array([place.up for place in region.places])
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
-    sides = np.cross([_ahead(place) for place in region.places], ups)
+    ahead = [np.array(place.focus, np.float64) - place.position for place in region.places]
+    sides = np.cross([direction / np.linalg.norm(direction) for direction in ahead], ups)
     mean: Vector = ups.mean(axis=0)
     length = np.linalg.norm(mean)
     up = mean / length if length > AGREEMENT else ups[0]
@@ -72,14 +72,7 @@ def upright(region: Region) -> Vector:
     return up
 
 
-def _ahead(place: Place) -> Vector:
-    """The direction (3,) of length 1 in which a viewer at a place looks."""
-    ahead = np.array(place.focus, np.float64) - place.position
-    return ahead / np.linalg.norm(ahead)
-
-
 def view_from(region: Region, position: Vector, target: Vector, up: Vector, name: str) -> Camera:
-    """A camera of the region's picture size and field of view at `position` (3,), looking at `target` (3,)."""
     square = look_at(position, target, up, size=region.height, fov_y=float(np.radians(region.fov_y)), name=name)
     behind = background_of(region)
     return replace(square, width=region.width, cx=region.width / 2, near=region.near, background=behind)
@@ -93,7 +86,6 @@ def background_of(region: Region) -> Background:
 
 
 def before_background(region: Region, cameras: Sequence[Camera]) -> list[Camera]:
-    """The cameras, which see the background of a region behind the scene."""
     return [replace(camera, background=background_of(region)) for camera in cameras]
 
 
@@ -103,7 +95,6 @@ def with_background(region: Region, background: Background) -> Region:
 
 
 def from_origin(region: Region, origin: ArrayLike) -> Region:
-    """A region in coordinates from an origin (3,)."""
     ends = [np.subtract([place.position, place.focus], origin).tolist() for place in region.places]
     places = [replace(place, position=a, focus=b) for place, (a, b) in zip(region.places, ends, strict=True)]
     return replace(region, places=places)

@@ -1,25 +1,18 @@
 """The tables of a package as frozen values: airgs.json (the root), the pages of its index, and a table a group.
 
-T key tiers, Q key qualities, L levels, C colour channels. FORMAT.md says what each field means. What
-a field may hold beside its type is a constraint in its annotation; `parse` reads the JSON back and refuses everything
-else. `manifest` is a package's tables as one value.
+FORMAT.md says what each field means. What a field may hold beside its type is a constraint in its annotation; `parse`
+reads the JSON back and refuses everything else. `manifest` is a package's tables as one value.
 """
 
 from __future__ import annotations
 
 import base64
-import dataclasses
 import hashlib
-import re
-from collections.abc import Sized
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Annotated
 
-import numpy as np
-from numpy.typing import NDArray
-
-from airgs_codec.errors import ConfigError, FormatError
+from airgs_codec.errors import ConfigError
 from airgs_codec.scene.gaussians import SH_REST
 
 VERSION = 6
@@ -54,48 +47,29 @@ TRANSFORM_UNITS = 32767  # entries of a colour transform are whole numbers of 1 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A number from `low` to `high`, both included."""
+    """Bounds of a number, both included."""
 
     low: float
     high: float
 
-    def refusal(self, value: float) -> str | None:
-        """Return what was expected and what came; None for a value that may stand. So do the other constraints."""
-        return None if self.low <= value <= self.high else f"expected {self.low} to {self.high}, got {value}"
-
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """A list of at least `low` and at most `high` values."""
+    """How many values a list may have, at least and at most."""
 
     low: int
     high: int
-
-    def refusal(self, value: Sized) -> str | None:
-        """See `Range.refusal`."""
-        fits = self.low <= len(value) <= self.high
-        return None if fits else f"expected {self.low} to {self.high} values, got {len(value)}"
 
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
     words: tuple[str, ...]
 
-    def refusal(self, value: str) -> str | None:
-        """See `Range.refusal`."""
-        return None if value in self.words else f"expected one of {', '.join(self.words)}, got {value!r}"
-
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """A text that a regular expression matches from its start to its end."""
-
-    expression: str
+    expression: str  # that matches a text from its start to its end
     what: str  # such texts are, for people
-
-    def refusal(self, value: str) -> str | None:
-        """See `Range.refusal`."""
-        return None if re.fullmatch(self.expression, value) else f"expected {self.what}, got {value!r}"
 
 
 Digest = Annotated[str, Pattern("([A-Za-z0-9_-]{32})?", "a digest of 32 characters of base64url")]  # "": no file
@@ -252,7 +226,6 @@ class StateSteps:
 
 
 def difference_steps(key: KeySteps, grid: Grid) -> StateSteps:
-    """The steps of keys that are differences to those of another group: of means the finest cells in motion units."""
     return StateSteps(grid.unit, *(getattr(key, name) for name in KEY_ATTRIBUTES))
 
 
@@ -267,24 +240,22 @@ class Atlas:
     columns: int  # planes side by side
     width: Side = 0  # of the pictures, samples; 0 where there are none
     height: Side = 0
-    max_error: list[Annotated[float, Range(0, 1e38)]] = dataclasses.field(default_factory=list)  # for each attribute
+    max_error: list[Annotated[float, Range(0, 1e38)]] = field(default_factory=list)  # for each attribute
+
+    @property
+    def plane_height(self) -> int:
+        blocks = -(-self.rows // BLOCK**2)
+        return BLOCK * -(-blocks // (self.plane_width // BLOCK))
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height in samples of what the planes cover together."""
-        height = plane_height(self.rows, self.plane_width) * -(-len(self.planes) // self.columns)
-        return self.plane_width * self.columns, height
+        return self.plane_width * self.columns, self.plane_height * -(-len(self.planes) // self.columns)
 
     @property
     def pages(self) -> int:
         """How many pictures show it together, each the next `height` lines."""
         return -(-self.size[1] // self.height)
-
-
-def plane_height(rows: int, plane_width: int) -> int:
-    """Samples from the top to the bottom of a plane of `rows` rows."""
-    blocks = -(-rows // BLOCK**2)
-    return BLOCK * -(-blocks // (plane_width // BLOCK))
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +322,6 @@ class Group:
 
     @property
     def difference_steps(self) -> StateSteps:
-        """Quantiser steps at factor 1 of keys that are differences."""
         return difference_steps(self.key_steps, self.grid)
 
 
@@ -372,6 +342,17 @@ class Spans:
 
 
 @dataclass(frozen=True, slots=True)
+class Entry:
+    """What the index says of a group, or of the groups on a page."""
+
+    start: int  # the first frame
+    stop: int
+    first_segment: int
+    segments: int  # how many
+    file: FileEntry  # the table of the group, or the page
+
+
+@dataclass(frozen=True, slots=True)
 class RungQuality:
     """The quality of a level with a key quality over the whole package, as pictures have shown it."""
 
@@ -381,6 +362,9 @@ class RungQuality:
     ssim: Annotated[float, Range(-1, 1)]  # mean
     delta_e: Annotated[float, Range(0, MAX_DELTA_E)]  # mean CIEDE2000
     pictures: Count
+
+
+Rungs = list[list[RungQuality]]  # of each key quality and level; empty: not measured
 
 
 @dataclass(frozen=True, slots=True)
@@ -406,17 +390,15 @@ class Header:
     qualities: Annotated[list[KeyQuality], Choices]
     levels: Annotated[list[Level], Choices]
     tiers: Annotated[int, Range(1, MAX_CHOICES)]  # key tiers
-    rungs: list[list[RungQuality]]  # of each key quality and level; empty: not measured
+    rungs: Rungs
     sound: Sound | None  # None, and no such field in airgs.json: there is none
 
     @property
     def fps(self) -> Fraction:
-        """Frames a second, exact."""
         return Fraction(*self.frame_rate)
 
     @property
     def frame_ticks(self) -> int:
-        """Duration of a frame in ticks of `timescale`."""
         return self.timescale * self.frame_rate[1] // self.frame_rate[0]
 
     def packets(self, start: int, stop: int) -> range:
@@ -463,24 +445,8 @@ def digest(data: bytes | bytearray) -> str:
 
 
 def shorten(sha256: bytes) -> str:
-    """The digest of a file with this SHA-256, as `digest` gives it."""
     return base64.urlsafe_b64encode(sha256[:24]).decode("ascii")
 
 
 def file_entry(data: bytes) -> FileEntry:
-    """Length and digest of a file with these bytes."""
     return FileEntry(len(data), digest(data))
-
-
-def pack_matrix(matrix: NDArray[np.float64]) -> str:
-    """Entries in -1..1 as base64 of little-endian int16 in 1 / TRANSFORM_UNITS, row by row."""
-    return base64.b64encode(np.rint(matrix * TRANSFORM_UNITS).astype("<i2").tobytes()).decode("ascii")
-
-
-def unpack_matrix(text: str, side: int) -> NDArray[np.float64]:
-    """Inverse of `pack_matrix`: (side, side). Raises FormatError(bad_value)."""
-    try:
-        raw = base64.b64decode(text, validate=True)
-        return np.frombuffer(raw, "<i2").reshape(side, side) / TRANSFORM_UNITS
-    except ValueError as error:
-        raise FormatError("bad_value", "colour_transform", f"expected {side}x{side} int16: {error}") from error

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, FormatError, SceneError, TransportError
-from airgs_codec.places.whole import atomic_path, write_bytes
+from airgs_codec.places.whole import write_bytes
 from airgs_codec.progress import Progress, silent
 
 if TYPE_CHECKING:
@@ -42,7 +42,6 @@ _HINTS = {401: "the server asks for a sign-in", 403: f"the server refuses: {_KEY
 PARALLEL = 16  # requests at a time
 PLAIN: Mapping[str, str] = {}
 _LINK = "expected a plain file, got a link"
-_NO_BUCKET = re.compile("NoSuchBucket|ContainerNotFound")
 _PATIENCE = {"retry_timeout": timedelta(seconds=SILENCE_S / 2)}  # no request is begun again later
 _FAULTS = {  # in the text of an error of obstore -> what that means
     "kind: Timeout": f"the server is silent: nothing came in {SILENCE_S:g} s, or not all in 30 s",
@@ -56,10 +55,7 @@ _NO_CREDENTIALS = re.compile(r"169\.254\.\d+\.\d+|metadata\.google\.internal|Acc
 
 
 class Place(ABC):
-    """Files by their paths, with slashes, below one folder or address.
-
-    Where a store does not answer, all methods raise TransportError, which is an OSError.
-    """
+    """Files by their paths, with slashes, below one folder or address. All methods raise OSError (TransportError)."""
 
     name: str  # the folder or address, for messages
 
@@ -72,18 +68,15 @@ class Place(ABC):
 
     @abstractmethod
     def sizes(self) -> dict[str, int]:
-        """Return the length of every file at any depth, by path. Raises OSError."""
+        """Return the length of every file at any depth, by path."""
 
     @abstractmethod
     def write(self, path: str, data: bytes, headers: Mapping[str, str] = PLAIN) -> None:
-        """Write a file, whole or not at all; one of the same path is replaced.
-
-        `headers`: what a bucket says of it over HTTP. Raises OSError.
-        """
+        """Write a file, whole or not at all, over one of the same path; `headers`: what a bucket says of it."""
 
     @abstractmethod
     def delete(self, paths: Iterable[str]) -> None:
-        """Delete files that are there. Raises OSError."""
+        """Delete files that are there."""
 
     def read(self, path: str) -> bytes | None:
         """Return the bytes of a file; None where there is none. Raises what `open` does."""
@@ -188,16 +181,15 @@ class Bucket(Place):
 
         return found.meta["size"], read
 
-    def download(self, path: str, target: Path) -> int | None:
-        """Write an object to a file, whole or not at all, and return its length; None where there is none."""
-        with self._told(path):
+    def download(self, path: str, target: Path) -> int:
+        """Write an object to a file, and return its length. Raises SceneError where there is none."""
+        with self._told(path), target.open("wb") as file:
             found = self._get(path)
-            if found is None:
-                return None
-            with atomic_path(target, lasting=False) as temporary, temporary.open("wb") as file:
-                for part in found.stream():
-                    file.write(part)
-            return found.meta["size"]
+            for part in found.stream() if found else ():
+                file.write(part)
+        if found is None:
+            raise SceneError(f"{self.name}/{path}: expected the file that was listed, got nothing")
+        return found.meta["size"]
 
     def sizes(self, below: str = "") -> dict[str, int]:
         """Return the length of every object below a path, at any depth."""
@@ -222,7 +214,7 @@ class Bucket(Place):
         try:
             return self._objects.get(path)
         except FileNotFoundError as error:
-            if _NO_BUCKET.search(str(error)):
+            if re.search("NoSuchBucket|ContainerNotFound", str(error)):
                 raise
             return None
 
@@ -260,16 +252,16 @@ class Copied:
         source = bucket_at(self.address)
         sizes = _as_files(source.sizes())
         holder, _, name = self.address.rpartition("/")
+        below = ""  # the path of a single file below the folder that is copied
         if not sizes and not holder.endswith("/") and (found := (source := bucket_at(holder)).open(name)):
             small = [(path, source.open(path)) for path in beside]
             sizes = {name: found[0], **{path: there[0] for path, there in small if there}}
             sizes |= _as_files({path: size for part in beside for path, size in source.sizes(part).items()})
+            below = name
         if not sizes:
             raise SceneError(f"{address}: expected a prefix with frames below it, or a file, got nothing")
-        alone = source.name != self.address
-        if path is None:
-            path = Path(tempfile.mkdtemp(prefix="airgs-")) / source.name.rpartition("/")[2] / (name if alone else "")
-        self.path, folder = path, path.parent if alone else path
+        self.path = path or Path(tempfile.mkdtemp(prefix="airgs-")) / source.name.rpartition("/")[2] / below
+        folder = self.path.parent if below else self.path
         weakref.finalize(self, shutil.rmtree, folder.parent, ignore_errors=True)
         self._copy(source, sizes, folder, progress)
 
@@ -282,18 +274,11 @@ class Copied:
             expected = f"expected {total / 1e9:.2f} GB of room for {self.address}"
             raise ConfigError(f"{folder.parent}: {expected}, got {free / 1e9:.2f} GB")
         stage = Path(tempfile.mkdtemp(dir=folder.parent))
-
-        def fetch(path: str) -> int:
-            target = stage / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            size = source.download(path, target)
-            if size is None:
-                raise SceneError(f"{source.name}/{path}: expected the file that was listed, got nothing")
-            return size
-
+        for path in sizes:
+            (stage / path).parent.mkdir(parents=True, exist_ok=True)
         progress("copying", 0, max(1, total))
         with ThreadPoolExecutor(PARALLEL) as pool:
-            for size in pool.map(fetch, sizes):
+            for size in pool.map(lambda path: source.download(path, stage / path), sizes):
                 self.files, self.bytes = self.files + 1, self.bytes + size
                 progress("copying", self.bytes, max(self.bytes, total, 1))
         with suppress(OSError):  # another process was sooner
@@ -311,14 +296,10 @@ class Copied:
         return _copied_here, (self.address, self._beside, self.path)
 
 
-_copies: dict[Path, Copied] = {}  # of sequences that were pickled in another process, so that they stay
-
-
+@cache
 def _copied_here(address: str, beside: tuple[str, ...], path: Path) -> Copied:
-    """The copy that was pickled in another process: the same for all who unpickle it while it is there."""
-    if path not in _copies or not path.exists():
-        _copies[path] = Copied(address, beside, path=path)
-    return _copies[path]
+    """The copy that was pickled in another process: the same for all who unpickle it, as long as this process lives."""
+    return Copied(address, beside, path=path)
 
 
 def _as_files(sizes: Mapping[str, int]) -> dict[str, int]:

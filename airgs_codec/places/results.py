@@ -111,7 +111,7 @@ def load(store: Store, entry: str, trusted: tuple[str, ...] = OWN) -> tuple[Any]
 
 
 def digest(*values: Any) -> str:
-    """Compute the SHA-256 of plain values, arrays, and dataclasses, sequences and mappings of them, as hexadecimal digits.
+    """Compute the SHA-256 of plain values, arrays, and dataclasses, sequences and mappings of them, in hexadecimal.
 
     Raises TypeError for anything else: what has no content that can be told apart must not name a result.
     """

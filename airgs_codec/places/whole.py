@@ -77,28 +77,23 @@ def atomic_path(path: Path, lasting: bool = True, alone: bool = False) -> Iterat
     """
     if not alone:
         remove_leftovers(path.parent, path.name)
-    with naming(path), _part_of(path) as temporary, naming(path, temporary):
-        yield temporary
-        _finish(temporary, lasting)
-        temporary.replace(path)
-
-
-@contextmanager
-def _part_of(path: Path) -> Iterator[Path]:
-    """Give a new file beside `path` that this process holds; it is gone when the block ends, unless it was renamed."""
-    while True:
-        temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
-        lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
-        if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
-            break
-        os.close(lock)
-    try:
-        yield temporary
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-    finally:
-        os.close(lock)
+    with naming(path):
+        while True:
+            temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.part")
+            lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o666)
+            if _holds(lock) is not False and os.fstat(lock).st_nlink:  # else somebody took it for a leftover
+                break
+            os.close(lock)
+        try:
+            with naming(path, temporary):
+                yield temporary
+                _finish(temporary, lasting)
+                temporary.replace(path)
+        except BaseException:
+            temporary.unlink(missing_ok=True)
+            raise
+        finally:
+            os.close(lock)
 
 
 def remove_leftovers(folder: Path, name: str | None = None) -> None:
@@ -287,11 +282,13 @@ def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
     """Remove work folders that nobody works in; returns whether somebody works in another one."""
     own, busy = re.compile(rf"{re.escape(prefix)}[0-9a-f]{{16}}"), False
     for work in [path for path in parent.iterdir() if own.fullmatch(path.name) and not path.is_symlink()]:
-        if not _is_marked(work):
+        mark = work / _MARK_NAME
+        # Whoever made it may have died before the mark was written.
+        if mark.is_symlink() or not mark.is_file() or not _MARK.startswith(mark.read_bytes()):
             with suppress(OSError):  # it is not empty, so it is not ours
                 work.rmdir()
             continue
-        lock = os.open(work / _MARK_NAME, os.O_RDWR | os.O_NOFOLLOW)
+        lock = os.open(mark, os.O_RDWR | os.O_NOFOLLOW)
         try:
             if held := _holds(lock):
                 _remove(work, target)
@@ -299,12 +296,6 @@ def _clean_up(parent: Path, prefix: str, target: Path | None = None) -> bool:
         finally:
             os.close(lock)
     return busy
-
-
-def _is_marked(path: Path) -> bool:
-    """Return whether this is a work folder of ours; whoever made it may have died before the mark was written."""
-    mark = path / _MARK_NAME
-    return not mark.is_symlink() and mark.is_file() and _MARK.startswith(mark.read_bytes())
 
 
 def _remove(work: Path, target: Path | None) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,7 @@ ROUNDING = 1e-7  # share of a capacity that is added to it: sums of floats must 
 LARGEST = 1e6  # units that a state segment may have: past 1e11 HiGHS finds no solution where there is one
 _Key = tuple[int, int]  # key quality and tier
 Terms = list[tuple[int, float]]  # (column of a variable, its coefficient)
+Row = tuple[Terms, float, float]  # low <= sum of coefficient x variable <= high
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,26 +70,34 @@ class Schedule:
 
 
 def solve_horizon(horizon: Horizon, integer: bool = False) -> Schedule | None:
-    """The best schedule, by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
+    """Find the best schedule by linear or integer programme (HiGHS); None if even the smallest rungs come too late.
 
     Raises ConfigError for a horizon without slots.
     """
     if not horizon.slots:
         raise ConfigError("horizon: expected at least one slot")
     programme = _Programme(horizon)
-    constraints = _Constraints()
-    for k in range(len(horizon.slots)):
-        programme.add_slot(constraints, k)
+    slots, width, rungs = range(len(horizon.slots)), programme.width, programme.rungs
+    total = sum(slot.offer.seconds for slot in horizon.slots)
+    costs, upper = np.zeros((len(slots), width)), np.ones((len(slots), width))
+    for k, slot in enumerate(horizon.slots):
+        costs[k, :rungs] = -slot.offer.psnr * slot.offer.seconds / total
+        upper[k, :rungs] = [rung.allowed for rung in slot.offer.rungs]
+        upper[k, -1] = slot.capacity * (1 + ROUNDING) / programme.unit
+    terms, low, high = zip(*(row for k in slots for row in programme.rows(k)), strict=True)
+    columns, values = zip(*itertools.chain.from_iterable(terms), strict=True)
+    ends = np.cumsum([0, *map(len, terms)])
+    matrix = csr_array((values, columns, ends), shape=(len(terms), costs.size))
     result = milp(
-        programme.objective(),
-        constraints=constraints.matrix(programme.columns),
-        bounds=Bounds(0.0, programme.upper()),
-        integrality=programme.integrality() * int(integer),
+        costs.ravel(),
+        constraints=LinearConstraint(matrix, np.array(low), np.array(high)),
+        bounds=Bounds(0.0, upper.ravel()),
+        integrality=np.tile(np.r_[np.ones(width - 1, np.int64), 0], len(slots)) * int(integer),
     )
     if result.x is None:
         return None
-    shares = result.x.reshape(len(horizon.slots), -1)[:, : programme.rungs]
     first = sum(size * result.x[column] for column, size in programme.fetched(0))
+    shares = result.x.reshape(len(slots), width)[:, :rungs]
     return Schedule(float(-result.fun), programme.unit * float(first), shares)
 
 
@@ -111,27 +120,20 @@ class _Programme:
         kinds = 1 if all(base is None for _, base in self._groups) else 2
         largest = max(float(rung.state_bytes) for offer in self._offers for rung in offer.rungs)
         self.unit = max(1e3, largest / LARGEST)  # bytes
-        self._width = self.rungs + kinds * len(own) + 1
-        self.columns = self._width * len(horizon.slots)
-
-    def _share(self, k: int, rung: int) -> int:
-        return k * self._width + rung
+        self.width = self.rungs + kinds * len(own) + 1
 
     def _key(self, k: int, of: int, key: _Key) -> int:
-        """The share of a key that is decoded, of the slot's group (0) or its base (1)."""
-        return k * self._width + self.rungs + of * len(self._column) + self._column[key]
-
-    def _carried(self, k: int) -> int:
-        return (k + 1) * self._width - 1
+        """Return the column of a key's decoded share, for slot k's group (of = 0) or its base (of = 1)."""
+        return k * self.width + self.rungs + of * len(self._column) + self._column[key]
 
     def _keys(self, k: int) -> Iterator[tuple[int, int, _Key]]:
-        """All keys that a slot may need: 0 of its group or 1 of its base, the group, and which."""
+        """Yield all keys that a slot may need: 0 for its group or 1 for its base, the group, and (quality, tier)."""
         for of, group in enumerate(self._groups[k]):
             if group is not None:
                 yield from ((of, group, key) for key in self._column)
 
     def _before(self, k: int, of: int, key: _Key) -> int | None:
-        """The share of the same key in the last slot before that may need it; None: it is not decoded before."""
+        """Return the column of the same key in the last slot before k that may need it; None if no earlier one does."""
         if of == 0:
             return self._key(k - 1, of, key) if k and not self._offers[k].starts_group else None
         group = self._groups[k][of]
@@ -142,49 +144,29 @@ class _Programme:
                 return self._key(i, self._groups[i].index(group), key)
         return None
 
-    def objective(self) -> NDArray[np.float64]:
-        """(columns,) minus the dB that each variable adds to the mean over time."""
-        seconds = [offer.seconds for offer in self._offers]
-        total = sum(seconds)
-        costs = np.zeros((len(seconds), self._width))
-        for k, offer in enumerate(self._offers):
-            costs[k, : self.rungs] = -offer.psnr * seconds[k] / total
-        return costs.ravel()
-
-    def upper(self) -> NDArray[np.float64]:
-        """(columns,) 1 for shares, 0 where the budget does not allow them, the capacity at the deadline for F_k."""
-        upper = np.ones((len(self._offers), self._width))
-        upper[:, : self.rungs] = [[rung.allowed for rung in offer.rungs] for offer in self._offers]
-        upper[:, -1] = [slot.capacity * (1 + ROUNDING) / self.unit for slot in self._horizon.slots]
-        return upper.ravel()
-
-    def integrality(self) -> NDArray[np.int64]:
-        """(columns,) 1 for those that an integer programme takes whole."""
-        return np.tile(np.r_[np.ones(self._width - 1, np.int64), 0], len(self._offers))
-
-    def add_slot(self, constraints: _Constraints, k: int) -> None:
-        """One rung is shown, with its keys; its bytes pass after its release and after the slot before it."""
-        slot = self._horizon.slots[k]
-        constraints.add([(self._share(k, rung), 1.0) for rung in range(self.rungs)], 1.0, 1.0)
+    def rows(self, k: int) -> Iterator[Row]:
+        """Yield the constraints of slot k: one rung with its keys, whose bytes follow its release and slot k - 1."""
+        slot, first, carried = self._horizon.slots[k], k * self.width, (k + 1) * self.width - 1
+        yield [(first + rung, 1.0) for rung in range(self.rungs)], 1.0, 1.0
         users: dict[Key, Terms] = defaultdict(list)  # minus the share of every rung that needs a key
         for number, rung in enumerate(slot.offer.rungs):
             for needed in rung.keys:
-                users[needed.key].append((self._share(k, number), -1.0))
+                users[needed.key].append((first + number, -1.0))
         for of, group, key in self._keys(k):
             share, before, using = self._key(k, of, key), self._before(k, of, key), users[group, *key]
             if using:
-                constraints.add([(share, 1.0), *using], 0.0, np.inf)
+                yield [(share, 1.0), *using], 0.0, np.inf
             if before is not None:
-                constraints.add([(share, 1.0), (before, -1.0)], 0.0, np.inf)
-        done = [(self._carried(k), 1.0), *((column, -size) for column, size in self.fetched(k))]
-        constraints.add(done, slot.released / self.unit, np.inf)
+                yield [(share, 1.0), (before, -1.0)], 0.0, np.inf
+        done = [(carried, 1.0), *((column, -size) for column, size in self.fetched(k))]
+        yield done, slot.released / self.unit, np.inf
         if k:
-            constraints.add([*done, (self._carried(k - 1), -1.0)], self._horizon.idle_bytes / self.unit, np.inf)
+            yield [*done, (first - 1, -1.0)], self._horizon.idle_bytes / self.unit, np.inf
 
     def fetched(self, k: int) -> Terms:
-        """Units of bytes that are fetched for slot k, for each share of a variable."""
+        """Return the bytes fetched for slot k, in units, as coefficients of the variables."""
         rungs = self._offers[k].rungs
-        fetched = [(self._share(k, number), rung.state_bytes / self.unit) for number, rung in enumerate(rungs)]
+        fetched = [(k * self.width + number, rung.state_bytes / self.unit) for number, rung in enumerate(rungs)]
         for of, group, key in self._keys(k):
             if not self._loops[k] and (group, *key) in self._horizon.decoded:
                 continue
@@ -193,25 +175,3 @@ class _Programme:
             if before is not None:
                 fetched.append((before, -size))
         return fetched
-
-
-class _Constraints:
-    """Sparse rows low <= sum of coefficient x variable <= high, one by one."""
-
-    def __init__(self) -> None:
-        self._columns: list[int] = []
-        self._values: list[float] = []
-        self._ends: list[int] = [0]
-        self._low: list[float] = []
-        self._high: list[float] = []
-
-    def add(self, terms: Sequence[tuple[int, float]], low: float, high: float) -> None:
-        self._columns += [column for column, _ in terms]
-        self._values += [value for _, value in terms]
-        self._ends.append(len(self._columns))
-        self._low.append(low)
-        self._high.append(high)
-
-    def matrix(self, columns: int) -> LinearConstraint:
-        matrix = csr_array((self._values, self._columns, self._ends), shape=(len(self._low), columns))
-        return LinearConstraint(matrix, np.array(self._low), np.array(self._high))

@@ -67,7 +67,7 @@ class Arrival:
 
     @property
     def usable(self) -> tuple[str, ...]:
-        """The files that are of use: a state segment whose batch is not complete is dropped."""
+        """Return the files that can be used: a state segment is dropped unless its batch is complete."""
         return self.whole if self.complete else tuple(p for p in self.whole if p not in self.request.batch.state)
 
 
@@ -119,6 +119,8 @@ class Shown:
 
 
 Event = Arrived | Replaced | Lost | Cut | Shown
+Result = TypeVar("Result")
+Steps = Generator[Event, None, Result]  # a part of a session, which ends with a result
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,66 +130,24 @@ class Partial:
     bytes: float  # so far, headers included
     expected_bytes: int
 
-    @property
-    def rate(self) -> float:
-        """Bytes a second so far."""
-        return max(self.bytes, 1.0) / self.elapsed_s
-
-    @property
-    def left_s(self) -> float:
-        """Seconds to the last byte at that rate."""
-        return (self.expected_bytes - self.bytes) / self.rate
-
 
 GiveUp = Callable[[Partial], bool]
 
 
-class Connection(Protocol):
-    """What a player knows of the way that batches come by."""
-
+class Downloader(Protocol):
     @property
     def rtt_s(self) -> float:
-        """Seconds from a request to its first byte on an idle link."""
+        """Return the seconds from a request to its first byte on an idle link."""
 
     @property
     def pipelines(self) -> bool:
-        """Whether a request may be sent before the batch before it has arrived."""
+        """Return whether a request may be sent before the previous batch has arrived."""
 
-
-class Downloader(Connection, Protocol):
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """Request a batch and wait for it. `give_up` is asked every CHECK_S whether to abandon it.
 
         Raises TransportError when the link fails.
         """
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """A batch that a player waits for; `give_up` is to be asked every CHECK_S whether to abandon it."""
-
-    request: Request
-    give_up: GiveUp | None
-
-
-Result = TypeVar("Result")
-Fetching = Generator[Event | Wanted, Arrival | None, Result]  # steps that end with a result
-Steps = Fetching[None]
-
-
-def answer(steps: Steps, downloader: Downloader) -> Iterator[Event]:
-    """The events of a player whose batches a downloader fetches."""
-    arrival: Arrival | None = None
-    while True:
-        try:
-            step = steps.send(arrival)
-        except StopIteration:
-            return
-        if isinstance(step, Wanted):
-            arrival = downloader.fetch(step.request, step.give_up)
-        else:
-            arrival = None
-            yield step
 
 
 @dataclass(slots=True, eq=False)
@@ -202,20 +162,18 @@ class SimulatedDownloader:
 
     @property
     def rtt_s(self) -> float:
-        """Round trip of the link in seconds."""
         return self.link.rtt_s
 
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """See Downloader. Raises TransportError for a trace that ends too soon or is too slow."""
-        files = request.batch.files
-        sizes = [self._wire_size(path) for path in files]
-        first_s, expected = max(self._free_s, request.sent_s) + request.latency_s, sum(sizes)
+        sizes = {path: self._wire_size(path) for path in request.batch.files}
+        first_s, expected = max(self._free_s, request.sent_s) + request.latency_s, sum(sizes.values())
         end_s, passed = self.link.passed_s(expected, first_s), float(expected)
         stopped = next(filter(give_up, self._looks(first_s, end_s, expected)), None) if give_up else None
         if stopped is not None:
             end_s, passed = stopped.at_s, stopped.bytes
         self._free_s = end_s
-        came = [f for f, size in zip(files, sizes, strict=True) if sum(min(size, other) for other in sizes) <= passed]
+        came = [f for f, size in sizes.items() if sum(min(size, other) for other in sizes.values()) <= passed]
         return Arrival(
             request=request,
             first_byte_s=first_s,
@@ -234,6 +192,6 @@ class SimulatedDownloader:
             yield Partial(at_s, at_s - first_s, self.link.bytes_between(first_s, at_s), expected)
 
     def _wire_size(self, path: str) -> int:
-        """Bytes of a file with its headers; of a missing one the headers alone."""
+        """Return the bytes of a file with its headers; only the headers of a missing one."""
         missing = path in self.faults and self.faults[path].reason == "missing_file"
-        return self.offers.wire_bytes([0 if missing else self.offers.file_bytes(path)])
+        return self.offers.header_bytes if missing else self.offers.wire_bytes([path])

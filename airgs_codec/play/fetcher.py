@@ -2,42 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from airgs_codec.errors import FormatError
 from airgs_codec.package.layout import POSTER_NAME, FileKind, file_kind, group_path, locate
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.tables import PAGE
-from airgs_codec.play.downloader import (
-    Arrival,
-    Arrived,
-    BatchKind,
-    Connection,
-    Fetching,
-    GiveUp,
-    Partial,
-    Request,
-    Steps,
-    Wanted,
-)
+from airgs_codec.play.downloader import Arrival, Arrived, BatchKind, Downloader, GiveUp, Partial, Request
 from airgs_codec.play.ladder import Decision, Option
 from airgs_codec.play.offers import NONE, Batch, Key, Keys, Offers, SegmentOffer
-from airgs_codec.play.policies.state import Download, Policy, estimate_throughput
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import Coming, Download, Policy
 
 REMEMBERED = 24  # downloads that policies know
 NOTHING = Download(0, 1.0)
 SHORTEST_S = 1e-9  # a download that rounds to no time still has a rate
-
-
-def is_past(path: str, group: int, bases: Iterable[int]) -> bool:
-    """Whether a table is of groups before one, a page of the index or the table of a group, and of none of `bases`."""
-    what, numbers = locate(path)
-    if what not in ("group", "page"):
-        return False
-    size = 1 if what == "group" else PAGE ** numbers[0]
-    of = range((numbers[-1] - 1) * size, numbers[-1] * size)
-    return of.stop <= group and not any(base in of for base in bases)
 
 
 @dataclass(slots=True, eq=False)
@@ -53,30 +33,27 @@ class TableStore:
         self._paths.update(path for path in arrival.usable if file_kind(path) in (FileKind.MANIFESTS, FileKind.POSTER))
 
     def has(self, position: int) -> bool:
-        """Whether the table of the segment at a position is there."""
         return self._next(self.offers.place(position)[1]) is None
 
     def missing(self, positions: range) -> tuple[str, ...]:
-        """What these positions still need and can be asked for: pages, and tables that a page or the root leads to; and
-        the poster, in case nobody has seen it.
-        """
+        """Return the next missing page or table of each position, and the poster, in case nobody has seen it."""
         poster = POSTER_NAME if self.offers.manifest.poster and POSTER_NAME not in self._paths else None
         wanted = dict.fromkeys([poster, *(self._next(self.offers.place(position)[1]) for position in positions)])
         return tuple(path for path in wanted if path is not None)
 
     def missing_pages(self, position: int) -> tuple[str, ...]:
-        """Pages of the index with segments that are played from now on, up to a position."""
+        """Return the missing pages of the index that list segments still to be played, up to a position."""
         segments = range(max(self.first, self.offers.first), self.offers.first + position + 1)
         return tuple(self.offers.manifest.groups.places.missing_pages(segments, self._paths))
 
     def forget(self, before: SegmentOffer) -> None:
-        """What comes before a segment is not played again."""
+        """Drop what is known of groups before a segment, which are not played again."""
         self.first = before.segment
         self._complete = {segment: m for segment, m in self._complete.items() if segment >= before.segment}
-        self._paths = {path for path in self._paths if not is_past(path, before.group, [before.root])}
+        self._paths = {path for path in self._paths if not _is_past(path, before)}
 
     def _next(self, segment: int) -> str | None:
-        """The first missing of what leads to a segment, and then to the group that its keys are differences to."""
+        """Return the first missing table on the way to a segment and to its base group; None if all are there."""
         manifest = self.offers.manifest
         if self._complete.get(segment) is manifest:
             return None
@@ -86,7 +63,7 @@ class TableStore:
         return path
 
     def _way(self, segment: int) -> Iterator[str]:
-        """Pages and tables; each is read when the next is asked for."""
+        """Yield pages and tables that lead to a segment; each is read when the next one is asked for."""
         groups = self.offers.manifest.groups
         yield from groups.places.pages_to("segments", segment)
         group = groups.places.at_segment(segment)
@@ -97,162 +74,127 @@ class TableStore:
             yield group_path(keeps)
 
 
-@dataclass(slots=True, eq=False)
-class KeyStore:
-    """The keys that are decoded, by loop: a group that is played again is fetched again."""
-
-    _keys: dict[int, set[Key]] = field(default_factory=dict)
-    _options: dict[tuple[int, int], dict[SegmentOffer, tuple[Option, ...]]] = field(default_factory=dict)  # by root
-
-    def decoded(self, loop: int) -> Keys:
-        return self._keys.get(loop, NONE)
-
-    def shows(self, loop: int, offer: SegmentOffer, rung: int) -> bool:
-        """Whether all keys of a rung of a segment are decoded."""
-        return all(of.key in self.decoded(loop) for of in offer.rungs[rung].keys)
-
-    def missing(self, loop: int, offer: SegmentOffer, rung: int) -> Batch:
-        """The files that a rung of a segment still needs."""
-        return offer.missing(rung, self.decoded(loop))
-
-    def options(self, loop: int, offer: SegmentOffer) -> tuple[Option, ...]:
-        """The rungs of a segment that are allowed, with the bytes that each still needs."""
-        known = self._options.setdefault((loop, offer.root), {})
-        if offer not in known:
-            known[offer] = offer.options(self.decoded(loop))
-        return known[offer]
-
-    def forget(self, loop: int, before: SegmentOffer) -> None:
-        """What comes before a segment is not played again in a loop."""
-        there = (before.root, before.group)
-        self._keys[loop] = {key for key in self.decoded(loop) if key[0] in there or key[0] > before.group}
-        self._options = {key: known for key, known in self._options.items() if key >= (loop, before.root)}
-
-    def add(self, loop: int, offer: SegmentOffer, arrival: Arrival) -> None:
-        """Decode what arrived for a rung of a segment: a key counts once its files are there.
-
-        Sound that cannot be had is silence: it counts as there.
-        """
-        silent = {path for path in arrival.refused if file_kind(path) is FileKind.SOUND}
-        arrived, keys = silent.union(arrival.usable), self._keys.setdefault(loop, set())
-        new = {of.key for of in offer.rungs[arrival.request.rung].keys if arrived.issuperset(of.files)}
-        if not new <= keys:
-            keys |= new
-            self._options.pop((loop, offer.root), None)
+def _is_past(path: str, before: SegmentOffer) -> bool:
+    """Return whether a page or table describes only groups before a segment's group, and not its base."""
+    what, numbers = locate(path)
+    if what not in ("group", "page"):
+        return False
+    size = 1 if what == "group" else PAGE ** numbers[0]
+    groups = range((numbers[-1] - 1) * size, numbers[-1] * size)
+    return groups.stop <= before.group and before.base not in groups
 
 
 @dataclass(slots=True, eq=False)
 class Fetcher:
     offers: Offers
-    connection: Connection
+    downloader: Downloader
     policy: Policy
     settings: SessionSettings
     tables: TableStore = field(init=False)
-    keys: KeyStore = field(default_factory=KeyStore)
     now_s: float = 0.0  # when the last batch was over, or when there was room for the next
     downloads: list[tuple[float, Download]] = field(default_factory=list)  # with their arrivals
     first: Download = NOTHING  # the fastest of tables and poster, the wait for its first byte included
     unusable: set[str] = field(default_factory=set)  # files found missing or corrupt
     given_up: tuple[int, int] = (-1, 0)  # position and size: nothing as large is asked for there again
+    _keys: dict[int, set[Key]] = field(default_factory=dict)  # decoded, by loop: what is played again is fetched again
 
     def __post_init__(self) -> None:
         self.tables = TableStore(self.offers)
 
     def forget(self, position: int, before: SegmentOffer) -> None:
-        """What comes before a position, whose offer is given, is not played again."""
+        """Drop what is known of groups before a position, whose offer is given."""
         self.tables.forget(before)
-        self.keys.forget(self.loop(position), before)
+        there, loop = (before.base, before.group), self.loop(position)
+        self._keys[loop] = {key for key in self.decoded(loop) if key[0] in there or key[0] > before.group}
 
     def loop(self, position: int) -> int:
-        """The loop over the sequence that a position is in."""
         return self.offers.place(position)[0]
 
     def offer(self, position: int) -> SegmentOffer:
-        """The offer of the segment at a position, within the budget."""
         return self.offers.offer(self.offers.place(position)[1], self.settings.budget)
 
-    def upcoming(self, positions: range) -> Iterator[tuple[SegmentOffer, Keys]]:
-        """Offers of positions while tables are there, each with what is decoded in its loop."""
-        for loop, offer in self.offers.upcoming(positions, self.settings.budget):
-            yield offer, self.keys.decoded(loop)
+    def decoded(self, loop: int) -> Keys:
+        return self._keys.get(loop, NONE)
+
+    def upcoming(self, positions: range) -> Iterator[Coming]:
+        """Yield the offers of positions until a table is missing, each with the keys decoded in its loop."""
+        for position in positions:
+            try:
+                offer = self.offer(position)
+            except FormatError:
+                return
+            yield offer, self.decoded(self.loop(position))
 
     def wanted_tables(self, positions: range) -> tuple[str, ...]:
-        """Tables that a policy needs to choose at the first of some positions, and that can be had."""
+        """Return the missing tables that the policy needs at the first of these positions, unless they are unusable."""
         reach = positions[: self.policy.horizon]
         return tuple(path for path in self.tables.missing(reach) if path not in self.unusable)
 
-    def fetch_tables(self, paths: tuple[str, ...], position: int) -> Steps:
-        request = Request(BatchKind.TABLES, position, 0, Batch(tables=paths), self.now_s, self.connection.rtt_s)
-        arrival = yield from self.receive(request)
+    def fetch_tables(self, paths: tuple[str, ...], position: int) -> Iterator[Arrived]:
+        request = Request(BatchKind.TABLES, position, 0, Batch(tables=paths), self.now_s, self.downloader.rtt_s)
+        arrival = self.receive(request)
         yield Arrived(arrival, Decision(0, True, "tables", arrival.bytes), 0.0, 0.0)
 
-    def receive(self, request: Request, give_up: GiveUp | None = None) -> Fetching[Arrival]:
-        """Wait for a batch and store what is of use; time goes on."""
-        arrival = yield Wanted(request, give_up)
-        assert arrival is not None, "a player that waits for a batch was sent none"
+    def receive(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
+        """Fetch a batch and store what can be used. Sound that cannot be had is silence: it counts as decoded."""
+        arrival = self.downloader.fetch(request, give_up)
         self.now_s = arrival.at_s
-        took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
-        self.unusable.update(path for path in arrival.refused if file_kind(path) is not FileKind.SOUND)
+        silent = {path for path in arrival.refused if file_kind(path) is FileKind.SOUND}
+        self.unusable.update(arrival.refused.keys() - silent)
         self.tables.add(arrival)
         if request.kind is BatchKind.TABLES:  # in one burst, too short to tell the rate, but not that it is no less
             took_s = max(arrival.at_s - request.sent_s, SHORTEST_S)
             self.first = max(self.first, Download(arrival.bytes, took_s), key=lambda d: d.bytes / d.seconds)
         else:
+            took_s = max(arrival.at_s - arrival.first_byte_s, SHORTEST_S)
             self.downloads = [*self.downloads[1 - REMEMBERED :], (arrival.at_s, Download(arrival.bytes, took_s))]
-            self.keys.add(self.loop(request.position), self.offer(request.position), arrival)
+            arrived = silent.union(arrival.usable)
+            needed = self.offer(request.position).rungs[request.rung].keys
+            decoded = self._keys.setdefault(self.loop(request.position), set())
+            decoded.update(of.key for of in needed if arrived.issuperset(of.files))
         return arrival
 
     @property
     def pipelines(self) -> bool:
-        """Whether a request is sent before the batch before it has arrived."""
-        return self.settings.pipelined and self.connection.pipelines
+        return self.settings.pipelined and self.downloader.pipelines
 
     def latency_s(self, earliest_s: float) -> float:
-        """Return what is left of the round trip when the link is free: pipelined, the request was sent before."""
-        rtt_s = self.connection.rtt_s
+        """Return the remaining latency once the link is idle; with pipelining part of it has already passed."""
+        rtt_s = self.downloader.rtt_s
         return max(0.0, rtt_s - (self.now_s - earliest_s)) if self.pipelines and earliest_s < self.now_s else rtt_s
 
     def sent_s(self, latency_s: float) -> float:
-        """When a request is sent of whose round trip so much is left."""
-        return self.now_s - (self.connection.rtt_s - latency_s)
+        """Return when a request was sent that has this much latency left now."""
+        return self.now_s - (self.downloader.rtt_s - latency_s)
 
     def history(self, sent_s: float) -> tuple[Download, ...]:
-        """The last downloads that are over when a request is sent, oldest first; before there is one, the tables."""
+        """Return the last downloads finished by `sent_s`, oldest first; before there is one, that of the tables."""
         return tuple(d for at_s, d in self.downloads if at_s <= sent_s + SHORTEST_S) or (self.first,)
 
-    def throughput_bps(self, sent_s: float) -> float:
-        """The estimate when a request is sent."""
-        return estimate_throughput(self.history(sent_s))
-
     def missing(self, position: int, rung: int) -> Batch:
-        """The files that a rung of the segment at a position still needs."""
-        return self.keys.missing(self.loop(position), self.offer(position), rung)
+        return self.offer(position).missing(rung, self.decoded(self.loop(position)))
 
     def options(self, position: int) -> tuple[Option, ...]:
-        """Every rung of the segment at a position that is allowed."""
-        return self.keys.options(self.loop(position), self.offer(position))
-
-    def usable(self, batch: Batch) -> bool:
-        """Whether no file of a batch was found missing or corrupt."""
-        return self.unusable.isdisjoint(batch.files)
+        return self.offer(position).options(self.decoded(self.loop(position)))
 
     def choices(self, position: int) -> tuple[Option, ...]:
-        """The rungs of the segment at a position that can be had and are smaller than what was given up."""
+        """Return the rungs at a position that can be fetched and are smaller than a download abandoned there."""
         options = self.options(position)
         if self.unusable:
-            options = tuple(p for p in options if self.usable(self.missing(position, p.index)))
+            options = tuple(p for p in options if self.unusable.isdisjoint(self.missing(position, p.index).files))
         return tuple(p for p in options if self.given_up[0] != position or p.size_bytes < self.given_up[1])
 
     def give_up(self, deadline_s: float, size: int, smallest: int) -> GiveUp | None:
-        """Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung
-        if that were requested now.
+        """Return when to abandon a download: at the rate so far it would come after its deadline, and after the
+        smallest rung if that were requested now.
         """
         if not (self.settings.abandon and self.policy.may_abandon) or smallest >= size:
             return None
-        due_s, rtt_s = max(deadline_s, self.now_s), self.connection.rtt_s
+        due_s, rtt_s = max(deadline_s, self.now_s), self.downloader.rtt_s
 
         def too_late(partial: Partial) -> bool:
-            left_s = partial.left_s
-            return partial.at_s + left_s > due_s and left_s > rtt_s + smallest / partial.rate
+            rate = max(partial.bytes, 1.0) / partial.elapsed_s  # bytes a second so far
+            left_s = (partial.expected_bytes - partial.bytes) / rate
+            return partial.at_s + left_s > due_s and left_s > rtt_s + smallest / rate
 
         return too_late

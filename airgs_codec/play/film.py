@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -34,17 +35,17 @@ CIRCLE, CORNERS = 0.5, 8  # where there is but one place: the radius of a circle
 
 
 def walk(log: SessionLog) -> list[Camera]:
-    """The camera of every display tick of a session, on a walk through the package's region."""
+    """Return the camera of every display tick, on a walk through the package's viewing region."""
     m = log.offers.manifest
     views = walk_through(levelled(m.region, m.world), np.arange(len(log.screen_ticks)) / log.offers.fps)
     return [resized(view, MOST_PIXELS / max(view.width, view.height)) for view in views]
 
 
 def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
-    """The view of a viewer after each of (T,) seconds.
+    """Return the camera of a walking viewer at each of (T,) times in seconds.
 
-    He goes from each place of the region on to the nearest that is left, and back the same way, as often as need be;
-    about a place that is alone in a circle. On his way he turns about what he looks at, and so never walks through it.
+    The walk leads from each place of the region to the nearest one left and back, again and again; about a single place
+    in a circle. It turns about what the viewer looks at, and so never passes through it.
     """
     tour, left = [region.places[0]], list(region.places[1:])
     while left:
@@ -69,7 +70,7 @@ def walk_through(region: Region, times: NDArray[np.float64]) -> list[Camera]:
 
 
 def screen_frames(package: Package, log: SessionLog) -> Iterator[tuple[Gaussians | None, int]]:
-    """(Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
+    """Yield (Gaussians, entry of `log.shown`) for every display tick; each segment is decoded when it comes up.
 
     In a lost segment the last Gaussians stay; None before the first that could be shown.
     """
@@ -93,12 +94,10 @@ def _segment(package: Package, index: int, rung: tuple[int, int]) -> list[Gaussi
 
 
 def _best(package: Package, c: Offers, segment: int) -> tuple[list[Gaussians], str]:
-    """Frames of a segment at the first rung whose files are whole, and what to call it."""
+    """Decode a segment at the best rung whose files are intact; returns its frames and a label."""
     for name, rung in zip(c.names, c.rungs, strict=True):
-        try:
+        with suppress(FormatError):
             return _segment(package, segment, rung), f"best rung: {name}"
-        except FormatError:
-            continue
     return [], "no rung can be had"
 
 
@@ -110,18 +109,44 @@ def film(
     progress: Progress = silent,
     renderer: Renderer = CPU,
 ) -> None:
-    """An H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting; beside it
-    the same moment of the original, or of the best rung where there is no `original`. It has the sound of the package;
-    while the viewer waits, it is silent.
+    """Write an H.264 film of the session: on the left what the viewer saw, with rung, quality, buffer and waiting, on
+    the right the same moment of the original, or of the best rung without one. Sound is silent during stalls.
 
     Raises CodecError.
     """
-    pictures = _pictures(package, log, original, progress, renderer)
-    write_movie(path, pictures, log.offers.manifest.fps, sound_of(package, log))
+    c, ticks, cameras = log.offers, log.screen_ticks, walk(log)
+
+    def draw(gaussians: Gaussians | None, camera: Camera) -> NDArray[np.uint8]:
+        black = np.zeros((camera.height, camera.width, 3), np.uint8)
+        return black if gaussians is None else to_bytes(renderer.render(gaussians, camera).rgb)
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
+        best_of, best = -1, (list[Gaussians](), "")  # a segment, its frames and their name
+        beside: Gaussians | None
+        for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
+            progress("rendering the screen", tick, len(ticks))
+            s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
+            waits = tick > 0 and ticks[tick] == ticks[tick - 1]
+            words = "lost" if s.rung is None else c.names[s.rung]
+            picture = label(draw(gaussians, camera), words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
+            if waits:
+                picture = label(picture, "waiting for data", 1)
+            at_s = log.shown[0].start_s + tick / c.fps
+            picture = buffer_bar(picture, buffered_s(log, at_s) / log.settings.buffer_s, waits)
+            if original is not None:
+                beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
+            else:
+                if s.segment != best_of:
+                    best_of, best = s.segment, _best(package, c, s.segment)
+                frames, name = best
+                beside = frames[frame] if frames else None
+            yield np.concatenate([picture, label(draw(beside, camera), name)], axis=1)
+
+    write_movie(path, pictures(), c.manifest.fps, sound_of(package, log))
 
 
 def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
-    """(n, C) samples, 48,000 a second, that were heard during the display ticks of a session; None without sound."""
+    """Return (n, C) samples at 48 kHz as heard during the display ticks of a session; None without sound."""
     m = package.manifest
     numbers = [m.group_of(shown.segment) for shown in log.shown]
     groups = range(min(numbers), max(numbers) + 1)
@@ -145,59 +170,19 @@ def sound_of(package: Package, log: SessionLog) -> NDArray[np.int16] | None:
     return heard
 
 
-def _pictures(
-    package: Package,
-    log: SessionLog,
-    original: GaussianSequence | None,
-    progress: Progress,
-    renderer: Renderer,
-) -> Iterator[NDArray[np.uint8]]:
-    c, ticks, cameras, draw = log.offers, log.screen_ticks, walk(log), renderer.render
-    best: dict[int, tuple[list[Gaussians], str]] = {}
-    beside: Gaussians | None
-    seen = [0] * len(log.shown)
-    at = log.shown[0].start_s
-    for tick, (gaussians, entry) in enumerate(screen_frames(package, log)):
-        progress("rendering the screen", tick, len(ticks))
-        s, frame, camera = log.shown[entry], ticks[tick][1], cameras[tick]
-        waits = seen[entry] == s.frames
-        seen[entry] += not waits
-        picture = _black(camera) if gaussians is None else to_bytes(draw(gaussians, camera).rgb)
-        words = "lost" if s.rung is None else c.names[s.rung]
-        picture = label(picture, words + ("" if s.psnr is None else f"  {s.psnr:.1f} dB"))
-        if waits:
-            picture = label(picture, "waiting for data", 1)
-        picture = buffer_bar(picture, buffered_s(log, at), log.settings.buffer_s, waits)
-        if original is not None:
-            beside, name = original.read(c.manifest.segments[s.segment].start + frame), "original"
-        else:
-            if s.segment not in best:
-                best = {s.segment: _best(package, c, s.segment)}
-            frames, name = best[s.segment]
-            beside = frames[frame] if frames else None
-        shown = np.zeros_like(picture) if beside is None else to_bytes(draw(beside, camera).rgb)
-        yield np.concatenate([picture, label(shown, name)], axis=1)
-        at += 1 / c.fps
-
-
 def buffered_s(log: SessionLog, at_s: float) -> float:
-    """Seconds of media that have arrived and are not shown yet, at a moment."""
+    """Return the seconds of media that have arrived and are not shown yet at a moment."""
     fps = log.offers.fps
     arrived = sum(s.frames / fps for s in log.shown if s.ready_s <= at_s)
     played = sum(min(max(at_s - s.start_s, 0.0), s.frames / fps) for s in log.shown)
     return max(0.0, arrived - played)
 
 
-def buffer_bar(picture: NDArray[np.uint8], seconds: float, limit: float, waits: bool) -> NDArray[np.uint8]:
-    """(H, W, 3) with a bar along the lower edge: green as long as the buffer is full, red while the viewer waits."""
+def buffer_bar(picture: NDArray[np.uint8], share: float, waits: bool) -> NDArray[np.uint8]:
+    """Return the (H, W, 3) picture with a bar along its lower edge: the filled share of the buffer; red in a stall."""
     out = picture.copy()
     height, width = picture.shape[:2]
     thick = max(4, height // 60)
-    filled = round(width * min(1.0, seconds / limit))
     out[-thick:] = (150, 40, 30) if waits else (60, 60, 60)
-    out[-thick:, :filled] = (70, 170, 95)
+    out[-thick:, : round(width * min(1.0, share))] = (70, 170, 95)
     return out
-
-
-def _black(camera: Camera) -> NDArray[np.uint8]:
-    return np.zeros((camera.height, camera.width, 3), np.uint8)

@@ -22,12 +22,10 @@ import math
 import os
 import random
 import time
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from types import SimpleNamespace, TracebackType
-from typing import Self
+from types import SimpleNamespace
 from urllib.parse import quote, urlsplit
 
 import aiohttp
@@ -35,9 +33,8 @@ from yarl import URL
 
 from airgs_codec._settings import documented, setting
 from airgs_codec.errors import ConfigError, FormatError, TransportError
-from airgs_codec.package.index import count_groups
 from airgs_codec.package.layout import JSON_NAME, group_path, locate
-from airgs_codec.package.manifest import Manifest
+from airgs_codec.package.manifest import Manifest, count_groups
 from airgs_codec.package.package import (
     REPR_DIGEST,
     check_file,
@@ -46,21 +43,19 @@ from airgs_codec.package.package import (
     is_unpacked,
     open_manifest,
 )
-from airgs_codec.package.parse import MAX_TABLE_BYTES, parse_root
+from airgs_codec.package.parse import MAX_TABLE_BYTES, inflate, parse_root
 from airgs_codec.package.tables import PAGE, FileEntry, Header, Root
 from airgs_codec.places.place import BUSY, CIRCLE, SILENCE_S, WEB, got_words, split_query, status_words
 from airgs_codec.play.downloader import CHECK_S, Arrival, BatchKind, GiveUp, Partial, Request, Retry
+from airgs_codec.play.metrics import SessionLog
 from airgs_codec.play.offers import NONE, Batch, Offers
-from airgs_codec.play.session import SessionLog
 
 CONNECTIONS = 16  # at once
 GROWS = ("frames", "live")  # what of the header changes while a package grows
-Receive = Callable[[str, bytes], object]
 GARBLED = ("size_mismatch", "hash_mismatch", "not_json")  # reasons to ask again
 LONGEST_PAUSE_S = 4.0
 LEAST_BYTES = 1024  # that come within the time-out: 16 connections over a modem of 18 kbit/s are faster
 STATUS_LINE_BYTES = len("HTTP/1.1 200 OK\r\n\r\n")
-ZIPPED = 16 + zlib.MAX_WBITS  # gzip, for zlib
 _AS_IT_IS = "!$%&'()*+,/:;=?@"  # in a query: a signature may be of its letters
 FRESH = {"Cache-Control": "no-cache"}  # asks caches on the way, which may hold wrong bytes, to ask the server
 
@@ -91,17 +86,39 @@ class Transfer:
     first_byte_at: float | None = None
     answered_at: float = -math.inf  # when a file began to come last
     told: bool = False  # that something is asked for again
-    wait_s: float = float("inf")  # the shortest from a request to its first byte
+    wait_s: float = math.inf  # the shortest from a request to its first byte
     bytes: int = 0  # headers included
     whole: set[str] = field(default_factory=set)
     refused: dict[str, FormatError] = field(default_factory=dict)
     retries: list[Retry] = field(default_factory=list)
 
-    def begin(self, asked_at: float) -> None:
-        """The head of an answer is there."""
-        now = time.monotonic()
-        self.first_byte_at = now if self.first_byte_at is None else self.first_byte_at
-        self.wait_s = min(self.wait_s, now - asked_at)
+
+class _Answer:
+    """One answer of a batch, and the time for its next LEAST_BYTES, which begins when the request is sent."""
+
+    def __init__(self, transfer: Transfer, timeout_s: float) -> None:
+        self.asked_at, self.size = time.monotonic(), 0  # bytes that came, headers included
+        self.limit = asyncio.timeout(None)
+        self._transfer, self._timeout_s, self._since = transfer, timeout_s, 0
+
+    def restart(self) -> None:
+        self._since = 0
+        self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
+
+    def begin(self, response: aiohttp.ClientResponse) -> None:
+        now, transfer = time.monotonic(), self._transfer
+        self.count(STATUS_LINE_BYTES + sum(len(name) + len(value) + 4 for name, value in response.raw_headers))
+        transfer.first_byte_at = now if transfer.first_byte_at is None else transfer.first_byte_at
+        transfer.wait_s = min(transfer.wait_s, now - self.asked_at)
+        if response.status not in BUSY:
+            transfer.answered_at = now
+
+    def count(self, size: int) -> None:
+        self.size += size
+        self._transfer.bytes += size
+        self._since += size
+        if self._since >= LEAST_BYTES:
+            self.restart()
 
 
 class _PassingError(FormatError):
@@ -113,195 +130,7 @@ class _PassingError(FormatError):
         self.after_s = after_s  # when the server, which is busy, wants to be asked again
 
 
-def connect(settings: HttpSettings, connections: int) -> aiohttp.ClientSession:
-    """Connections of a `FileClient`. Bodies come as they are: the tables list digests of what is on the server."""
-
-    async def begin(session: object, context: SimpleNamespace, sent: object) -> None:
-        context.trace_request_ctx.restart()
-
-    trace = aiohttp.TraceConfig()
-    trace.on_request_headers_sent.append(begin)
-    return aiohttp.ClientSession(
-        connector=aiohttp.TCPConnector(limit=connections),
-        timeout=aiohttp.ClientTimeout(total=None, sock_connect=settings.timeout_s),
-        auto_decompress=False,
-        headers={"Accept-Encoding": "identity"},
-        trace_configs=[trace],
-    )
-
-
-class _Window:
-    """The time for the next LEAST_BYTES of an answer; it begins when the request is sent."""
-
-    def __init__(self, timeout_s: float) -> None:
-        self._timeout_s, self._came = timeout_s, 0
-        self.limit = asyncio.timeout(None)
-
-    def restart(self) -> None:
-        self._came = 0
-        self.limit.reschedule(asyncio.get_running_loop().time() + self._timeout_s)
-
-    def count(self, size: int) -> None:
-        """So many bytes came."""
-        self._came += size
-        if self._came >= LEAST_BYTES:
-            self.restart()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FileClient:
-    """Fetches files below a URL; `accept` takes them in, or raises FormatError."""
-
-    session: aiohttp.ClientSession
-    url: str
-    settings: HttpSettings
-    accept: Callable[[str, bytes], None]
-    query: str = ""  # of every file, with its ?
-    told: Callable[[str], object] | None = None  # hears a line where something is asked for again
-    last: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # by path, entity tag and bytes of airgs.json
-
-    async def get(self, path: str, limit: int, transfer: Transfer, outage_s: float) -> None:
-        """Fetch a file of at most `limit` bytes, and say in `transfer` what came of it.
-
-        Raises TransportError when the server is away for longer than `outage_s`.
-        """
-        faults, away_since = 0, None
-        for tries in itertools.count():
-            answer = _Answer(self, path, limit, transfer)
-            fault = await answer.fault(again=tries > 0)
-            if fault is None:
-                transfer.whole.add(path)
-                return
-            passing, now = fault if isinstance(fault, _PassingError) else None, time.monotonic()
-            after_s = passing.after_s if passing else 0.0
-            faults, away_since = (faults, away_since or now) if passing and passing.away else (faults + 1, None)
-            if away_since is not None and now + after_s - away_since >= outage_s:
-                raise TransportError(f"{self.url}/{path}: {fault.detail}")
-            if faults == self.settings.attempts or not (passing or fault.reason in GARBLED):
-                transfer.refused[path] = fault
-                return
-            if passing and self.told and not transfer.told:
-                transfer.told = True
-                self.told(f"{self.url}/{path}: {fault.detail}; asking again")
-            transfer.retries.append(Retry(path, fault.detail, answer.size))
-            await asyncio.sleep(max(after_s, self._pause_s(tries)))
-
-    def _pause_s(self, tries: int) -> float:
-        """Longer each time, and not the same for everybody who lost the same server."""
-        longest = min(LONGEST_PAUSE_S, self.settings.backoff_s * 2 ** min(tries, 30))
-        return longest * random.uniform(0.5, 1.0)
-
-
-@dataclass(slots=True, eq=False)
-class _Answer:
-    """What comes of one request for a file."""
-
-    client: FileClient
-    path: str
-    limit: int
-    transfer: Transfer
-    size: int = 0  # bytes that came, headers included
-    asked_at: float = field(default_factory=time.monotonic)
-
-    async def fault(self, again: bool) -> FormatError | None:
-        """Why the file was not accepted, None if it was."""
-        if again:
-            self.client.last.pop(self.path, None)
-        try:
-            self.client.accept(self.path, await self._receive(FRESH if again else {}))
-        except FormatError as error:
-            self.client.last.pop(self.path, None)
-            return error
-        except (aiohttp.ClientSSLError, aiohttp.InvalidURL) as error:
-            raise TransportError(f"{self.client.url}: {error}") from error
-        except (aiohttp.ClientConnectorError, aiohttp.ConnectionTimeoutError) as error:
-            return _PassingError(self.path, f"the server cannot be reached: {_reason(error)}", away=True)
-        except TimeoutError:
-            words = f"the server is silent: fewer than {LEAST_BYTES} bytes in {self.client.settings.timeout_s:g} s"
-            return _PassingError(self.path, words, away=self.transfer.answered_at < self.asked_at)
-        except aiohttp.TooManyRedirects as error:
-            return FormatError("missing_file", self.path, f"expected a file, got none: {CIRCLE} at {error.args[0].url}")
-        except (aiohttp.ClientError, OSError) as error:
-            return _PassingError(self.path, f"broken off: {_reason(error)}")
-        return None
-
-    async def _receive(self, headers: dict[str, str]) -> bytes:
-        window, client = _Window(self.client.settings.timeout_s), self.client
-        tag, last = client.last.get(self.path, ("", b""))
-        conditional = {"If-None-Match": tag} if tag else {}
-        packed = {"Accept-Encoding": "gzip"} if self.path in client.last else {}  # the first is as it is listed
-        asking = client.session.get(
-            URL(f"{client.url}/{self.path}{client.query}", encoded=True),
-            headers=headers | packed | conditional,
-            middlewares=(self._stay,),
-            trace_request_ctx=window,
-        )
-        async with window.limit, asking as response:
-            self._count(STATUS_LINE_BYTES + sum(len(name) + len(value) + 4 for name, value in response.raw_headers))
-            self.transfer.begin(self.asked_at)
-            if response.status not in BUSY:
-                self.transfer.answered_at = time.monotonic()
-            if response.status == 304 and tag:
-                return last
-            if response.status != 200:
-                raise self._refusal(response.status, response.headers.get("Retry-After", ""))
-            data = await self._body(response.content, window)
-        check_repr_digest(self.path, data, response.headers.get(REPR_DIGEST, ""))
-        if response.headers.get("Content-Encoding") == "gzip" and not self.path.endswith(".gz"):
-            data = self._unzip(data)
-        if self.path == JSON_NAME:
-            client.last[self.path] = response.headers.get("ETag", ""), data
-        return data
-
-    def _refusal(self, status: int, after: str) -> FormatError:
-        busy, words = status in BUSY, status_words(status)
-        if not busy and status < 500:
-            return FormatError("missing_file", self.path, words)
-        after_s = int(after[:9]) if busy and after.isdecimal() else 0
-        words += f", to be asked again in {after_s} s" if after_s else ""
-        return _PassingError(self.path, words, busy, after_s)
-
-    def _unzip(self, data: bytes) -> bytes:
-        inflate = zlib.decompressobj(ZIPPED)
-        try:
-            text = inflate.decompress(data, self.limit + 1)
-        except zlib.error as error:
-            raise FormatError("not_json", self.path, f"expected gzip: {error}") from error
-        if len(text) > self.limit or not inflate.eof:
-            raise FormatError("not_json", self.path, f"expected gzip of at most {self.limit} bytes")
-        return text
-
-    async def _stay(self, request: aiohttp.ClientRequest, pass_on: aiohttp.ClientHandlerType) -> aiohttp.ClientResponse:
-        """Pass on a request to the server itself. Raises FormatError for one to another, after a redirect."""
-        origin, asked = URL(self.client.url).origin(), request.url.origin()
-        if asked != origin:
-            raise FormatError("missing_file", self.path, f"expected a file of {origin}, got a redirect to {asked}")
-        return await pass_on(request)
-
-    async def _body(self, stream: aiohttp.StreamReader, window: _Window) -> bytes:
-        body = bytearray()
-        async for data in stream.iter_any():
-            self._count(len(data))
-            window.count(len(data))
-            body += data
-            if len(body) > self.limit:
-                words = f"expected at most {self.limit} bytes, got {got_words(bytes(body), 'more')}"
-                raise FormatError("size_mismatch", self.path, words)
-        return bytes(body)
-
-    def _count(self, size: int) -> None:
-        self.size += size
-        self.transfer.bytes += size
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, aiohttp.ClientPayloadError):
-        return "the answer is shorter than it says"
-    number = getattr(error, "errno", None)
-    return os.strerror(number) if number and number > 0 else str(error) or type(error).__name__
-
-
-class HttpDownloader:
+class HttpDownloader(contextlib.AbstractContextManager["HttpDownloader"]):
     """Fetches a package from a server; `received` is given every file that came whole and is what the tables say.
 
     Time is seconds from the first request. With `as_fast`, waiting for room in the buffer takes none; a package that
@@ -314,56 +143,54 @@ class HttpDownloader:
         self,
         url: str,
         settings: HttpSettings | None = None,
-        received: Receive | None = None,
+        received: Callable[[str, bytes], object] | None = None,
         told: Callable[[str], object] | None = None,
     ) -> None:
-        """`told` hears a line where files of a batch have to be asked for again."""
+        """`told` is called with a line of text when files of a batch are requested again."""
         self._settings, self._received, self._told = settings or HttpSettings(), received, told
         self._url, self._query = _checked(url)
         self._tables = RemoteTables()
+        self._tag: str | None = None  # entity tag of airgs.json, once it was accepted, '' without one
         self._runner = asyncio.Runner()
-        self._files = self._runner.run(self._connect())
+        self._session = self._runner.run(self._connect())
         self._zero: float | None = None  # of the clock
         self._skipped_s = 0.0
         self._rtt_s = math.inf
         self._opened: dict[tuple[str, ...], Arrival] = {}  # what came before the player asks for it
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
+    def __exit__(self, *_: object) -> None:
+        self._runner.run(self._session.close())
+        self._runner.close()
 
     @property
     def rtt_s(self) -> float:
-        """The shortest wait for a first byte so far, in seconds; 0 before there is any."""
+        """Return the shortest wait for a first byte so far in seconds, 0 before there is one."""
         return self._rtt_s if self._rtt_s < math.inf else 0.0
 
     def open(self) -> Offers:
         """Fetch airgs.json, which the player's first request then finds there. The offers grow with the tables.
 
-        Raises FormatError, TransportError where there is no server.
+        A session over a growing package begins with its newest group. Raises FormatError, TransportError where there is
+        no server.
         """
         self._fetch_first(JSON_NAME)
-        self._join(self._offers)
-        return self._offers
+        c = self._offers
+        if c.live:
+            places = c.manifest.groups.places
+            for path in places.pages_to("segments", places.segments - 1):
+                self._fetch_first(path)
+            c.first = places.entry(places.groups - 1).first_segment
+        return c
 
     def _fetch_first(self, path: str) -> None:
-        arrival = self._runner.run(self._fetch(_for_tables(path), None))
+        arrival = self._fetch_tables([path])
         for error in arrival.refused.values():
             raise FormatError(error.reason, f"{self._url}/{error.where}", error.detail)
         self._opened[path,] = arrival
 
-    def _join(self, c: Offers) -> None:
-        """A session over a growing package begins with its newest group."""
-        if not c.live:
-            return
-        places = c.manifest.groups.places
-        for path in places.pages_to("segments", places.segments - 1):
-            self._fetch_first(path)
-        c.first = places.entry(places.groups - 1).first_segment
+    def _fetch_tables(self, paths: Sequence[str]) -> Arrival:
+        request = Request(BatchKind.TABLES, 0, 0, Batch(tables=tuple(paths)), 0.0, 0.0)
+        return self._runner.run(self._fetch(request, None))
 
     def fetch(self, request: Request, give_up: GiveUp | None = None) -> Arrival:
         """See Downloader. Raises TransportError for a server that is away for too long."""
@@ -371,15 +198,18 @@ class HttpDownloader:
             return replace(opened, request=request)
         return self._runner.run(self._fetch(request, give_up))
 
-    def complete(self, paths: Sequence[str]) -> None:
-        """Fetch files after a session, for pictures of it; what cannot be had is left out."""
-        if paths:
-            request = Request(BatchKind.TABLES, 0, 0, Batch(tables=tuple(paths)), 0.0, 0.0)
-            self._runner.run(self._fetch(request, None))
-
-    def close(self) -> None:
-        self._runner.run(self._files.session.close())
-        self._runner.close()
+    def fetch_beside(self, log: SessionLog) -> None:
+        """Fetch all tables and the best rungs for a film of a session, as far as they can be had."""
+        c, pages = log.offers, set[str]()
+        places = c.manifest.groups.places
+        with contextlib.suppress(FormatError):  # a page cannot be had
+            while missing := places.missing_pages(range(places.segments), pages):
+                self._fetch_tables(missing)
+                pages.update(missing)
+            self._fetch_tables([group_path(number + 1) for number in range(places.groups)])
+        for segment in dict.fromkeys(shown.segment for shown in log.shown):
+            with contextlib.suppress(FormatError):  # its table cannot be had
+                self._fetch_tables(c.offer(segment).missing(0, NONE).files)
 
     @property
     def _offers(self) -> Offers:
@@ -387,39 +217,51 @@ class HttpDownloader:
             raise ConfigError("expected open() before fetch()")
         return self._tables.offers
 
-    async def _connect(self) -> FileClient:
-        session = connect(self._settings, CONNECTIONS)
-        return FileClient(session, self._url, self._settings, self._accept, self._query, self._told)
+    async def _connect(self) -> aiohttp.ClientSession:
+        """Bodies come as they are: the tables list digests of what is on the server."""
 
-    def _accept(self, path: str, data: bytes) -> None:
-        self._tables.accept(path, data)
-        if self._received is not None:
-            self._received(path, data)
+        async def sent(session: object, context: SimpleNamespace, event: object) -> None:
+            context.trace_request_ctx.restart()
+
+        trace = aiohttp.TraceConfig()
+        trace.on_request_headers_sent.append(sent)
+        return aiohttp.ClientSession(
+            connector=aiohttp.TCPConnector(limit=CONNECTIONS),
+            timeout=aiohttp.ClientTimeout(total=None, sock_connect=self._settings.timeout_s),
+            auto_decompress=False,
+            headers={"Accept-Encoding": "identity"},
+            trace_configs=[trace],
+        )
 
     async def _fetch(self, request: Request, give_up: GiveUp | None) -> Arrival:
         await self._wait_until(request.sent_s)
-        transfer = Transfer()
-        opened = self._tables.offers is not None
-        outage_s = self._settings.outage_s if opened else 0.0
-        gets = [self._files.get(path, self._tables.limit(path), transfer, outage_s) for path in request.batch.files]
+        transfer, files = Transfer(), request.batch.files
+        limits = [self._tables.limit(path) for path in files]
+        gets = [self._get(path, limit, transfer) for path, limit in zip(files, limits, strict=True)]
         tasks = [asyncio.create_task(get) for get in gets]
         try:
-            abandoned = await self._watch(tasks, transfer, self._expected_bytes(request) if give_up else 0, give_up)
+            abandoned = await self._watch(tasks, transfer, self._offers.wire_bytes(files) if give_up else 0, give_up)
         finally:
             for task in tasks:
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
         self._rtt_s = min(self._rtt_s, transfer.wait_s)
-        return self._arrival(request, transfer, abandoned)
-
-    def _expected_bytes(self, request: Request) -> int:
-        c = self._offers
-        return c.wire_bytes([c.file_bytes(path) for path in request.batch.files])
+        now_s = self._now_s()
+        return Arrival(
+            request=request,
+            first_byte_s=now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at),
+            at_s=now_s,
+            bytes=max(1, transfer.bytes),
+            whole=tuple(path for path in files if path in transfer.whole),
+            refused=transfer.refused,
+            abandoned=abandoned,
+            retries=tuple(transfer.retries),
+        )
 
     async def _watch(
         self, tasks: list[asyncio.Task[None]], transfer: Transfer, expected: int, give_up: GiveUp | None
     ) -> bool:
-        """Wait for all files, looking every CHECK_S from the first byte on; True: they are given up."""
+        """Wait for all files, asking `give_up` every CHECK_S after the first byte; returns whether it said yes."""
         waiting, look_s = set(tasks), CHECK_S
         while waiting:
             since_s = 0.0 if transfer.first_byte_at is None else time.monotonic() - transfer.first_byte_at
@@ -436,19 +278,99 @@ class HttpDownloader:
                     return True
         return False
 
-    def _arrival(self, request: Request, transfer: Transfer, abandoned: bool) -> Arrival:
-        now_s = self._now_s()
-        first_s = now_s if transfer.first_byte_at is None else self._at_s(transfer.first_byte_at)
-        return Arrival(
-            request=request,
-            first_byte_s=first_s,
-            at_s=now_s,
-            bytes=max(1, transfer.bytes),
-            whole=tuple(path for path in request.batch.files if path in transfer.whole),
-            refused=transfer.refused,
-            abandoned=abandoned,
-            retries=tuple(transfer.retries),
+    async def _get(self, path: str, limit: int, transfer: Transfer) -> None:
+        """Fetch a file of at most `limit` bytes and record the outcome in `transfer`.
+
+        Raises TransportError when the server is away for too long: before airgs.json has come, at once.
+        """
+        outage_s = self._settings.outage_s if self._tables.offers else 0.0
+        faults, away_since = 0, None
+        for tries in itertools.count():
+            answer = _Answer(transfer, self._settings.timeout_s)
+            try:
+                data = await self._receive(path, limit, answer, again=tries > 0)
+                self._tables.accept(path, data)
+                if self._received is not None:
+                    self._received(path, data)
+                transfer.whole.add(path)
+                return
+            except (FormatError, aiohttp.ClientError, OSError) as error:
+                fault = self._fault(path, error, away=transfer.answered_at < answer.asked_at)
+            if path == JSON_NAME:
+                self._tag = None
+            passing, now = fault if isinstance(fault, _PassingError) else None, time.monotonic()
+            after_s = passing.after_s if passing else 0.0
+            faults, away_since = (faults, away_since or now) if passing and passing.away else (faults + 1, None)
+            if away_since is not None and now + after_s - away_since >= outage_s:
+                raise TransportError(f"{self._url}/{path}: {fault.detail}")
+            if faults == self._settings.attempts or not (passing or fault.reason in GARBLED):
+                transfer.refused[path] = fault
+                return
+            if passing and self._told and not transfer.told:
+                transfer.told = True
+                self._told(f"{self._url}/{path}: {fault.detail}; asking again")
+            transfer.retries.append(Retry(path, fault.detail, answer.size))
+            pause_s = min(LONGEST_PAUSE_S, self._settings.backoff_s * 2 ** min(tries, 30))
+            pause_s *= random.uniform(0.5, 1.0)  # not the same for everybody who lost the same server
+            await asyncio.sleep(max(after_s, pause_s))
+
+    def _fault(self, path: str, error: Exception, away: bool) -> FormatError:
+        """Return what an error means for a file; `away`: the server has sent nothing since the request."""
+        match error:
+            case FormatError():
+                return error
+            case aiohttp.ClientSSLError() | aiohttp.InvalidURL():
+                raise TransportError(f"{self._url}: {error}") from error
+            case aiohttp.ClientConnectorError() | aiohttp.ConnectionTimeoutError():
+                return _PassingError(path, f"the server cannot be reached: {_reason(error)}", away=True)
+            case TimeoutError():
+                words = f"the server is silent: fewer than {LEAST_BYTES} bytes in {self._settings.timeout_s:g} s"
+                return _PassingError(path, words, away)
+            case aiohttp.TooManyRedirects():
+                return FormatError("missing_file", path, f"expected a file, got none: {CIRCLE} at {error.args[0].url}")
+        return _PassingError(path, f"broken off: {_reason(error)}")
+
+    async def _receive(self, path: str, limit: int, answer: _Answer, again: bool) -> bytes:
+        """Return the bytes of a file, unzipped if the server zipped it. Raises FormatError and errors of aiohttp."""
+        headers = dict(FRESH) if again else {}
+        tag = self._tag if path == JSON_NAME else None
+        if tag is not None:  # the first, and one after a fault, is as it is listed
+            headers = {"Accept-Encoding": "gzip"} | ({"If-None-Match": tag} if tag else {})
+        asking = self._session.get(
+            URL(f"{self._url}/{path}{self._query}", encoded=True),
+            headers=headers,
+            middlewares=(partial(self._stay, path),),
+            trace_request_ctx=answer,
         )
+        async with answer.limit, asking as response:
+            answer.begin(response)
+            if response.status == 304 and tag:
+                return self._tables.root_bytes
+            if response.status != 200:
+                raise _refusal(path, response.status, response.headers.get("Retry-After", ""))
+            body = bytearray()
+            async for part in response.content.iter_any():
+                answer.count(len(part))
+                body += part
+                if len(body) > limit:
+                    words = f"expected at most {limit} bytes, got {got_words(bytes(body), 'more')}"
+                    raise FormatError("size_mismatch", path, words)
+        data = bytes(body)
+        check_repr_digest(path, data, response.headers.get(REPR_DIGEST, ""))
+        if response.headers.get("Content-Encoding") == "gzip" and not path.endswith(".gz"):
+            data = inflate(data, path)
+        if path == JSON_NAME:
+            self._tag = response.headers.get("ETag", "")
+        return data
+
+    async def _stay(
+        self, path: str, request: aiohttp.ClientRequest, pass_on: aiohttp.ClientHandlerType
+    ) -> aiohttp.ClientResponse:
+        """Pass on a request. Raises FormatError for a redirect to another server."""
+        origin, asked = URL(self._url).origin(), request.url.origin()
+        if asked != origin:
+            raise FormatError("missing_file", path, f"expected a file of {origin}, got a redirect to {asked}")
+        return await pass_on(request)
 
     def _now_s(self) -> float:
         return self._at_s(time.monotonic())
@@ -467,26 +389,24 @@ class HttpDownloader:
             await asyncio.sleep(left_s)
 
 
-def fetch_beside(log: SessionLog, downloader: HttpDownloader) -> None:
-    """Fetch what a report or a film of a session shows beside what was played: all tables, and the best rungs."""
-    c, pages = log.offers, set[str]()
-    places = c.manifest.groups.places
-    with contextlib.suppress(FormatError):  # a page cannot be had
-        while missing := places.missing_pages(range(places.segments), pages):
-            downloader.complete(missing)
-            pages.update(missing)
-        downloader.complete([group_path(number + 1) for number in range(places.groups)])
-    for segment in dict.fromkeys(shown.segment for shown in log.shown):
-        with contextlib.suppress(FormatError):  # its table cannot be had
-            downloader.complete(c.offer(segment).missing(0, NONE).files)
+def _refusal(path: str, status: int, after: str) -> FormatError:
+    busy, words = status in BUSY, status_words(status)
+    if not busy and status < 500:
+        return FormatError("missing_file", path, words)
+    after_s = int(after[:9]) if busy and after.isdecimal() else 0
+    words += f", to be asked again in {after_s} s" if after_s else ""
+    return _PassingError(path, words, busy, after_s)
 
 
-def _for_tables(path: str) -> Request:
-    return Request(BatchKind.TABLES, 0, 0, Batch(tables=(path,)), 0.0, 0.0)
+def _reason(error: Exception) -> str:
+    if isinstance(error, aiohttp.ClientPayloadError):
+        return "the answer is shorter than it says"
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number and number > 0 else str(error) or type(error).__name__
 
 
 def _checked(url: str) -> tuple[str, str]:
-    """The URL of a package's folder without the slash at its end, and its query."""
+    """Return the URL of a package's folder, without the slash at its end, and its query. Raises ConfigError."""
     before, query = split_query(folder_of(url))
     try:
         parts = urlsplit(before)
@@ -504,17 +424,17 @@ class RemoteTables:
     def __init__(self) -> None:
         self.offers: Offers | None = None  # None: airgs.json has not come yet
         self._root: Root | None = None
-        self._root_text = b""
+        self.root_bytes = b""
         self._files: dict[str, tuple[FileEntry, bytes]] = {}  # pages and tables of groups
         self._keepers: dict[int, set[int]] = {}  # groups whose tables came, by the group whose rows they keep
 
     def limit(self, path: str) -> int:
-        """The most bytes that may come of a file. Raises FormatError for one that no table lists."""
+        """Return the most bytes that a file may have. Raises FormatError for a file that no table lists."""
         listed = self.offers.manifest.entry(path) if self.offers and path != JSON_NAME else None
         return listed.bytes if listed and not path.endswith(".gz") else MAX_TABLE_BYTES
 
     def accept(self, path: str, data: bytes) -> None:
-        """Take in a file that came. Raises FormatError for one that is not what the tables say."""
+        """Check a file against the tables, and store it if it is one. Raises FormatError."""
         if path == JSON_NAME:
             self._accept_root(data)
             return
@@ -528,7 +448,7 @@ class RemoteTables:
         self._read_table(self.offers, path, entry, data)
 
     def _accept_root(self, data: bytes) -> None:
-        if data == self._root_text:
+        if data == self.root_bytes:
             return
         root = parse_root(data)
         if self._root is not None:
@@ -538,7 +458,7 @@ class RemoteTables:
             self.offers = Offers(manifest, root_bytes=len(data), live=root.live)
         else:
             self.offers.grow(manifest, len(data))
-        self._root, self._root_text = root, data
+        self._root, self.root_bytes = root, data
 
     def _read_table(self, c: Offers, path: str, entry: FileEntry, data: bytes) -> None:
         what, numbers = locate(path)
@@ -555,7 +475,7 @@ class RemoteTables:
             raise
 
     def _check_base(self, m: Manifest, group: int) -> None:
-        """Read a table, and check it with those that came before: one may differ from the other. FormatError."""
+        """Parse a group's table and check it against its base, whichever came first. Raises FormatError."""
         keeps = m.groups[group].keeps
         for number in self._keepers.get(group, ()):
             m.base_of(number)
@@ -566,7 +486,7 @@ class RemoteTables:
 
 
 def _find(tables: Mapping[str, tuple[FileEntry, bytes]], path: str, entry: FileEntry) -> bytes:
-    """A table that came, if it is still what the root leads to."""
+    """Return a fetched table. Raises FormatError if it has not come, or if the root now lists another."""
     if path not in tables:
         raise FormatError("missing_file", path, "it has not been fetched")
     listed, data = tables[path]

@@ -1,4 +1,4 @@
-"""The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined.
+"""The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined, and as printed.
 
 Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, the comment names
 the case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first level (6),
@@ -43,44 +43,31 @@ class Decision:
     size_bytes: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Ladder:
-    """Options whose size and quality both fall strictly, from the best down to the last before the cliff."""
+def build_ladder(options: Iterable[Option], beta: float = DEFAULT_BETA) -> tuple[Option, ...]:
+    """Return the options whose size and quality both fall strictly, from the best to the last before the cliff.
 
-    options: tuple[Option, ...]
-
-    @staticmethod
-    def build(
-        options: Iterable[Option],
-        *,
-        beta: float = DEFAULT_BETA,
-        eps_db: float = EPS_DB,
-        cliff_db: float = CLIFF_DB,
-        min_quality: float | None = None,
-    ) -> Ladder:
-        """Pareto filter, then the cliff test.
-
-        The paper's levels are 10 % of the updates apart. Those of packages are not, and save by coarser steps as well;
-        so drops are counted per 10 % of the bytes saved, over at least one such step from level to level. A level is
-        past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least `eps_db`), or, for
-        the first level, `cliff_db`; or when its quality is under `min_quality`. O(n log n).
-        Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
-        """
-        if not beta > 1:
-            raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
-        front = _pareto([_checked(p) for p in options])
-        rungs = front[:1]
-        steps = 0.0  # of 10 %, from the best level to the last one chosen
-        for previous, option in itertools.pairwise(front):
-            tenths = max(1.0, 10 * (option.saved - previous.saved))
-            drop = (previous.quality - option.quality) / tenths
-            reference = max(eps_db, (front[0].quality - previous.quality) / steps) if steps else None
-            past = drop > cliff_db if reference is None else drop / reference > beta
-            if past or (min_quality is not None and option.quality < min_quality):
-                break
-            rungs.append(option)
-            steps += tenths
-        return Ladder(tuple(rungs))
+    Pareto filter, then the cliff test. The paper's levels are 10 % of the updates apart. Those of packages are not, and
+    save by coarser steps as well; so drops are counted per 10 % of the bytes saved, over at least one such step from
+    level to level. A level is past the cliff when its drop exceeds `beta` times the mean of the earlier drops (at least
+    EPS_DB), or, for the first level, CLIFF_DB; no drop is a cliff where beta is inf. O(n log n).
+    Raises ConfigError: no options (10), beta <= 1 (6), a size or quality that is no number (11).
+    """
+    if not beta > 1:
+        raise ConfigError(f"cliff multiplier: expected more than 1, got {beta}")
+    front = _pareto([_checked(p) for p in options])
+    if beta == math.inf:
+        return tuple(front)
+    ladder = front[:1]
+    steps = 0.0  # of 10 %, from the best level to the last one chosen
+    for previous, option in itertools.pairwise(front):
+        tenths = max(1.0, 10 * (option.saved - previous.saved))
+        drop = (previous.quality - option.quality) / tenths
+        mean = max(EPS_DB, (front[0].quality - previous.quality) / steps) if steps else None
+        if drop > CLIFF_DB if mean is None else drop / mean > beta:
+            break
+        ladder.append(option)
+        steps += tenths
+    return tuple(ladder)
 
 
 def _checked(option: Option) -> Option:
@@ -90,7 +77,7 @@ def _checked(option: Option) -> Option:
 
 
 def _pareto(options: list[Option]) -> list[Option]:
-    """Options that no other beats or equals at fewer bytes, best first (4, 9)."""
+    """Return the options that no other beats or equals at fewer bytes, best first (4, 9)."""
     if not options:
         raise ConfigError("ladder: expected at least one level, got none")
     front: list[Option] = []
@@ -100,22 +87,65 @@ def _pareto(options: list[Option]) -> list[Option]:
     return front[::-1]
 
 
-def select(ladder: Ladder, budget_bytes: float) -> Decision:
-    """The best level that fits; when none does, the smallest with fits=False (7, 8). O(log n).
+def select(ladder: Sequence[Option], budget_bytes: float) -> Decision:
+    """Choose the best level of a ladder that fits; if none does, the smallest, with fits=False (7, 8). O(log n).
 
     A budget that is negative or no number counts as 0 (12).
     """
     budget = budget_bytes if budget_bytes > 0 else 0.0
-    options = ladder.options
-    at = bisect_left(options, -budget, key=lambda p: -p.size_bytes)
-    if at == len(options):
-        last = options[-1]
+    at = bisect_left(ladder, -budget, key=lambda p: -p.size_bytes)
+    if at == len(ladder):
+        last = ladder[-1]
         return Decision(last.index, False, f"nothing fits {budget:.0f} B, taking the smallest", last.size_bytes)
-    chosen = options[at]
+    chosen = ladder[at]
     return Decision(chosen.index, True, f"{chosen.size_bytes} B fit {budget:.0f} B", chosen.size_bytes)
 
 
 def saved_shares(sizes: Sequence[float]) -> list[float]:
-    """Return what each level saves of the bytes of the first, the best; 0 where that has none or is no larger."""
+    """Return the share of the first level's bytes that each level saves; 0 where it saves none."""
     best = sizes[0]
     return [max(0.0, 1 - size / best) if best > 0 else 0.0 for size in sizes]
+
+
+def select_literal(options: Sequence[Option], budget_bytes: float, beta: float = DEFAULT_BETA) -> int | None:
+    """Run Algorithm 1 as printed, over options in the order of their levels; None where it leaves p undefined.
+
+    A step is q[i] - q[i-1], negative where quality falls. Divisions are IEEE: 0 / 0 is no number and never above beta,
+    and a fall after a step of 0 is -infinity, so that the cliff is missed there. When nothing fits, the answer is the
+    cliff's level, whatever its size; `select` differs there. Raises ConfigError without options.
+    """
+    if not options:
+        raise ConfigError("Algorithm 1: expected at least one level, got none")
+    rungs, answer = [0], None
+    previous = options[1].quality - options[0].quality if len(options) > 1 else 0.0
+    for i in range(1, len(options)):
+        drop = options[i].quality - options[i - 1].quality
+        if _ratio(drop, previous) > beta:
+            answer = i
+            break
+        rungs.append(i)
+        previous = drop
+    low, high = 0, len(rungs) - 1
+    while low <= high:
+        middle = (low + high) // 2
+        if options[rungs[middle]].size_bytes <= budget_bytes:
+            answer, high = rungs[middle], middle - 1
+        else:
+            low = middle + 1
+    return answer
+
+
+def _ratio(a: float, b: float) -> float:
+    if b:
+        return a / b
+    return math.nan if a == 0 or math.isnan(a) else math.copysign(math.inf, a)
+
+
+def frame_budget(bandwidth_bps: float, fps: float) -> float:
+    """Return the bytes that a frame may have: the paper's C = B / R with its units.
+
+    A bandwidth that is negative or no number counts as 0 (12). Raises ConfigError unless fps > 0.
+    """
+    if not fps > 0:
+        raise ConfigError(f"frame rate: expected more than 0, got {fps}")
+    return bandwidth_bps / (8 * fps) if bandwidth_bps > 0 else 0.0

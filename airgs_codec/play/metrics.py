@@ -1,9 +1,10 @@
-"""What a session was like: figures over the batches that were fetched and the segments that were shown, and what they
-are called in tables.
+"""What a session was like: its log as a fold over a player's events, figures over the batches that were fetched and the
+segments that were shown, and what they are called in tables.
 
 PSNR has three definitions in this package. Packages: the PSNR of the squared error pooled over views and frames.
 Training: the mean over views of each view's dB. Sessions, here: every segment has the package's PSNR of its rung, and
-a session the mean of these dB over display ticks.
+a session the mean of these dB over display ticks. A display tick is a moment every 1 / fps seconds from the first
+picture on.
 """
 
 from __future__ import annotations
@@ -11,20 +12,26 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
+from functools import cached_property
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from airgs_codec.package.layout import FileKind
-from airgs_codec.play.downloader import BatchKind, Shown
+from airgs_codec._arguments import brief
+from airgs_codec.errors import ConfigError
+from airgs_codec.package.layout import FileKind, file_kind
+from airgs_codec.play.downloader import Arrived, BatchKind, Cut, Event, Lost, Replaced, Shown
 from airgs_codec.play.fetcher import SHORTEST_S
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.playout import screen_ticks
-from airgs_codec.play.policies.state import STALL_DB
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import STALL_DB
 from airgs_codec.play.trace import Link
+
+NEXT = (BatchKind.GROUP, BatchKind.STATE)  # batches of the segment that comes next
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +80,7 @@ class SessionMetrics:
     replaced: int  # replacements that were fetched
     abandoned: int
     retries: int  # requests that got faulty answers, and were made again
-    late: float  # share of segments that were waited for
-    infeasible: float  # share of choices for which no rung fitted
     lost_frames: int
-    frame_ms_mean: float  # ms that a frame was on its way, its share of the batch that brought it
-    frame_ms_p50: float
-    frame_ms_p95: float
-    frame_ms_max: float
     rungs: Mapping[str, int]  # segments shown with each; "lost" counts the others
     gaussians: int  # most that a picture showed
     trace: str | None  # these are None over a real connection
@@ -91,47 +92,144 @@ class SessionMetrics:
     rtt_s: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """All figures by name, as plain values."""
+        """Return all figures by name, as plain values."""
         return asdict(self)
 
 
-def frame_times(fetches: Sequence[Fetch], shown: Sequence[Shown]) -> NDArray[np.float64]:
-    """Seconds that every frame shown was on its way: its share of the batches that brought what was shown."""
-    spans: dict[int, tuple[float, float]] = {}
-    for f in fetches:
-        if f.shown:
-            first_s = f.request_s if f.kind is BatchKind.REPLACEMENT else spans.get(f.position, (f.request_s,))[0]
-            spans[f.position] = first_s, f.arrival_s
-    took = {position: last_s - first_s for position, (first_s, last_s) in spans.items()}
-    frames = [shown[position].frames for position in took]
-    return np.repeat([seconds / n for seconds, n in zip(took.values(), frames, strict=True)], frames)
+@dataclass(frozen=True, eq=False)
+class SessionLog:
+    """Everything that happened in a session; figures are derived from it."""
+
+    offers: Offers
+    settings: SessionSettings
+    policy: str
+    link: Link | None  # None over a real connection
+    fetches: tuple[Fetch, ...]  # in the order of their arrival
+    shown: tuple[Shown, ...]  # one for each position
+    bytes_by_kind: Mapping[FileKind, int]  # of files that were of use, without headers
+    lost: tuple[str, ...]  # what could not be had, one line each
+    retried: tuple[str, ...]  # what was asked for again, one line each
+
+    __repr__ = brief
+
+    @staticmethod
+    def of(
+        events: Iterable[Event], offers: Offers, policy: str, settings: SessionSettings, link: Link | None = None
+    ) -> SessionLog:
+        """Fold events into a log. The state of a replaced rung counts as wasted; its keys do not, they stay decoded."""
+        arrived: list[Arrived] = []
+        shown: list[Shown] = []
+        lost: list[str] = []
+        retried: list[str] = []
+        by_kind: Counter[FileKind] = Counter()
+        used: set[int] = set()  # batches on the timeline, by their place in `arrived`
+        in_vain: Counter[int] = Counter()  # bytes of state that a batch brought
+        brought: dict[int, int] = {}  # position -> the batch that brought its state
+        for event in events:
+            match event:
+                case Arrived(arrival):
+                    for path in arrival.usable:
+                        by_kind[file_kind(path)] += offers.file_bytes(path)
+                    lost += [f"{path} at {arrival.at_s:.2f} s: {why.detail}" for path, why in arrival.refused.items()]
+                    retried += [f"{retry.path} before {arrival.at_s:.2f} s: {retry.why}" for retry in arrival.retries]
+                    if arrival.complete and arrival.request.kind in NEXT:
+                        used.add(len(arrived))
+                        brought[arrival.request.position] = len(arrived)
+                    arrived.append(event)
+                case Replaced(position):
+                    used.add(len(arrived) - 1)
+                    rungs = offers.offer(offers.place(position)[1]).rungs
+                    before, after = rungs[event.before], rungs[event.after]
+                    if before.level != after.level:
+                        if position in brought:  # else the level had nothing to fetch
+                            in_vain[brought[position]] += before.state_bytes
+                        brought[position] = len(arrived) - 1
+                case Lost(position, at_s):
+                    start, stop = offers.span(offers.place(position)[1])
+                    what = "no rung can be had, the last picture stands"
+                    lost.append(f"frames {start}-{stop - 1} at {at_s:.2f} s: {what}")
+                case Cut(at_s, why):
+                    lost.append(f"at {at_s:.2f} s: {why}")
+                case Shown():
+                    shown.append(event)
+        fetches = tuple(_fetch(offers, one, i in used, in_vain[i]) for i, one in enumerate(arrived))
+        return SessionLog(
+            offers, settings, policy, link, fetches, tuple(shown), dict(by_kind), tuple(lost), tuple(retried)
+        )
+
+    @cached_property
+    def metrics(self) -> SessionMetrics:
+        return session_metrics(self)
+
+    @property
+    def events(self) -> list[dict[str, Any]]:
+        """Return batches ("fetch") and shown segments ("show") as plain values, in the order of `at_s`."""
+        fetched = [{"event": "fetch", "at_s": fetch.arrival_s, **asdict(fetch)} for fetch in self.fetches]
+        shown = [{"event": "show", "at_s": shown.start_s, **asdict(shown)} for shown in self.shown]
+        return sorted([*fetched, *shown], key=lambda event: event["at_s"])
+
+    def to_pandas(self) -> Any:
+        """Return `events` as a pandas.DataFrame, a row each, with the figures of `metrics` in its `attrs`.
+
+        Raises ConfigError where pandas is not installed.
+        """
+        if not find_spec("pandas"):
+            raise ConfigError("a data frame needs pandas: pip install pandas")
+        frame = import_module("pandas").DataFrame(self.events)
+        frame.attrs.update(self.metrics.as_dict())
+        return frame
+
+    @property
+    def screen_ticks(self) -> list[tuple[int, int]]:
+        """Return (entry of `shown`, frame of it) for every display tick; the last frame stays during a stall."""
+        ticks: list[tuple[int, int]] = []
+        for i, entry in enumerate(self.shown):
+            if i:
+                ticks += [(i - 1, self.shown[i - 1].frames - 1)] * round(entry.stall_s * self.offers.fps)
+            ticks += [(i, frame) for frame in range(entry.frames)]
+        return ticks
+
+    @property
+    def mean_quality(self) -> float:
+        """Return the mean PSNR in dB over media time, as `session_bound` counts it, without lost segments."""
+        known = [(s.psnr, s.frames) for s in self.shown if s.psnr is not None]
+        return sum(p * n for p, n in known) / sum(n for _, n in known)
 
 
-def mean_quality(shown: Sequence[Shown]) -> float:
-    """PSNR in dB, mean over media time; segments without a quality are left out."""
-    known = [(s.psnr, s.frames) for s in shown if s.psnr is not None]
-    return sum(p * n for p, n in known) / sum(n for _, n in known)
+def _fetch(offers: Offers, event: Arrived, shown: bool, replaced_bytes: int) -> Fetch:
+    """Return the record of a batch. All bytes of a replacement that came too late are wasted, else unusable ones."""
+    arrival, request = event.arrival, event.arrival.request
+    if request.kind is BatchKind.REPLACEMENT:
+        useless = 0 if shown else arrival.bytes
+    elif arrival.complete:
+        useless = sum(retry.bytes for retry in arrival.retries)
+    else:
+        useless = max(0, arrival.bytes - offers.wire_bytes(arrival.usable))
+    return Fetch(
+        kind=request.kind,
+        position=request.position,
+        rung=request.rung,
+        files=len(arrival.whole) + len(arrival.refused),
+        retries=len(arrival.retries),
+        bytes=arrival.bytes,
+        wasted=useless + replaced_bytes,
+        request_s=request.sent_s,
+        arrival_s=arrival.at_s,
+        budget_bytes=event.budget_bytes,
+        throughput_bps=event.throughput_bps,
+        fits=event.decision.fits,
+        abandoned=arrival.abandoned,
+        shown=shown,
+        reason=event.decision.reason,
+    )
 
 
-def _first_picture(fetches: Sequence[Fetch]) -> int:
-    """The last batch that the first picture needs; the last of all where there is none."""
-    brought = [i for i, f in enumerate(fetches) if f.shown and f.kind in (BatchKind.GROUP, BatchKind.STATE)]
-    same = [i for i in brought if fetches[i].position == fetches[brought[0]].position]
-    return same[-1] if same else len(fetches)
-
-
-def session_metrics(
-    offers: Offers,
-    link: Link | None,
-    fetches: Sequence[Fetch],
-    shown: Sequence[Shown],
-    bytes_by_kind: Mapping[FileKind, int],
-) -> SessionMetrics:
-    """All figures of a session; `link` is None over a real connection."""
+def session_metrics(log: SessionLog) -> SessionMetrics:
+    offers, link, fetches, shown = log.offers, log.link, log.fetches, log.shown
     frames = sum(s.frames for s in shown)
     stalls = [s.stall_s for s in shown if s.stall_s > SHORTEST_S]
     played, stall = frames / offers.fps, math.fsum(stalls)
-    on_screen = [shown[i] for i, _ in screen_ticks(shown, offers.fps)]
+    on_screen = [shown[i] for i, _ in log.screen_ticks]
     psnr = np.array([s.psnr for s in on_screen if s.psnr is not None])
     found = [offers.offer(s.segment).rungs[s.rung] for s in shown if s.rung is not None]
     seen = [offers.offer(s.segment).rungs[s.rung] for s in on_screen if s.psnr is not None and s.rung is not None]
@@ -141,11 +239,10 @@ def session_metrics(
     names = offers.names
     counts = Counter("lost" if rung is None else names[rung] for rung in rungs)
     wire, end_s = sum(f.bytes for f in fetches), max(f.arrival_s for f in fetches)
-    choices = [f.fits for f in fetches if f.kind in (BatchKind.GROUP, BatchKind.STATE)]
-    took_ms = 1e3 * frame_times(fetches, shown)
-    took_ms = took_ms if len(took_ms) else np.zeros(1)
     trace = link.trace if link else None
-    first = fetches[: 1 + _first_picture(fetches)]
+    brought = [(f.position, i) for i, f in enumerate(fetches) if f.shown and f.kind in NEXT]
+    last = max((i for position, i in brought if position == brought[0][0]), default=len(fetches))
+    first = fetches[: last + 1]  # up to the last batch that the first picture needs
     return SessionMetrics(
         frames=frames,
         played_s=played,
@@ -162,21 +259,15 @@ def session_metrics(
         delta_e_mean=float(np.mean([rung.delta_e for rung in seen])) if seen else None,
         change_db=float(np.mean(changes)) if changes else 0.0,
         qoe=(sum(quality) - sum(changes) - STALL_DB * stall) / len(quality) if quality else None,
-        bytes={kind.value: size for kind, size in bytes_by_kind.items()},
-        bytes_per_frame=sum(bytes_by_kind.values()) / frames,
+        bytes={kind.value: size for kind, size in log.bytes_by_kind.items()},
+        bytes_per_frame=sum(log.bytes_by_kind.values()) / frames,
         wire_bytes=wire,
         wasted=sum(f.wasted for f in fetches) / wire,
         utilisation=wire / max(1.0, link.bytes_between(0.0, end_s)) if link else None,
         replaced=sum(f.kind is BatchKind.REPLACEMENT for f in fetches),
         abandoned=sum(f.abandoned for f in fetches),
         retries=sum(f.retries for f in fetches),
-        late=len(stalls) / len(shown),
-        infeasible=sum(not fits for fits in choices) / max(1, len(choices)),
         lost_frames=sum(s.frames for s in shown if s.rung is None),
-        frame_ms_mean=float(took_ms.mean()),
-        frame_ms_p50=float(np.percentile(took_ms, 50)),
-        frame_ms_p95=float(np.percentile(took_ms, 95)),
-        frame_ms_max=float(took_ms.max()),
         rungs=dict(counts.most_common()),
         gaussians=max((rung.gaussians for rung in found), default=0),
         trace=trace.name if trace else None,
@@ -189,50 +280,26 @@ def session_metrics(
     )
 
 
-TICK_PSNR = "mean over display ticks of the dB of what was on the screen; frozen pictures count"
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    name: str  # in rows and records
-    heading: str  # with the unit
-    meaning: str
-    factor: float = 1.0  # from the row's unit to the heading's
-    digits: int = 2
-    headline: bool = False  # one of those that pages and terminals show; CSV has all
-
-    def text(self, value: float) -> str:
-        """A value of a row in the heading's unit."""
-        return f"{self.factor * value:.{self.digits}f}"
-
-
-FIGURES = (
-    Figure("psnr_mean", "PSNR dB", TICK_PSNR, headline=True),
-    Figure("psnr_p5", "5th %ile dB", "5th percentile over display ticks of the same dB", headline=True),
-    Figure("stall_ratio", "stalled %", "waiting after the first picture, of the time since", 100, headline=True),
-    Figure("startup_s", "start-up s", "from the first request to the first picture", headline=True),
-    Figure("switches", "switches", "changes of the rung from one segment to the next", 1, 1, headline=True),
-    Figure("bytes_per_frame", "kB/frame", "files that were of use, without headers", 1e-3, headline=True),
-    Figure("regret", "regret dB", "PSNR under the bound for the same moments, mean over media time", headline=True),
-    Figure("change_db", "change dB", "mean change of PSNR from one segment to the next"),
-    Figure("qoe", "QoE dB", "a segment: quality - changes - 20 dB for a second of waiting"),
-    Figure("wasted", "wasted %", "bytes that served nothing, of those on the wire", 100, 1),
-    Figure("utilisation", "used %", "bytes on the wire, of those that could have passed", 100, 0),
-    Figure("infeasible", "no fit %", "choices for which no rung fitted", 100, 1),
-    Figure("late", "late %", "segments that were waited for", 100, 1),
-    Figure("frame_ms_mean", "mean ms", "time a frame was on its way: its share of the batch that brought it", 1, 0),
-    Figure("frame_ms_p50", "median ms", "median over frames of the same time", 1, 0),
-    Figure("frame_ms_p95", "95 % ms", "95th percentile over frames of the same time", 1, 0),
-    Figure("frame_ms_max", "worst ms", "the longest of these times", 1, 0),
-    *(Figure(f"{kind}_kb_frame", f"{kind} kB", f"kB a frame of {kind} files, without headers") for kind in FileKind),
-)
-
-
-def headlines(figures: tuple[Figure, ...]) -> list[Figure]:
-    """The figures that pages and terminals show."""
-    return [figure for figure in figures if figure.headline]
-
-
-def meanings(figures: tuple[Figure, ...]) -> dict[str, str]:
-    """Name of every figure -> what it means."""
-    return {figure.name: figure.meaning for figure in figures}
+FIGURES = {  # of a session, in rows and records -> what it means
+    "psnr_mean": "mean over display ticks of the dB of what was on the screen; frozen pictures count",
+    "psnr_p5": "5th percentile over display ticks of the same dB",
+    "stall_ratio": "waiting after the first picture, of the time since",
+    "startup_s": "from the first request to the first picture",
+    "switches": "changes of the rung from one segment to the next",
+    "bytes_per_frame": "files that were of use, without headers",
+    "regret": "PSNR under the bound for the same moments, mean over media time",
+    "change_db": "mean change of PSNR from one segment to the next",
+    "qoe": "a segment: quality - changes - 20 dB for a second of waiting",
+    "wasted": "bytes that served nothing, of those on the wire",
+    "utilisation": "bytes on the wire, of those that could have passed",
+    **{f"{kind}_kb_frame": f"kB a frame of {kind} files, without headers" for kind in FileKind},
+}
+HEADLINES = {  # those that are shown in a terminal -> heading, factor from the row's unit to the heading's, format
+    "psnr_mean": ("PSNR dB", 1, ".2f"),
+    "psnr_p5": ("5th %ile dB", 1, ".2f"),
+    "stall_ratio": ("stalled %", 100, ".2f"),
+    "startup_s": ("start-up s", 1, ".2f"),
+    "switches": ("switches", 1, ".1f"),
+    "bytes_per_frame": ("kB/frame", 1e-3, ".2f"),
+    "regret": ("regret dB", 1, ".2f"),
+}

@@ -7,7 +7,7 @@ several times. Wire bytes are those of files with `header_bytes` for each.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,7 +20,6 @@ from airgs_codec.errors import ConfigError, FormatError
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.package.tables import SegmentLevel
 from airgs_codec.play.ladder import Option, saved_shares
 
 SESSION_S = 30.0  # of play
@@ -39,11 +38,10 @@ class Batch:
 
     keys: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
-    tables: tuple[str, ...] = ()
+    tables: tuple[str, ...] = ()  # for what comes next
 
     @property
     def files(self) -> tuple[str, ...]:
-        """All paths: keys in their order, then the state segment, then tables for what comes next."""
         return self.keys + self.state + self.tables
 
 
@@ -73,32 +71,24 @@ class RungOffer:
 @dataclass(frozen=True, eq=False)
 class SegmentOffer:
     segment: int  # in the package
-    start: int  # frame
-    stop: int
     seconds: float  # of play
     group: int
     base: int | None  # the group that the keys of the group are differences to
     starts_group: bool
     rungs: tuple[RungOffer, ...]
 
-    @property
-    def root(self) -> int:
-        """The group whose keys are no differences: the base, or the segment's own."""
-        return self.group if self.base is None else self.base
-
     @cached_property
     def psnr(self) -> NDArray[np.float64]:
-        """(R,) dB."""
         return np.array([rung.psnr for rung in self.rungs])
 
     @cached_property
     def levels(self) -> tuple[Option, ...]:
-        """The levels by the bytes of their states and their quality with the finest keys."""
+        """Return the levels with the bytes of their states and their quality with the finest keys."""
         finest = [rung for rung in self.rungs if rung.quality == 0]
         return tuple(Option(rung.level, rung.state_bytes, rung.psnr, rung.saved) for rung in finest)
 
     def sizes(self, decoded: Keys) -> list[int]:
-        """(R,) wire bytes of the state and of the keys that are not decoded; OVER_BUDGET where it is not allowed."""
+        """Return (R,) wire bytes of the state and of keys not yet decoded; OVER_BUDGET if the rung is not allowed."""
         return [
             rung.state_bytes + sum(offer.bytes for offer in rung.keys if offer.key not in decoded)
             if rung.allowed
@@ -107,31 +97,22 @@ class SegmentOffer:
         ]
 
     def options(self, decoded: Keys) -> tuple[Option, ...]:
-        """Every rung that is allowed, by number."""
         sizes = self.sizes(decoded)
         return tuple(Option(r, sizes[r], o.psnr, o.saved) for r, o in enumerate(self.rungs) if o.allowed)
 
     def missing(self, rung: int, decoded: Keys) -> Batch:
-        """The files that a rung needs beside what is decoded."""
         offer = self.rungs[rung]
         keys = tuple(path for of in offer.keys if of.key not in decoded for path in of.files)
         return Batch(keys, offer.state)
 
-    def with_keys(self, rung: int, quality: int) -> int:
-        """The rung with the same level and keys of a quality."""
-        level = self.rungs[rung].level
-        return next(r for r, other in enumerate(self.rungs) if (other.quality, other.level) == (quality, level))
-
     def bytes_after(self, before: SegmentOffer, known: Keys) -> NDArray[np.int64]:
-        """(R or 1, R) wire bytes of every rung by the rung of the segment before; one row where that does not matter.
+        """Return (R or 1, R) wire bytes of every rung by the rung of the previous segment; one row if it is irrelevant.
 
         At the start of a group, keys that are `known` need not be fetched.
         """
         if not self.starts_group:
             return self._within_group
-        if self.base is None:
-            return self._from_scratch
-        if self.base not in (before.group, before.base):
+        if self.base is None or self.base not in (before.group, before.base):
             return np.array([self.sizes(known)])
         return np.array([self.sizes(known | keys) for keys in before._keys])
 
@@ -142,10 +123,6 @@ class SegmentOffer:
     @cached_property
     def _within_group(self) -> NDArray[np.int64]:
         return np.array([self.sizes(keys) for keys in self._keys])
-
-    @cached_property
-    def _from_scratch(self) -> NDArray[np.int64]:
-        return np.array([self.sizes(NONE)])
 
 
 class Offers:
@@ -168,8 +145,6 @@ class Offers:
         self.grow(manifest, root_bytes)
         self.live = live  # more groups may come in this session
         self._made = lru_cache(RETAINED)(self._make)
-        self._sizes = lru_cache(RETAINED)(lambda path: self.manifest.entry(path).bytes)
-        self._group_keys = lru_cache(RETAINED)(self._make_keys)
 
     def __reduce__(self) -> tuple[object, ...]:
         return Offers, (self.manifest, self.header_bytes, self.root_bytes, self.live, self.first)
@@ -179,13 +154,13 @@ class Offers:
         return Offers(package.manifest, root_bytes=package.root_bytes)
 
     def grow(self, manifest: Manifest, root_bytes: int) -> None:
-        """Go on with the tables of the same package, to which groups were added."""
+        """Take the tables of the same package after groups were added."""
         self.manifest, self.root_bytes, self.live = manifest, root_bytes, manifest.live
         self.segments = len(manifest.segments)
         self.fps = float(manifest.fps)
 
     def offer(self, segment: int, budget: int | None = None) -> SegmentOffer:
-        """The offer of a segment; no more Gaussians than the budget are allowed.
+        """Return the offer of a segment, whose rungs are allowed that show no more Gaussians than the budget.
 
         Raises FormatError where its tables cannot be had.
         """
@@ -194,33 +169,31 @@ class Offers:
     def _make(self, segment: int, budget: int | None) -> SegmentOffer:
         m = self.manifest
         group, found = m.group_of(segment), m.segments[segment]
-        base, table = m.base_of(group), m.groups[group]
+        base, counts = m.base_of(group), [tier.count for tier in m.groups[group].tiers]
         states = [tuple(m.state_files(segment, j)) for j in range(len(m.levels))]
-        sizes = [self._wire(path for path in files) for files in states]
-        saved, counts = saved_shares(sizes), [tier.count for tier in table.tiers]
+        sizes = [self.wire_bytes(files) for files in states]
+        saved = saved_shares(sizes)
+        sound = [self._key((group, 0, m.tiers), m.sound_files(group))] if m.sound else []
         rungs = []
-        for q, j in self.rungs:
-            rows, level = sum(counts[: m.levels[j].tiers]), found.levels[j]
-            allowed = budget is None or rows <= budget
-            keys = self._group_keys(group, base, q, m.levels[j].tiers)
-            quality = _measure(level, "psnr", q, 0.0), _measure(level, "delta_e", q, np.nan)
-            rungs.append(RungOffer(q, j, *quality, rows, allowed, saved[j], keys, states[j], sizes[j]))
+        for q in range(len(m.qualities)):
+            keys = [
+                [self._key((g, q, tier), m.key_files(g, tier, q)) for g in ([group] if base is None else [group, base])]
+                for tier in range(m.tiers)
+            ]
+            for j, level in enumerate(found.levels):
+                tiers = m.levels[j].tiers
+                rows = sum(counts[:tiers])
+                needed = (*sound, *(key for pair in keys[:tiers] for key in pair))
+                psnr = float(level.psnr[q]) if level.psnr else 0.0
+                delta_e = float(level.delta_e[q]) if level.delta_e else np.nan
+                allowed = budget is None or rows <= budget
+                rungs.append(RungOffer(q, j, psnr, delta_e, rows, allowed, saved[j], needed, states[j], sizes[j]))
         starts_group = segment == m.segments_of(group)[0]
         seconds = (found.stop - found.start) / self.fps
-        return SegmentOffer(segment, found.start, found.stop, seconds, group, base, starts_group, tuple(rungs))
+        return SegmentOffer(segment, seconds, group, base, starts_group, tuple(rungs))
 
-    def _make_keys(self, group: int, base: int | None, quality: int, tiers: int) -> tuple[KeyOffer, ...]:
-        """The sound of a group and its first key tiers in a quality, in the order of fetching."""
-        m = self.manifest
-        keys: list[KeyOffer] = []
-        if m.sound:
-            sound = m.sound_files(group)
-            keys.append(KeyOffer((group, 0, m.tiers), tuple(sound), self._wire(sound)))
-        for tier in range(tiers):
-            for g in [group] if base is None else [group, base]:
-                files = m.key_files(g, tier, quality)
-                keys.append(KeyOffer((g, quality, tier), tuple(files), self._wire(files)))
-        return tuple(keys)
+    def _key(self, key: Key, files: list[str]) -> KeyOffer:
+        return KeyOffer(key, tuple(files), self.wire_bytes(files))
 
     @property
     def rungs(self) -> list[tuple[int, int]]:
@@ -228,23 +201,16 @@ class Offers:
 
     @property
     def names(self) -> list[str]:
-        """The name of every rung, such as Q1+L2."""
+        """Return the name of every rung, such as Q1+L2."""
         m = self.manifest
         return [f"{m.qualities[q].id}+{m.levels[j].id}" for q, j in self.rungs]
 
     @property
     def duration_s(self) -> float:
-        """Seconds of play of the whole sequence."""
         return self.manifest.frames / self.fps
 
-    @property
-    def newest_seconds(self) -> float:
-        """Seconds of play of the last group so far."""
-        entry = self.manifest.groups.places.entry(len(self.manifest.groups) - 1)
-        return (entry.stop - entry.start) / self.fps
-
     def span(self, segment: int) -> tuple[int, int]:
-        """Frames [start, stop) of a segment; where its table cannot be had, as if its neighbours were of one length."""
+        """Return the frames [start, stop) of a segment; a guess from its neighbours where its table is missing."""
         try:
             found = self.manifest.segments[segment]
         except FormatError:
@@ -252,31 +218,20 @@ class Offers:
         return found.start, found.stop
 
     def seconds_at(self, position: int) -> float:
-        """Seconds of play at a position."""
         start, stop = self.span(self.place(position)[1])
         return (stop - start) / self.fps
 
     def place(self, position: int) -> tuple[int, int]:
-        """(loop, segment) that a session plays at a position."""
+        """Return (loop, segment) that a session plays at a position."""
         return divmod(self.first + position, self.segments)
 
     def end(self, loops: int) -> int:
-        """How many positions a session has that plays the sequence so often, as far as is known."""
+        """Return the number of positions in a session of so many loops, as far as is known."""
         return loops * self.segments - self.first
 
     def loops(self, wanted: int | None = None) -> int:
-        """How often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
+        """Return how often the sequence is played: as wanted, else for about SESSION_S; once while it grows."""
         return 1 if self.live else wanted or max(1, round(SESSION_S / self.duration_s))
-
-    def upcoming(self, positions: range, budget: int | None = None) -> Iterator[tuple[int, SegmentOffer]]:
-        """(loop, offer) of positions, up to the first one whose tables cannot be had."""
-        for position in positions:
-            loop, segment = self.place(position)
-            try:
-                offer = self.offer(segment, budget)
-            except FormatError:
-                return
-            yield loop, offer
 
     def check_budget(self, segments: Iterable[int], budget: int | None) -> None:
         """Raise ConfigError where all rungs of one of these segments show more Gaussians than the budget has."""
@@ -290,17 +245,8 @@ class Offers:
             raise ConfigError(f"budget: expected {least} Gaussians or more, got {budget}")
 
     def file_bytes(self, path: str) -> int:
-        """Bytes of a file without headers."""
-        return self.root_bytes if path == JSON_NAME else self._sizes(path)
+        return self.root_bytes if path == JSON_NAME else self.manifest.entry(path).bytes
 
-    def wire_bytes(self, sizes: Sequence[int]) -> int:
-        """Bytes of files with their headers."""
-        return sum(sizes) + self.header_bytes * len(sizes)
-
-    def _wire(self, paths: Iterable[str]) -> int:
-        return self.wire_bytes([self.file_bytes(path) for path in paths])
-
-
-def _measure(level: SegmentLevel, name: str, quality: int, unknown: float) -> float:
-    values = getattr(level, name)
-    return float(values[quality]) if values else unknown
+    def wire_bytes(self, paths: Iterable[str]) -> int:
+        """Return the bytes of files with their headers."""
+        return sum(self.header_bytes + self.file_bytes(path) for path in paths)

@@ -1,18 +1,51 @@
-"""What is on the screen and what waits to be: starts and stalls of segments, and display ticks.
+"""The rules of a player, and what is on the screen and what waits to be: starts and stalls of segments.
 
 The timeline holds the segments of a session by position. Those before `_first_waiting` have a start; the others wait
-until enough media has arrived. A display tick is a moment every 1 / fps seconds from the first picture on.
+until enough media has arrived.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from airgs_codec.play.downloader import Shown
+from airgs_codec._settings import documented, setting
+from airgs_codec.errors import ConfigError
 from airgs_codec.play.offers import SegmentOffer
-from airgs_codec.play.settings import SessionSettings
+
+LEAST_S = 1e-3  # of a buffer: no frame is shorter
+
+
+@documented
+@dataclass(frozen=True, slots=True)
+class SessionSettings:
+    """Rules of the player. Raises ConfigError for rules that cannot work."""
+
+    buffer_s: float = setting(10.0, "most media time ahead of the playhead, in seconds")
+    startup_s: float = setting(1.0, "media time in seconds to buffer before playing begins, one segment at least")
+    resume_s: float = setting(0.5, "media time in seconds to buffer before playing goes on after a stall")
+    decode_frame_s: float = setting(0.004, "time to decode and apply one frame")
+    replace: bool = setting(True, "fetch better rungs for segments that are buffered")
+    abandon: bool = setting(True, "give up a download that would come too late")
+    pipelined: bool = setting(
+        True, "request a segment one round trip before the current batch ends, knowing one download less"
+    )
+    loops: int | None = setting(None, "times the sequence is played; by default about 30 s of play")
+    budget: int | None = setting(None, "most Gaussians that are fetched and shown of a group; by default any number")
+
+    def __post_init__(self) -> None:
+        if not LEAST_S <= self.buffer_s < math.inf:
+            raise ConfigError(f"buffer: expected {LEAST_S:g} s or more, got {self.buffer_s:g}")
+        for name, value in (("start-up", self.startup_s), ("resume", self.resume_s)):
+            if not 0 <= value < math.inf:
+                raise ConfigError(f"{name}: expected 0 s or more, got {value:g}")
+        if not 0 <= self.decode_frame_s < math.inf:
+            raise ConfigError(f"decoding: expected 0 s a frame or more, got {self.decode_frame_s:g}")
+        if self.budget is not None and self.budget < 1:
+            raise ConfigError(f"budget: expected at least 1 Gaussian, got {self.budget}")
+        if self.loops is not None and self.loops < 1:
+            raise ConfigError(f"loops: expected at least 1, got {self.loops}")
 
 
 @dataclass(slots=True, eq=False)
@@ -31,7 +64,6 @@ class Slot:
 
     @property
     def psnr(self) -> float | None:
-        """dB, None of a lost segment."""
         return None if self.offer is None else self.offer.rungs[self.rung].psnr
 
 
@@ -39,53 +71,36 @@ class Slot:
 class Playout:
     settings: SessionSettings
     timeline: list[Slot] = field(default_factory=list)
-    _began_s: float = math.inf  # where the first segment was forgotten: its start
     _first_waiting: int = 0
     _first_unseen: int = 0  # of the timeline: those before it were given by `started`
 
     @property
-    def last(self) -> Slot | None:
-        return self.timeline[-1] if self.timeline else None
-
-    @property
-    def began_s(self) -> float:
-        """Start of the first segment; inf before it has one."""
-        return min(self._began_s, self.timeline[0].start_s if self.timeline else math.inf)
-
-    @property
     def scheduled_end_s(self) -> float:
-        """End of the last segment that has a start; -inf before playing begins."""
+        """Return the end of the last segment that has a start; -inf before playing begins."""
         return self.timeline[self._first_waiting - 1].end_s if self._first_waiting else -math.inf
 
-    def buffer_end_s(self, now_s: float) -> float:
-        """End of all that is buffered; where playing waits, as if it went on now."""
+    def deadline_s(self, now_s: float) -> float:
+        """Return when the next segment must have arrived to be decoded and shown without a stall.
+
+        That is when the buffer runs dry; during a stall, assuming that playback resumes now.
+        """
         waiting = self._waiting_s()
         resumes_s = now_s if waiting or not self._first_waiting else -math.inf
-        return max(self.scheduled_end_s, resumes_s) + waiting
+        return max(self.scheduled_end_s, resumes_s) + waiting - self.settings.decode_frame_s
 
-    def deadline_s(self, now_s: float) -> float:
-        """When the next segment must have arrived to be shown without a stall, the time to decode it taken off."""
-        return self.buffer_end_s(now_s) - self.settings.decode_frame_s
+    def make_room(self, seconds: float) -> float:
+        """Return the earliest time to request a segment of this length so that it fits the buffer; -inf for now.
 
-    def make_room(self, seconds: float) -> None:
-        """Resume if playing waits for more media although the buffer is too full for a segment of some seconds."""
-        blocking = self._blocking(seconds)
-        if blocking and blocking[0].start_s == math.inf:
-            self.resume()
-
-    def earliest_request_s(self, seconds: float) -> float:
-        """Earliest request time at which a segment of some seconds fits the buffer; -inf if it fits now."""
-        blocking = self._blocking(seconds)
-        return blocking[0].start_s + blocking[1] if blocking else -math.inf
-
-    def _blocking(self, seconds: float) -> tuple[Slot, float] | None:
-        """The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it."""
+        Playback resumes if it waits for more media than the buffer has room for.
+        """
         ahead, most = seconds, self.settings.buffer_s
         for slot in reversed(self.timeline):
             if ahead + slot.seconds > most:
-                return slot, slot.seconds - max(0.0, most - ahead)
+                if slot.start_s == math.inf:
+                    self.resume()
+                return slot.start_s + (slot.seconds - max(0.0, most - ahead))
             ahead += slot.seconds
-        return None
+        return -math.inf
 
     def enqueue(self, slot: Slot, is_last: bool) -> None:
         """Append a segment that arrived, or is lost; playing begins or goes on when there is enough."""
@@ -99,8 +114,7 @@ class Playout:
             self.resume()
 
     def forget(self, now_s: float) -> Slot | None:
-        """Drop segments that are over and were given by `started`, but for the last; gives the first that is left."""
-        self._began_s = self.began_s
+        """Drop segments that are over and were yielded by `started`, except the last; returns the first one left."""
         over = 0
         while over < self._first_unseen - 1 and self.timeline[over].end_s <= now_s:
             over += 1
@@ -108,42 +122,26 @@ class Playout:
         self._first_waiting, self._first_unseen = self._first_waiting - over, self._first_unseen - over
         return self.timeline[0] if self.timeline else None
 
-    def finish(self, now_s: float) -> None:
-        if self._first_waiting < len(self.timeline):
-            self.resume(now_s)
-
     def resume(self, earliest_s: float = -math.inf) -> None:
-        """Show what waits, one segment after another, from the moment all of it is ready."""
+        """Show what waits, if anything, one segment after another, from the moment all of it is ready."""
         waiting, due_s = self.timeline[self._first_waiting :], self.scheduled_end_s
-        at_s = max(due_s, earliest_s, *(slot.ready_s for slot in waiting))
-        waiting[0].stall_s = at_s - due_s if self._first_waiting else 0.0
+        at_s = max([due_s, earliest_s, *(slot.ready_s for slot in waiting)])
+        if waiting and self._first_waiting:
+            waiting[0].stall_s = at_s - due_s
         for slot in waiting:
             slot.start_s = at_s
             at_s += slot.seconds
         self._first_waiting = len(self.timeline)
 
     def pending(self) -> Iterator[tuple[Slot, SegmentOffer]]:
-        """Segments that were not given by `started` yet, but for the lost ones: what they show can still change."""
+        """Yield the segments that can still be changed: neither lost nor yielded by `started` yet."""
         return ((slot, slot.offer) for slot in self.timeline[self._first_unseen :] if slot.offer is not None)
 
     def started(self, before_s: float = math.inf) -> Iterator[Slot]:
-        """Segments that began before a moment and were not given yet: nothing can replace them any more."""
+        """Yield segments that have begun since the last call; they can no longer be replaced."""
         while self._first_unseen < self._first_waiting and self.timeline[self._first_unseen].start_s < before_s:
             self._first_unseen += 1
             yield self.timeline[self._first_unseen - 1]
 
     def _waiting_s(self) -> float:
         return sum(slot.seconds for slot in self.timeline[self._first_waiting :])
-
-
-def screen_ticks(shown: Sequence[Shown], fps: float) -> list[tuple[int, int]]:
-    """For every display tick (1 / fps) from the first picture on: which entry of `shown`, which frame of it.
-
-    While the player waits, the last frame stays.
-    """
-    ticks: list[tuple[int, int]] = []
-    for i, entry in enumerate(shown):
-        if i:
-            ticks += [(i - 1, shown[i - 1].frames - 1)] * round(entry.stall_s * fps)
-        ticks += [(i, frame) for frame in range(entry.frames)]
-    return ticks

@@ -7,33 +7,31 @@ from __future__ import annotations
 
 import math
 import multiprocessing
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec._report import listed, table
+from airgs_codec._report import Form, Table, listed
 from airgs_codec.errors import ConfigError, TransportError
-from airgs_codec.package.layout import FileKind
+from airgs_codec.package.layout import JSON_NAME, FileKind
 from airgs_codec.package.package import open_package
-from airgs_codec.places.whole import to_json
 from airgs_codec.play.fetcher import TableStore
-from airgs_codec.play.metrics import FIGURES, headlines, meanings
+from airgs_codec.play.metrics import FIGURES, HEADLINES
 from airgs_codec.play.offers import NONE, Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
-from airgs_codec.play.session import SessionLog, session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY, ORACLES
+from airgs_codec.play.session import session_bound, simulate
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.progress import Progress, silent
 
 FEASIBLE_START_S = 2.0  # start-up by which the smallest rungs must play without a stall
 RESAMPLES = 2000
 SURE_TRACES = 6  # with fewer, all on one side are chance more than once in twenty times (sign test)
-PERCENTILES = tuple(range(101))  # of the frame times that are recorded of a session
 Row = dict[str, Any]  # what is known of one session or run, by name
 
 
@@ -69,28 +67,27 @@ class Study:
     rungs: tuple[str, ...] = ()  # of the package, by their names
 
     def of(self, policy: str, figure: str, feasible: bool | None = None) -> NDArray[np.float64]:
-        """(n,) a figure of every session of a policy, NaN where it has none, on links that are `feasible` or not."""
+        """Return a figure of all sessions of a policy, (n,), NaN where there is none, on links `feasible` or not."""
         rows = [r for r in self.rows if r["policy"] == policy and (feasible is None or r["feasible"] == feasible)]
         return np.array([math.nan if r[figure] is None else float(r[figure]) for r in rows])
 
 
 def offsets_of(trace: Trace, count: int, seed: int) -> list[float]:
-    """Where sessions begin in a trace: drawn from the seed and the trace's name, to the millisecond."""
+    """Return where sessions begin in a trace: drawn from the seed and the trace's name, to the millisecond."""
     random = np.random.default_rng([seed, *trace.name.encode()])
     return [round(float(v), 3) for v in random.uniform(0, trace.duration_s, count)]
 
 
 def is_feasible(c: Offers, link: Link, settings: SessionSettings, loops: int) -> bool:
-    """Whether a player that always takes the smallest rung shows all of it without a stall from FEASIBLE_START_S on."""
-    at = link.arrival_s(c.wire_bytes([c.root_bytes]), 0.0)
+    """Return whether a player of the smallest rungs alone shows all without a stall from FEASIBLE_START_S on."""
+    at = link.arrival_s(c.wire_bytes([JSON_NAME]), 0.0)
     due = FEASIBLE_START_S
-    at = link.arrival_s(c.wire_bytes([c.file_bytes(path) for path in TableStore(c).missing(range(1))]), at)
+    at = link.arrival_s(c.wire_bytes(TableStore(c).missing(range(1))), at)
     for position in range(loops * c.segments):
         offer = c.offer(c.place(position)[1])
         room = due + offer.seconds - settings.buffer_s
         asked = max(at - link.rtt_s if settings.pipelined and position else at, room)
-        size = min(offer.sizes(NONE))
-        at = link.trace.arrival_s(size, max(at, asked + link.rtt_s))
+        at = link.trace.arrival_s(min(offer.sizes(NONE)), max(at, asked + link.rtt_s))
         if at + settings.decode_frame_s > due:
             return False
         due += offer.seconds
@@ -117,37 +114,26 @@ def run_study(package: str | Path, settings: StudySettings, progress: Progress =
 
 def _one_trace(task: tuple[str | Path, str, StudySettings]) -> list[Row]:
     path, name, settings = task
-    c = Offers.of(open_package(path))
-    whole = Trace.open(name)
+    c, whole, rows = Offers.of(open_package(path)), Trace.open(name), []
     rules = replace(settings.session, loops=c.loops(settings.session.loops))
-    rows = []
     for offset in offsets_of(whole, settings.offsets, settings.seed):
         trace = whole.cut(offset, settings.scale).ending(settings.end)
         link = Link.over(trace, settings.rtt_s)
+        try:
+            feasible = is_feasible(c, link, rules, c.loops(rules.loops))
+        except TransportError:  # the trace is over first
+            feasible = False
         start = {"trace": trace.name, "offset_s": offset, "scale": settings.scale, "mean_bps": trace.mean_bps}
-        feasible = _is_feasible_to_the_end(c, link, rules)
         for policy in settings.policies:
             log = simulate(c, link, policy, rules)
-            rows.append(start | {"policy": policy, "feasible": feasible} | _session_row(log))
+            bound, frames = session_bound(log) if c.manifest.measured else None, log.metrics.frames
+            rows.append(
+                start
+                | {"policy": policy, "feasible": feasible, **log.metrics.as_dict(), "bound": bound}
+                | {"regret": None if bound is None else bound - log.mean_quality}
+                | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / frames / 1e3 for kind in FileKind}
+            )
     return rows
-
-
-def _is_feasible_to_the_end(c: Offers, link: Link, rules: SessionSettings) -> bool:
-    try:
-        return is_feasible(c, link, rules, c.loops(rules.loops))
-    except TransportError:  # the trace is over first
-        return False
-
-
-def _session_row(log: SessionLog) -> Row:
-    bound = session_bound(log) if log.offers.manifest.measured else None
-    shown = sum(s.frames for s in log.shown)
-    return (
-        log.metrics.as_dict()
-        | {"bound": bound, "regret": None if bound is None else bound - log.mean_quality}
-        | {f"{kind}_kb_frame": log.bytes_by_kind.get(kind, 0) / shown / 1e3 for kind in FileKind}
-        | {"frame_ms_percentiles": (1e3 * np.percentile(log.frame_times, PERCENTILES)).round(3).tolist()}
-    )
 
 
 class Interval(NamedTuple):
@@ -159,7 +145,7 @@ class Interval(NamedTuple):
 
 
 def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) -> Interval:
-    """Mean and 95 % interval by percentile bootstrap over whole traces, whose offsets are not independent.
+    """Return mean and 95 % interval by percentile bootstrap over whole traces, whose offsets are not independent.
 
     values (n,), NaN where there is no figure; groups (n,) name the trace of each. All NaN where nothing is known.
     """
@@ -177,174 +163,105 @@ def interval(values: NDArray[np.float64], groups: Sequence[str], seed: int = 0) 
     return Interval(float(sums.sum() / counts.sum()), float(low), float(high))
 
 
-@dataclass(frozen=True, slots=True)
-class PolicySummary:
-    """Every figure of a policy over the sessions of a study."""
+def summarise(study: Study, feasible: bool | None = None) -> list[Row]:
+    """Return a row for each policy, over all links, or over those whose smallest rungs are `feasible` or not.
 
-    policy: str
-    sessions: int
-    figures: Mapping[str, Interval]  # by name in FIGURES
-    differences: Mapping[str, Interval]  # to the study's first policy on the same links
-    stall_share: float  # waiting of all sessions together, of their time
-
-
-def summarise(study: Study, feasible: bool | None = None) -> list[PolicySummary]:
-    """One summary a policy, over all links, or over those whose smallest rungs are `feasible` or not."""
+    Intervals of `figures` by their names, and of their `differences` to the study's first policy on the same links;
+    `stall_share` is the waiting of all `sessions` together, of their time.
+    """
     first = study.settings.policies[0]
     traces = [r["trace"] for r in study.rows if r["policy"] == first and feasible in (None, r["feasible"])]
-    summaries = []
+    rows = []
     for policy in study.settings.policies:
-        values = {figure.name: study.of(policy, figure.name, feasible) for figure in FIGURES}
+        values = {name: study.of(policy, name, feasible) for name in FIGURES}
         stalls, played = (study.of(policy, name, feasible).sum() for name in ("stall_s", "played_s"))
-        summaries.append(
-            PolicySummary(
-                policy=policy,
-                sessions=len(traces),
-                figures={name: interval(v, traces) for name, v in values.items()},
-                differences={name: interval(v - study.of(first, name, feasible), traces) for name, v in values.items()},
-                stall_share=float(stalls / (stalls + played)) if traces else math.nan,
-            )
+        differences = {name: some - study.of(first, name, feasible) for name, some in values.items()}
+        rows.append(
+            {"policy": policy, "sessions": len(traces)}
+            | {"figures": {name: interval(some, traces) for name, some in values.items()}}
+            | {"differences": {name: interval(some, traces) for name, some in differences.items()}}
+            | {"stall_share": float(stalls / (stalls + played)) if traces else math.nan}
         )
-    return summaries
+    return rows
 
 
 def study_record(study: Study) -> dict[str, Any]:
-    """All tables with the meaning of every figure; what is not known is NaN, and null in JSON."""
-    return {
-        "package": study.package,
-        "answer": study_answer(study),
-        "figures": meanings(FIGURES),
-        "all": [asdict(summary) for summary in summarise(study)],
-        "feasible": [asdict(summary) for summary in summarise(study, True)],
-    }
+    """Return all tables with the meaning of every figure; what is not known is NaN, and null in JSON."""
+    record = {"package": study.package, "answer": study_answer(study), "figures": FIGURES}
+    return record | {"all": summarise(study), "feasible": summarise(study, True)}
 
 
-def format_study(study: Study, as_json: bool = False) -> str:
-    """The headline figures on all links, and on those whose smallest rungs are feasible, and which policy to take."""
-    if as_json:
-        return to_json(study_record(study))
-    everything, feasible = summarise(study), summarise(study, True)
+def format_study(study: Study) -> str:
+    """Return headline figures on all links, and on those that the smallest rungs fit, and which policy to take."""
+    record = study_record(study)
     lines = [conditions(study), "PSNR: dB of a session, mean over display ticks; --json has all figures", ""]
-    lines += [f"all {everything[0].sessions} links:", *_summary_lines(everything), ""]
-    if count := feasible[0].sessions:
-        words = f"{count} links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on:"
-        lines += [words, *_summary_lines(feasible), ""]
-    return "\n".join([*lines, *filter(None, study_answer(study).values())])
-
-
-def _summary_lines(summaries: Sequence[PolicySummary]) -> list[str]:
-    shown = headlines(FIGURES)
-    cells = [
-        [s.policy, *("-" if np.isnan(s.figures[f.name].mean) else f.text(s.figures[f.name].mean) for f in shown)]
-        for s in summaries
-    ]
-    return table(["policy", *(figure.heading for figure in shown)], cells)
+    words = f"links whose smallest rungs play without a stall from {FEASIBLE_START_S:g} s on:"
+    columns: dict[str, tuple[str, Form]] = {"policy": ("policy", "")}
+    columns |= {name: (heading, digits) for name, (heading, _, digits) in HEADLINES.items()}
+    for rows, kind in ((record["all"], "links:"), (record["feasible"], words)):
+        factors = {name: factor for name, (_, factor, _) in HEADLINES.items()}
+        means = [row | {name: factor * row["figures"][name].mean for name, factor in factors.items()} for row in rows]
+        if count := rows[0]["sessions"]:
+            all_ = "all " if rows is record["all"] else ""
+            lines += [f"{all_}{count} {kind}", Table("", means, columns).to_text(), ""]
+    return "\n".join([*lines, *filter(None, record["answer"].values())])
 
 
 def conditions(study: Study) -> str:
     """Return what was played over what, in a sentence."""
-    s = study.settings
-    means = {r["trace"]: r["mean_bps"] for r in study.rows}
-    rates = [bps / 1e6 for bps in means.values()]
-    scale = "unscaled" if s.scale == 1 else f"rates x{s.scale:g}"
-    trips = sorted({round(1e3 * r["rtt_s"]) for r in study.rows})
-    trip = f"{trips[0]}" if len(trips) == 1 else f"{trips[0]}-{trips[-1]}"
-    frames, seconds = study.rows[0]["frames"], study.rows[0]["played_s"]
+    s, first = study.settings, study.rows[0]
+    rates = [bps / 1e6 for bps in {r["trace"]: r["mean_bps"] for r in study.rows}.values()]
+    trips = sorted({f"{1e3 * row['rtt_s']:.0f}" for row in study.rows}, key=float)
     return (
-        f"{study.package}: {frames} frames ({seconds:.1f} s) over {len(means)} traces, {s.offsets} offsets each "
-        f"(seed {s.seed}), {scale}, means {min(rates):.1f}-{max(rates):.1f} Mbit/s (median {np.median(rates):.1f}), "
-        f"after the end: {s.end}, round trip {trip} ms, buffer {s.session.buffer_s:g} s"
+        f"{study.package}: {first['frames']} frames ({first['played_s']:.1f} s) over {len(rates)} traces, {s.offsets} "
+        f"offsets each (seed {s.seed}), {'unscaled' if s.scale == 1 else f'rates x{s.scale:g}'}, means of "
+        f"{min(rates):.1f} to {max(rates):.1f} Mbit/s, after the end: {s.end}, round trip {' to '.join(trips)} ms, "
+        f"buffer {s.session.buffer_s:g} s"
     )
 
 
 def study_answer(study: Study) -> dict[str, str]:
-    """Which policy these links speak for, in whole sentences by what they tell; oracles are no players."""
-    players = [p for p in study.settings.policies if p not in ORACLES] or list(study.settings.policies)
-    goodness = {p: _goodness(study, p) for p in players}
-    ranked = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
-    best, links = ranked[0], len(goodness[ranked[0]])
-    psnr, waited, regret = (_mean(study.of(best, name)) for name in ("psnr_mean", "stall_ratio", "regret"))
-    shows = f"it shows {psnr:.1f} dB and" if _is_measured(study) else "what it shows was not measured, and it"
-    good = f"{best} does best on {links} links: {shows} waits {100 * waited:.1f} % of the time."
-    if len(ranked) > 1:
-        good += f" {_lead(study, best, ranked[1])}"
-        good += f" {ranked[-1]} is the last of {len(ranked)}." if len(ranked) > 2 else ""
-    shown = {name for row in study.rows for name in row["rungs"]}
-    unseen = [name for name in study.rungs if name not in shown]
-    return {
-        "good": good,
-        "wrong": _wrong(study, best, regret),
-        "useless": f"No policy showed {listed(unseen)} on any of these links." if unseen else "",
-        "change": _advice(study, best),
-    }
+    """Return which policy these links speak for, in whole sentences by the keys of HEADS; oracles are no players."""
+    policies = study.settings.policies
+    players = [p for p in policies if p not in ORACLES] or list(policies)
+    measured = any(row["qoe"] is not None for row in study.rows)
+    # Where quality was not measured, waiting alone tells.
+    goodness = {p: study.of(p, "qoe") if measured else -100 * study.of(p, "stall_ratio") for p in players}
+    best, *others = sorted(players, key=lambda p: -float(np.nan_to_num(goodness[p]).mean()))
+    traces = [row["trace"] for row in study.rows if row["policy"] == best]
 
+    def lead(other: str) -> tuple[Interval, str]:
+        found = interval(goodness[best] - goodness[other], traces)
+        return found, "" if len(set(traces)) >= SURE_TRACES and found.low > 0 else ", which may be chance"
 
-def _is_measured(study: Study) -> bool:
-    return any(row["qoe"] is not None for row in study.rows)
-
-
-def _mean(values: NDArray[np.float64]) -> float:
-    """The mean of those that are not NaN; NaN where all are."""
-    known = values[~np.isnan(values)]
-    return float(known.mean()) if known.size else math.nan
-
-
-def _goodness(study: Study, policy: str) -> NDArray[np.float64]:
-    """(n,) QoE of a policy's sessions in dB; where quality was not measured, the share of time that nobody waited."""
-    return study.of(policy, "qoe") if _is_measured(study) else 1 - study.of(policy, "stall_ratio")
-
-
-def _difference(study: Study, a: str, b: str) -> Interval:
-    """By how much the `_goodness` of one policy is above that of another on the same links."""
-    traces = [row["trace"] for row in study.rows if row["policy"] == a]
-    return interval(_goodness(study, a) - _goodness(study, b), traces)
-
-
-def _is_sure(study: Study, difference: Interval) -> bool:
-    """Whether a difference is one on other traces, too."""
-    return len({row["trace"] for row in study.rows}) >= SURE_TRACES and difference.low > 0
-
-
-def _lead(study: Study, best: str, other: str) -> str:
-    lead = _difference(study, best, other)
-    sure = "" if _is_sure(study, lead) else ", which may be chance"
-    if not _is_measured(study):
-        mean, low, high = (100 * share for share in lead)
-        return f"{other}, the next, waits {mean:.1f} % more ({low:.1f} to {high:.1f} over traces{sure})."
-    return (
-        f"Its QoE (quality less changes and 20 dB for a second of waiting) is {lead.mean:.2f} dB above that of "
-        f"{other}, the next ({lead.low:.2f} to {lead.high:.2f} over traces{sure})."
+    waits, psnr = 100 * study.of(best, "stall_ratio").mean(), study.of(best, "psnr_mean")
+    shows = (
+        f"it shows {interval(psnr, traces).mean:.1f} dB and" if measured else "what it shows was not measured, and it"
     )
-
-
-def _wrong(study: Study, best: str, regret: float) -> str:
-    """Where the best policy waits, whether another could do better, and what it does not show."""
-    hard, easy = (100 * study.of(best, "stall_ratio", feasible) for feasible in (False, True))
-    told = []
-    if len(hard):
-        told.append(
-            f"On {len(hard)} of {len(hard) + len(easy)} links no policy helps: there even the smallest rungs, begun "
-            f"after {FEASIBLE_START_S:g} s, stall, and {best} waits {hard.mean():.1f} % of the time."
-        )
-    if easy.size and easy.mean() > 0:
-        told.append(f"Where the smallest rungs would not stall it still waits {easy.mean():.1f} % of the time.")
-    if regret > 0:
-        told.append(f"It shows {regret:.1f} dB less than the most that a player could at the same moments.")
-    return " ".join(told) or f"Nothing: nobody waits{', and no player could show more' if regret <= 0 else ''}."
-
-
-def _advice(study: Study, best: str) -> str:
-    """What to play with, and whether other rungs or more links are needed."""
-    told = []
-    known = DEFAULT_POLICY in study.settings.policies
+    good, change = [f"{best} does best on {len(traces)} links: {shows} waits {waits:.1f} % of the time."], []
+    if others:
+        found, chance = lead(others[0])
+        words = f"Its QoE (quality less changes and 20 dB for a second of waiting) is {found.mean:.2f} dB above that of"
+        words = words if measured else f"It waits {found.mean:.1f} % less than"
+        good.append(f"{words} {others[0]}, the next ({found.low:.2f} to {found.high:.2f} over traces{chance}).")
     if best == DEFAULT_POLICY:
-        told.append(f"Stay with {DEFAULT_POLICY}, the default.")
-    elif not known or _is_sure(study, _difference(study, best, DEFAULT_POLICY)):
-        told.append(f"Play with --policy {best}.")
+        change.append(f"Stay with {DEFAULT_POLICY}, the default.")
+    elif DEFAULT_POLICY not in players or not lead(DEFAULT_POLICY)[1]:
+        change.append(f"Play with --policy {best}.")
     else:
-        lead = _difference(study, best, DEFAULT_POLICY).mean
-        more = f"{lead:.2f} dB more" if _is_measured(study) else f"{100 * lead:.1f} % less waiting"
-        told.append(f"Give more --traces: {more} than {DEFAULT_POLICY}, the default, may be chance here.")
-    if (~np.array([row["feasible"] for row in study.rows], bool)).any():
-        told.append("For links that carry too little, encode a lower level (airgs-encode --levels).")
-    return " ".join(told)
+        change.append(f"Give more --traces: the lead over {DEFAULT_POLICY}, the default, may be chance here.")
+    wrong = "The smallest rungs play on all links."
+    if len(hard := 100 * study.of(best, "stall_ratio", False)):
+        wrong = (
+            f"On {len(hard)} of {len(traces)} links no policy helps: there even the smallest rungs stall, begun after "
+        )
+        wrong += f"{FEASIBLE_START_S:g} s, and {best} waits {hard.mean():.1f} % of the time."
+        change.append("For links that carry too little, encode a lower level (airgs-encode --levels).")
+    seen = {name for row in study.rows for name in row["rungs"]}
+    unseen = [name for name in study.rungs if name not in seen]
+    return {
+        "good": " ".join(good),
+        "wrong": wrong,
+        "useless": f"No policy showed {listed(unseen)} on any of these links." if unseen else "",
+        "change": " ".join(change),
+    }

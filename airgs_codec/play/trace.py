@@ -24,7 +24,6 @@ CONSTANT_S = 3600.0
 MARKOV_S, MARKOV_DWELL_S, MARKOV_OUTAGE_S, MARKOV_MEAN_BPS = 300.0, 3.0, 1.5, 8e6  # of synthetic traces
 MAHIMAHI_MAX_MS = 86_400_000  # a day; a file with larger numbers is something else
 
-
 DEFAULT_RTT_S = 0.08  # median ping of LTE driving measurements
 LONGEST_S = 86_400.0  # of one batch: a stall is counted in frames, and those of years fill the memory
 MOST_BPS = 1e19  # beyond, the bound of a session has numbers that HiGHS takes for infinite
@@ -46,7 +45,9 @@ class Trace:
     offset_s: float = 0.0  # where in the measurement it begins
     end: str = "loop"  # of ENDS
     rtt_s: float | None = None  # round trip, where the measurement has one
+
     __repr__ = brief
+
     _starts: list[float] = field(init=False, repr=False)
     _totals: list[float] = field(init=False, repr=False)  # (K + 1,) bits delivered up to each start, and to the end
 
@@ -67,11 +68,9 @@ class Trace:
 
     @staticmethod
     def open(source: str | Path) -> Trace:
-        """The bandwidth trace that `source` names.
-
-        A path: a file that `read_trace` reads. `const:MBPS`: a constant rate. `markov:SEED` or
-        `markov:SEED:MEAN_MBPS`: the synthetic trace of `markov_trace`. Raises TransportError for a file that cannot be
-        read and for anything else.
+        """Open the bandwidth trace that `source` names: a file for `read_trace`, `const:MBPS`, a constant rate, or
+        `markov:SEED[:MEAN_MBPS]`, a synthetic one. Raises TransportError for a file that cannot be read and for
+        anything else.
         """
         kind, _, rest = str(path_argument("trace", source)).partition(":")
         numbers = rest.split(":")
@@ -88,7 +87,7 @@ class Trace:
 
     @staticmethod
     def from_arrays(seconds: ArrayLike, mbit_s: ArrayLike, name: str = "arrays") -> Trace:
-        """A trace of K ascending times (K,), of which the first counts as 0, and of the rates from each on (K,).
+        """Make a trace of K ascending times (K,), of which the first counts as 0, and the rates from each on (K,).
 
         The last one holds as long as the one before it; a single one for a second. Raises TransportError for arrays of
         other shapes and for what cannot be.
@@ -107,13 +106,13 @@ class Trace:
         return self._totals[-1] / self.duration_s
 
     def rate_at(self, at_s: float) -> float:
-        """bit/s at a time, 0 after the end of a trace that ends."""
+        """Return bit/s at a time, 0 after the end of a trace that ends."""
         if at_s >= self.duration_s and self.end != "loop":
             return float(self.rates_bps[-1]) if self.end == "hold" else 0.0
         return float(self.rates_bps[bisect_right(self._starts, at_s % self.duration_s) - 1])
 
     def bits_until(self, at_s: float) -> float:
-        """Integral of the rate from 0 to `at_s`."""
+        """Return the integral of the rate from 0 to `at_s`."""
         rounds, rest = divmod(at_s, self.duration_s)
         if rounds > 0 and self.end != "loop":
             return self._totals[-1] + self.rate_at(at_s) * (at_s - self.duration_s)
@@ -121,10 +120,9 @@ class Trace:
         return rounds * self._totals[-1] + self._totals[i] + float(self.rates_bps[i]) * (rest - self._starts[i])
 
     def arrival_s(self, size_bytes: float, at_s: float) -> float:
-        """When `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral.
+        """Return when `size_bytes` have passed, the first bit at `at_s`: the inverse of the integral.
 
-        Infinity where the trace would repeat more often than float64 counts (2^53 times).
-
+        Infinity where the trace would repeat more than 2^53 times, which float64 cannot count.
         Raises TransportError when the trace ends before, or holds a rate of zero for ever.
         """
         totals = self._totals
@@ -132,10 +130,8 @@ class Trace:
         if target > totals[-1] and self.end != "loop":
             rate = self.rate_at(math.inf)
             if rate <= 0:
-                raise TransportError(
-                    f"{self.name}: ends after {self.duration_s:g} s ({self.end}) with {(target - totals[-1]) / 8:.0f} "
-                    "bytes still to come"
-                )
+                left = f"{(target - totals[-1]) / 8:.0f} bytes still to come"
+                raise TransportError(f"{self.name}: ends after {self.duration_s:g} s ({self.end}) with {left}")
             return max(at_s, self.duration_s + (target - totals[-1]) / rate)
         if target > 2.0**53 * totals[-1]:
             return math.inf
@@ -152,7 +148,7 @@ class Trace:
         return replace(self, end=end)
 
     def cut(self, offset_s: float = 0.0, scale: float = 1.0) -> Trace:
-        """The trace begun at `offset_s` (what lies before comes last), its rates times `scale`."""
+        """Return the trace begun at `offset_s` (what lies before comes last), its rates times `scale`."""
         if not (0 <= offset_s < self.duration_s):
             raise TransportError(f"{self.name}: expected an offset in [0, {self.duration_s:g}) s, got {offset_s:g}")
         if not 0 < scale * self.mean_bps <= MOST_BPS:
@@ -161,11 +157,9 @@ class Trace:
         later, earlier = self.starts_s[first:] - offset_s, self.starts_s[: first + 1] + self.duration_s - offset_s
         starts = np.concatenate([np.maximum(later, 0), earlier])
         rates = np.concatenate([self.rates_bps[first:], self.rates_bps[: first + 1]]) * scale
-        inside = starts < self.duration_s
-        begins = (self.offset_s + offset_s) % self.duration_s
-        return replace(
-            self, starts_s=starts[inside], rates_bps=rates[inside], scale=self.scale * scale, offset_s=begins
-        )
+        inside, begins = starts < self.duration_s, (self.offset_s + offset_s) % self.duration_s
+        total = self.scale * scale
+        return replace(self, starts_s=starts[inside], rates_bps=rates[inside], scale=total, offset_s=begins)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -184,16 +178,16 @@ class Link:
 
     @staticmethod
     def over(trace: Trace, rtt_s: float | None = None) -> Link:
-        """A link with the round trip that is given, else the trace's own, else DEFAULT_RTT_S."""
+        """Make a link with the given round trip, else the trace's own, else DEFAULT_RTT_S."""
         known = trace.rtt_s if rtt_s is None else rtt_s
         return Link(trace, DEFAULT_RTT_S if known is None else known)
 
     def arrival_s(self, wire_bytes: float, at_s: float) -> float:
-        """When the last byte of a batch arrives that is requested at `at_s`. Raises TransportError as `passed_s`."""
+        """Return when the last byte of a batch requested at `at_s` arrives. Raises TransportError as `passed_s`."""
         return self.passed_s(wire_bytes, at_s + self.rtt_s)
 
     def passed_s(self, wire_bytes: float, first_s: float) -> float:
-        """When the last byte of a batch has passed whose first one passes at `first_s`.
+        """Return when the last byte of a batch has passed whose first one passes at `first_s`.
 
         Raises TransportError for a trace that ends too soon, and for a batch that takes longer than LONGEST_S.
         """
@@ -204,12 +198,12 @@ class Link:
         return end_s
 
     def bytes_between(self, start_s: float, stop_s: float) -> float:
-        """How many bytes can pass from one moment to another."""
+        """Return how many bytes can pass from one moment to another."""
         return max(0.0, self.trace.bits_until(stop_s) - self.trace.bits_until(start_s)) / 8
 
 
-def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float = MARKOV_S) -> Trace:
-    """A seeded chain over rates a factor of two apart, with outages; a state lasts about MARKOV_DWELL_S.
+def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS) -> Trace:
+    """Draw a seeded chain over rates a factor of two apart, with outages; a state lasts about MARKOV_DWELL_S.
 
     Neighbouring rates follow each other, one change in ten falls into an outage of about MARKOV_OUTAGE_S.
     """
@@ -217,19 +211,19 @@ def markov_trace(seed: int, mean_bps: float = MARKOV_MEAN_BPS, duration_s: float
     starts: list[float] = []
     rates: list[float] = []
     at, state = 0.0, 2
-    while at < duration_s:
+    while at < MARKOV_S:
         out = bool(starts) and random.random() < 0.1
         starts.append(at)
         rates.append(0.0 if out else 2.0**state * random.uniform(0.8, 1.25))
         at += random.exponential(MARKOV_OUTAGE_S if out else MARKOV_DWELL_S) + 0.05
         state = int(np.clip(state + random.choice((-1, 0, 1)), 0, 4))
-    lengths = np.diff(np.array(starts), append=duration_s)
-    scaled = np.array(rates) * mean_bps * duration_s / float(np.dot(rates, lengths))
-    return Trace(f"markov:{seed}:{mean_bps / 1e6:g}", np.array(starts), scaled, duration_s)
+    lengths = np.diff(np.array(starts), append=MARKOV_S)
+    scaled = np.array(rates) * mean_bps * MARKOV_S / float(np.dot(rates, lengths))
+    return Trace(f"markov:{seed}:{mean_bps / 1e6:g}", np.array(starts), scaled, MARKOV_S)
 
 
 def read_trace(path: Path) -> Trace:
-    """A trace file: Raca et al. CSV (DL_bitrate), sabre JSON, rows of seconds and Mbit/s (CSV, or Pensieve's with
+    """Read a trace file: Raca et al. CSV (DL_bitrate), sabre JSON, rows of seconds and Mbit/s (CSV, or Pensieve's with
     blanks), or mahimahi (a delivery time in ms a line).
 
     Raises TransportError for a file that is none of these, is empty, or carries nothing.
@@ -273,7 +267,9 @@ def _read_raca(name: str, lines: Sequence[str]) -> Trace:
 
 def _read_plain(name: str, lines: Sequence[str]) -> Trace:
     rows = [line.replace(",", " ").split() for line in lines]
-    if not _is_number(rows[0][0]):
+    try:
+        float(rows[0][0])
+    except ValueError:  # a header
         rows = rows[1:]
     if not rows:
         raise ValueError("no rows after the header")
@@ -289,14 +285,6 @@ def _read_sabre(name: str, periods: list[dict[str, float]]) -> Trace:
     starts = list(accumulate(lengths[:-1], initial=0.0))
     trace = _trace(name, starts, [1e3 * float(period["bandwidth_kbps"]) for period in periods], lengths[-1])
     return replace(trace, rtt_s=math.fsum(rtts) / len(rtts)) if rtts else trace
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _read_mahimahi(name: str, times_ms: Sequence[int]) -> Trace:

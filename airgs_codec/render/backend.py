@@ -5,48 +5,19 @@ A `Renderer` is made once from the name of a device and handed down to all that 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from airgs_codec._arguments import argument
 from airgs_codec.errors import ConfigError
-from airgs_codec.render import cpu
-from airgs_codec.render.cpu import Contribution, Floats, RasterInputs, Render, Weights
-from airgs_codec.scene.arrays import as_gaussians
+from airgs_codec.render.cpu import Loaded, Render, activate
 from airgs_codec.scene.camera import Background, Camera, with_near_planes
+from airgs_codec.scene.formats.clips import as_gaussians
 from airgs_codec.scene.gaussians import Gaussians
 
 DEVICES = ("auto", "cpu", "cuda")
-
-Without = Callable[[NDArray[np.bool_] | None], Floats]  # mask (N,) of the rows that are drawn, None: all -> (H, W, 3)
-
-
-class Loaded(Protocol):
-    """Gaussians that are ready to be drawn."""
-
-    @property
-    def inputs(self) -> RasterInputs[Floats]:
-        """The activated Gaussians, as arrays."""
-
-    def draw(self, camera: Camera, background: Background | None = None) -> Render:
-        """The picture that `camera` sees before a background; None: the camera's."""
-
-    def contribution(self, camera: Camera) -> Contribution:
-        """How much each Gaussian gives to what `camera` sees."""
-
-    def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
-        """The contribution, and the derivatives by the activated Gaussians of sum(picture * pull), pull (H, W, 3)."""
-
-    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
-        """The picture that `camera` sees, and what each Gaussian gives to tiles, in all and in a mask (H, W)."""
-
-    def without(self, camera: Camera) -> Without:
-        """Draws what `camera` sees of some of the rows, again and again; cheaper than loading them each time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +25,9 @@ class Renderer:
     device: str = "cpu"  # cpu or cuda
 
     def load(self, gaussians: Gaussians) -> Loaded:
-        active = cpu.activate(gaussians)
-        if self.device == "cpu":
-            return _OnCpu(active)
+        active = activate(gaussians)
+        if self.device == "cpu" or not len(active.means):  # gsplat takes no empty scene
+            return Loaded(active)
         from airgs_codec.render import cuda  # torch is loaded only where it draws
 
         return cuda.OnCuda.of(active)
@@ -64,10 +35,6 @@ class Renderer:
     def render(self, gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:
         """The picture that `camera` sees of the Gaussians before a background; None: the camera's."""
         return self.load(gaussians).draw(camera, background)
-
-    def measure_contribution(self, gaussians: Gaussians, camera: Camera) -> Contribution:
-        """How much each Gaussian contributes to what `camera` sees."""
-        return self.load(gaussians).contribution(camera)
 
 
 CPU = Renderer()
@@ -104,24 +71,3 @@ def _missing() -> str | None:
     from airgs_codec.render import cuda
 
     return cuda.missing()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _OnCpu:
-    inputs: RasterInputs[Floats]
-
-    def draw(self, camera: Camera, background: Background | None = None) -> Render:
-        return cpu.blend(self.inputs, camera, camera.background if background is None else background).picture
-
-    def contribution(self, camera: Camera) -> Contribution:
-        return cpu.contribution(self.inputs, camera)
-
-    def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
-        return cpu.contribution_and_gradients(self.inputs, camera, pull)
-
-    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
-        return cpu.weights(self.inputs, camera, mask)
-
-    def without(self, camera: Camera) -> Without:
-        tiles = cpu.project(self.inputs, camera).tiles
-        return lambda drawn: cpu.draw(tiles if drawn is None else tiles.keep(drawn), camera.background).rgb

@@ -34,30 +34,29 @@ def compare(
     """
     if not views:
         raise ConfigError("views: expected at least one to compare pictures in, got none")
-    return _measure_ahead(reference, shown, views, measure)
+    return _measure_ahead((_drawn(view, reference, shown) for view in views), measure)
 
 
 def _measure_ahead(
-    reference: Source, shown: Source, views: Sequence[View], measure: Callable[[Picture, Picture], Measure]
+    pictures: Iterator[tuple[Picture, Picture]], measure: Callable[[Picture, Picture], Measure]
 ) -> Iterator[Measure]:
     begun: deque[Future[Measure]] = deque()
     with ThreadPoolExecutor(available_cores()) as threads:
-        for view in views:
-            begun.append(threads.submit(_measured, view, reference(*view), shown(*view), measure))
+        for pair in pictures:
+            begun.append(threads.submit(measure, *pair))
             if len(begun) > AHEAD:
                 yield begun.popleft().result()
         while begun:
             yield begun.popleft().result()
 
 
-def _measured(
-    view: View, reference: Picture, shown: Picture, measure: Callable[[Picture, Picture], Measure]
-) -> Measure:
-    if reference.rgb.shape != shown.rgb.shape:
-        (height, width), (found_height, found_width) = reference.rgb.shape[:2], shown.rgb.shape[:2]
+def _drawn(view: View, reference: Source, shown: Source) -> tuple[Picture, Picture]:
+    a, b = reference(*view), shown(*view)
+    if a.rgb.shape != b.rgb.shape:
+        (height, width), (found_height, found_width) = a.rgb.shape[:2], b.rgb.shape[:2]
         where = f"frame {view[0]}, camera {view[1].name}"
         raise ConfigError(f"{where}: expected {width}x{height} pixels, got {found_width}x{found_height}")
-    return measure(reference, shown)
+    return a, b
 
 
 def draw_frames(read: Callable[[int], Gaussians], renderer: Renderer = CPU) -> Source:

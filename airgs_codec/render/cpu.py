@@ -9,11 +9,12 @@ import importlib
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -23,12 +24,13 @@ from numpy.typing import NDArray
 from airgs_codec._arguments import brief
 from airgs_codec.media.image import encode_png, save_png, to_bytes
 from airgs_codec.render import cpu_kernels as kernels
-from airgs_codec.scene.camera import BLACK, Background, Camera
+from airgs_codec.scene.camera import Background, Camera
 from airgs_codec.scene.gaussians import Gaussians
 
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
+Without = Callable[[NDArray[np.bool_] | None], Floats]  # mask (N,) of the rows that are drawn, None: all -> (H, W, 3)
 
 TILE = kernels.TILE  # pixels across a tile
 FAR = 1e18  # world units along the view axis: the square of more is no float32
@@ -36,7 +38,6 @@ DILATION = 0.3  # px^2 added to the projected covariance, as gsplat and INRIA do
 
 _LOCK = threading.Lock()  # numba's thread layers abort when two threads run parallel kernels
 POOLED = [kernels]  # modules whose kernels numba's pool of threads works on
-_announced = False
 
 
 def _forked() -> None:
@@ -58,15 +59,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_forked)
 
 
-class Shaped(Protocol):
-    """A numpy array or a torch tensor."""
-
-    @property
-    def shape(self) -> Sequence[int]:
-        """The length of each axis."""
-
-
-Array = TypeVar("Array", bound=Shaped)
+Array = TypeVar("Array", bound=Any)  # a numpy array or a torch tensor
 
 
 class RasterInputs(NamedTuple, Generic[Array]):
@@ -133,7 +126,7 @@ class Weights:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tiles:
+class Projected:
     """Gaussians as a camera sees them, tile by tile: all that a picture is drawn from."""
 
     size: tuple[int, int]  # width and height of the picture, pixels
@@ -142,36 +135,29 @@ class Tiles:
     start: Longs  # (tiles + 1,) first pair of each tile
     ids: Ints  # (M,) Gaussian of each pair, tile by tile, front to back inside a tile
     drawn: NDArray[np.bool_]  # (tiles,) the others have no pairs
+    order: Ints  # (V,) front to back
+    first_pair: Longs  # (V + 1,) first place in `slots` of each visible Gaussian
+    slots: Ints  # (M,) place in `ids` of each pair, Gaussian by Gaussian
 
-    def keep(self, rows: NDArray[np.bool_]) -> Tiles:
-        """The same without Gaussians that are False in a mask (N,); cheaper than projecting those that are left."""
-        drawn = rows[self.ids]
-        before = np.concatenate([[0], np.cumsum(drawn)])
-        return replace(self, start=before[self.start], ids=self.ids[drawn])
-
-    def argument(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
+    def tiles(self) -> tuple[Floats, Longs, Ints, Ints, int, int]:
         """The first argument of every kernel that walks through the tiles."""
         return self.flat, self.start, self.ids, _balanced(np.diff(self.start), self.drawn), *self.shape
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Projected:
-    """Gaussians as a camera sees them, and where the pairs of each one are."""
-
-    tiles: Tiles
-    order: Ints  # (V,) front to back
-    first_pair: Longs  # (V + 1,) first place in `slots` of each visible Gaussian
-    slots: Ints  # (M,) place in `tiles.ids` of each pair, Gaussian by Gaussian
-
-    def arguments(self) -> tuple[Ints, Longs, Ints]:
-        """The first arguments of every kernel that sums the pairs of a Gaussian."""
-        return self.order, self.first_pair, self.slots
+    def draw(self, background: Background, rows: NDArray[np.bool_] | None = None) -> Render:
+        """The picture before a background, without Gaussians that are False in a mask (N,)."""
+        if rows is None:
+            return _draw(self, background)[0]
+        kept = rows[self.ids]
+        before = np.concatenate([[0], np.cumsum(kept)])
+        return _draw(replace(self, start=before[self.start], ids=self.ids[kept]), background)[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blended:
     """A picture and everything its gradient and statistics need."""
 
+    inputs: RasterInputs[Floats]
+    camera: Camera
     picture: Render
     projected: Projected
     visited: Ints  # (tiles,) pairs that were visited before every pixel was opaque
@@ -202,43 +188,56 @@ def activate(g: Gaussians) -> RasterInputs[Floats]:
 
 
 def render(gaussians: Gaussians, camera: Camera, background: Background | None = None) -> Render:
-    """The picture that `camera` sees of the Gaussians before a background; None: the camera's."""
-    return blend(activate(gaussians), camera, camera.background if background is None else background).picture
-
-
-def render_views(gaussians: Gaussians, cameras: Iterable[Camera], background: Background | None = None) -> list[Render]:
-    """The pictures that several cameras see of the same Gaussians, which are activated once."""
-    active = activate(gaussians)
-    return [blend(active, c, c.background if background is None else background).picture for c in cameras]
+    """Draw the picture that `camera` sees of the Gaussians before a background; None: the camera's."""
+    return Loaded(activate(gaussians)).draw(camera, background)
 
 
 def measure_contribution(gaussians: Gaussians, camera: Camera) -> Contribution:
-    """How much each Gaussian contributes to what `camera` sees."""
-    return contribution(activate(gaussians), camera)
+    """Measure how much each Gaussian contributes to what `camera` sees."""
+    return Loaded(activate(gaussians)).contribution(camera)
 
 
-def contribution(inputs: RasterInputs[Floats], camera: Camera) -> Contribution:
-    """How much each of some activated Gaussians contributes to what `camera` sees."""
-    p = project(inputs, camera)
-    pairs = np.empty((len(p.slots), 3), np.float32)
-    with _LOCK:
-        kernels.blend_statistics(p.tiles.argument(), *p.tiles.size, pairs)
-    return _contribution(p, pairs, 0)
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """Activated Gaussians that are ready to be drawn."""
 
+    inputs: RasterInputs[Floats]
 
-def weights(inputs: RasterInputs[Floats], camera: Camera, mask: NDArray[np.bool_]) -> Weights:
-    """The picture that `camera` sees, and what each Gaussian gives to it, in all and inside a mask (H, W).
+    def draw(self, camera: Camera, background: Background | None = None) -> Render:
+        """Draw the picture that `camera` sees before a background; None: the camera's."""
+        return blend(self.inputs, camera, camera.background if background is None else background).picture
 
-    A blending weight is the derivative of the picture's sum by a Gaussian's colour: one channel asks for all pixels,
-    one for those of the mask.
-    """
-    blended = blend(inputs, camera, camera.background)
-    asked = np.zeros((*mask.shape, 3), np.float32)
-    asked[..., 0], asked[..., 1] = 1.0, mask
-    pairs = _pair_gradients(blended, asked, np.zeros(mask.shape, np.float32), None)
-    tiles = blended.projected.tiles
-    of_pair = np.repeat(np.arange(len(tiles.start) - 1, dtype=np.int32), np.diff(tiles.start))
-    return Weights(blended.picture, tiles.shape[::-1], tiles.ids, of_pair, pairs[:, 0].copy(), pairs[:, 1].copy())
+    def contribution(self, camera: Camera) -> Contribution:
+        """Measure how much each Gaussian gives to what `camera` sees."""
+        p = project(self.inputs, camera)
+        pairs = np.empty((len(p.slots), 3), np.float32)
+        _draw(p, camera.background, pairs=pairs)
+        return _contribution(p, pairs)
+
+    def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
+        """Return the contribution and the derivatives by the inputs of sum(picture * pull), pull (H, W, 3)."""
+        blended = blend(self.inputs, camera, camera.background)
+        pairs = _pair_gradients(blended, pull, np.zeros(pull.shape[:2], np.float32), True)
+        return _contribution(blended.projected, pairs[:, 9:]), _sum_gradients(blended, pairs)[0]
+
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
+        """Draw the picture that `camera` sees; return what each Gaussian gives to it, in all and in a mask (H, W).
+
+        A blending weight is the derivative of the picture's sum by a Gaussian's colour: one channel asks for all
+        pixels, one for those of the mask.
+        """
+        blended = blend(self.inputs, camera, camera.background)
+        asked = np.zeros((*mask.shape, 3), np.float32)
+        asked[..., 0], asked[..., 1] = 1.0, mask
+        pairs = _pair_gradients(blended, asked, np.zeros(mask.shape, np.float32), None)
+        p = blended.projected
+        of_pair = np.repeat(np.arange(len(p.start) - 1, dtype=np.int32), np.diff(p.start))
+        return Weights(blended.picture, p.shape[::-1], p.ids, of_pair, pairs[:, 0].copy(), pairs[:, 1].copy())
+
+    def without(self, camera: Camera) -> Without:
+        """Return what draws some of the rows for `camera`, again and again; cheaper than loading them each time."""
+        projected = project(self.inputs, camera)
+        return lambda rows: projected.draw(camera.background, rows).rgb
 
 
 def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool_] | None = None) -> Projected:
@@ -257,26 +256,25 @@ def project(inputs: RasterInputs[Floats], camera: Camera, tiles: NDArray[np.bool
         order = (visible & np.uint64(0xFFFFFFFF)).astype(np.int32)
         first_pair = np.concatenate([[0], np.cumsum(touched[order], dtype=np.int64)])
         start, ids, slots = kernels.bin_tiles(flat, order, first_pair, drawn, *shape)
-    return Projected(Tiles(size, shape, flat, start, ids, drawn), order, first_pair, slots)
+    return Projected(size, shape, flat, start, ids, drawn, order, first_pair, slots)
 
 
-def draw(tiles: Tiles, background: Background = BLACK) -> Render:
-    """The picture of projected Gaussians before a background."""
-    return _draw(tiles, background)[0]
+def _draw(
+    p: Projected, background: Background, rest: Render | None = None, pairs: Floats | None = None
+) -> tuple[Render, Ints]:
+    """The picture, and (tiles,) how many pairs of each tile were visited.
 
-
-def _draw(tiles: Tiles, background: Background, rest: Render | None = None) -> tuple[Render, Ints]:
-    """The picture, and (tiles,) how many pairs of each tile were visited; `rest`: what is not drawn shows this."""
-    width, height = tiles.size
-    picture = (
-        Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
-        if rest is None
-        else Render(rest.rgb.copy(), rest.transmittance.copy())
-    )
-    visited = np.empty(len(tiles.start) - 1, np.int32)
+    `rest`: what is not drawn shows this. `pairs` (M, 3): takes the statistics of `kernels.blend`, not the picture.
+    """
+    width, height = p.size
+    if rest is None:
+        picture = Render(np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32))
+    else:
+        picture = Render(rest.rgb.copy(), rest.transmittance.copy())
+    visited = np.empty(len(p.start) - 1, np.int32)
     colour = np.asarray(background, np.float32)
     with _LOCK:
-        kernels.blend(tiles.argument(), colour, picture.rgb, picture.transmittance, visited)
+        kernels.blend(p.tiles(), colour, picture.rgb, picture.transmittance, visited, pairs)
     return picture, visited
 
 
@@ -285,30 +283,18 @@ def blend(
 ) -> Blended:
     """Project the Gaussians and blend them front to back; `redraw`: in its tiles only."""
     p = project(inputs, camera, None if redraw is None else redraw.tiles)
-    picture, visited = _draw(p.tiles, background, None if redraw is None else redraw.rest())
+    picture, visited = _draw(p, background, None if redraw is None else redraw.rest())
     wanted = np.ones(len(inputs.means), np.bool_)
     if redraw is not None:
         wanted[: len(redraw.rows)] = redraw.rows
-    return Blended(picture, p, visited, wanted)
+    return Blended(inputs, camera, picture, p, visited, wanted)
 
 
-def gradients(
-    inputs: RasterInputs[Floats], camera: Camera, blended: Blended, grad_rgb: Floats, grad_transmittance: Floats
-) -> Gradients:
+def gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats) -> Gradients:
     """The backward pass of `blend`, from dL / d rgb (H, W, 3) and dL / d transmittance (H, W)."""
     pairs = _pair_gradients(blended, grad_rgb, grad_transmittance, None)
-    out, sums = _sum_gradients(inputs, camera, blended, pairs)
+    out, sums = _sum_gradients(blended, pairs)
     return Gradients(out, sums[:, 4:6], sums[:, 9:11])
-
-
-def contribution_and_gradients(
-    inputs: RasterInputs[Floats], camera: Camera, grad_rgb: Floats
-) -> tuple[Contribution, RasterInputs[Floats]]:
-    """Return what `measure_contribution` and `gradients` give for one picture, at once, from dL / d rgb (H, W, 3)."""
-    blended = blend(inputs, camera, camera.background)
-    pairs = _pair_gradients(blended, grad_rgb, np.zeros(grad_rgb.shape[:2], np.float32), True)
-    out, _ = _sum_gradients(inputs, camera, blended, pairs)
-    return _contribution(blended.projected, pairs, 9), out
 
 
 def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floats, statistics: bool | None) -> Floats:
@@ -317,30 +303,29 @@ def _pair_gradients(blended: Blended, grad_rgb: Floats, grad_transmittance: Floa
     pairs = np.empty((len(p.slots), 12), np.float32)
     given = (picture.rgb, picture.transmittance, blended.visited, grad_rgb, grad_transmittance)
     with _LOCK:
-        kernels.blend_gradient(p.tiles.argument(), *given, statistics, pairs)
+        kernels.blend_gradient(p.tiles(), *given, statistics, pairs)
     return pairs
 
 
-def _sum_gradients(
-    inputs: RasterInputs[Floats], camera: Camera, blended: Blended, pairs: Floats
-) -> tuple[RasterInputs[Floats], Floats]:
+def _sum_gradients(blended: Blended, pairs: Floats) -> tuple[RasterInputs[Floats], Floats]:
     """Gradients of the inputs, and the (N, 12) sums of the pairs."""
-    p, wanted = blended.projected, blended.wanted
+    p, wanted, inputs = blended.projected, blended.wanted, blended.inputs
     sums = np.zeros((len(inputs.means), 12), np.float32)
     out = RasterInputs(*(np.zeros_like(column) for column in inputs))
     scene = (*inputs, inputs.sh_degree)
     with _LOCK:
-        kernels.sum_pairs(*p.arguments(), wanted, pairs, sums)
-        kernels.project_gradient(scene, _seen_by(camera), p.tiles.flat, p.order, wanted, sums, tuple(out))
+        kernels.sum_pairs(p.order, p.first_pair, p.slots, wanted, pairs, sums)
+        kernels.project_gradient(scene, _seen_by(blended.camera), p.flat, p.order, wanted, sums, tuple(out))
     return out, sums
 
 
-def _contribution(p: Projected, pairs: Floats, column: int) -> Contribution:
-    """From three columns of the pairs, `column` the first: total, peak, hits."""
-    sums = np.zeros((len(p.tiles.flat), 3))
-    with _LOCK:
-        kernels.sum_statistics(*p.arguments(), pairs, column, sums)
-    return Contribution(sums[:, 0], sums[:, 1], sums[:, 2].astype(np.int64))
+def _contribution(p: Projected, pairs: Floats) -> Contribution:
+    """Sum what `kernels.blend` says of the pairs."""
+    rows = len(p.flat)
+    peak = np.zeros(rows, np.float32)
+    np.maximum.at(peak, p.ids, pairs[:, 1])
+    total, hits = (np.bincount(p.ids, pairs[:, column], rows).astype(np.float64) for column in (0, 2))
+    return Contribution(total, peak.astype(np.float64), hits.astype(np.int64))
 
 
 @contextmanager
@@ -369,12 +354,9 @@ def _balanced(costs: Longs, drawn: NDArray[np.bool_]) -> Ints:
     return np.concatenate([ranked[i::threads] for i in range(threads)])
 
 
+@cache
 def _announce() -> None:
     """Say once that kernels are compiled, when numba's cache has none yet."""
-    global _announced
-    if _announced:
-        return
-    _announced = True
     path = kernels.project.stats.cache_path
     if path and not any(Path(path).glob("cpu_kernels.project-*.nbi")):
         print("compiling the renderer's kernels (about 30 s, once)", file=sys.stderr)

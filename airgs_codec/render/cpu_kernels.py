@@ -54,7 +54,6 @@ SH_C3 = C30, C31, C32, C33, C34, C35, C36 = (
 )
 
 # exp(e) / 255 on [0, ln 255] as p(e)^8 with p of degree 5: relative error below 2e-6 in float32.
-_x = np.cos(np.pi * (np.arange(64) + 0.5) / 64) * 0.35 + 0.35
 _c = (
     np.polynomial.chebyshev.Chebyshev.interpolate(lambda e: np.exp((e - np.log(255)) / 8), 5, domain=[0, 5.6])
     .convert(kind=np.polynomial.Polynomial)
@@ -94,67 +93,66 @@ def sh_basis(deg, x, y, z, b):
 
 
 @njit(fastmath=FAST)
-def sh_basis_grad(deg, x, y, z, dx, dy, dz):
-    """Derivatives of the basis by x, y and z into dx, dy, dz (16,)."""
-    n = (deg + 1) * (deg + 1)
-    for k in range(n):
-        dx[k] = 0.0
-        dy[k] = 0.0
-        dz[k] = 0.0
+def _slope(basis, k, dx, dy, dz):
+    basis[1, k], basis[2, k], basis[3, k] = dx, dy, dz
+
+
+@njit(fastmath=FAST)
+def sh_basis_grad(deg, x, y, z, basis):
+    """Derivatives of the basis by x, y and z into rows 1 to 3 of basis (4, 16)."""
+    _slope(basis, 0, 0.0, 0.0, 0.0)
     if deg > 0:
-        dy[1] = -SH_C1
-        dz[2] = SH_C1
-        dx[3] = -SH_C1
+        _slope(basis, 1, 0.0, -SH_C1, 0.0)
+        _slope(basis, 2, 0.0, 0.0, SH_C1)
+        _slope(basis, 3, -SH_C1, 0.0, 0.0)
     if deg > 1:
-        dx[4] = C20 * y
-        dy[4] = C20 * x
-        dy[5] = C21 * z
-        dz[5] = C21 * y
-        dx[6] = -2 * C22 * x
-        dy[6] = -2 * C22 * y
-        dz[6] = 4 * C22 * z
-        dx[7] = C23 * z
-        dz[7] = C23 * x
-        dx[8] = 2 * C24 * x
-        dy[8] = -2 * C24 * y
-        if deg > 2:
-            xx = x * x
-            yy = y * y
-            zz = z * z
-            dx[9] = C30 * 6 * x * y
-            dy[9] = C30 * (3 * xx - 3 * yy)
-            dx[10] = C31 * y * z
-            dy[10] = C31 * x * z
-            dz[10] = C31 * x * y
-            dx[11] = -2 * C32 * x * y
-            dy[11] = C32 * (4 * zz - xx - 3 * yy)
-            dz[11] = 8 * C32 * y * z
-            dx[12] = -6 * C33 * x * z
-            dy[12] = -6 * C33 * y * z
-            dz[12] = C33 * (6 * zz - 3 * xx - 3 * yy)
-            dx[13] = C34 * (4 * zz - 3 * xx - yy)
-            dy[13] = -2 * C34 * x * y
-            dz[13] = 8 * C34 * x * z
-            dx[14] = 2 * C35 * x * z
-            dy[14] = -2 * C35 * y * z
-            dz[14] = C35 * (xx - yy)
-            dx[15] = C36 * (3 * xx - 3 * yy)
-            dy[15] = -6 * C36 * x * y
+        _slope(basis, 4, C20 * y, C20 * x, 0.0)
+        _slope(basis, 5, 0.0, C21 * z, C21 * y)
+        _slope(basis, 6, -2 * C22 * x, -2 * C22 * y, 4 * C22 * z)
+        _slope(basis, 7, C23 * z, 0.0, C23 * x)
+        _slope(basis, 8, 2 * C24 * x, -2 * C24 * y, 0.0)
+    if deg > 2:
+        xx = x * x
+        yy = y * y
+        zz = z * z
+        _slope(basis, 9, C30 * 6 * x * y, C30 * (3 * xx - 3 * yy), 0.0)
+        _slope(basis, 10, C31 * y * z, C31 * x * z, C31 * x * y)
+        _slope(basis, 11, -2 * C32 * x * y, C32 * (4 * zz - xx - 3 * yy), 8 * C32 * y * z)
+        _slope(basis, 12, -6 * C33 * x * z, -6 * C33 * y * z, C33 * (6 * zz - 3 * xx - 3 * yy))
+        _slope(basis, 13, C34 * (4 * zz - 3 * xx - yy), -2 * C34 * x * y, 8 * C34 * x * z)
+        _slope(basis, 14, 2 * C35 * x * z, -2 * C35 * y * z, C35 * (xx - yy))
+        _slope(basis, 15, C36 * (3 * xx - 3 * yy), -6 * C36 * x * y, 0.0)
 
 
-@njit(inline="always", fastmath=FAST)
-def _rot(w, x, y, z):
-    """Rotation matrix of a unit quaternion, row by row."""
+@njit(fastmath=FAST)
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(fastmath=FAST)
+def _times(a, b):
+    """The products of the numbers of two vectors."""
+    return a[0] * b[0], a[1] * b[1], a[2] * b[2]
+
+
+@njit(fastmath=FAST)
+def _column(matrix, k):
+    return matrix[0][k], matrix[1][k], matrix[2][k]
+
+
+@njit(fastmath=FAST)
+def _row_by(a, matrix):
+    """A row vector times a matrix of three rows."""
+    return _dot(a, _column(matrix, 0)), _dot(a, _column(matrix, 1)), _dot(a, _column(matrix, 2))
+
+
+@njit(fastmath=FAST)
+def _rotation(w, x, y, z):
+    """Rows of the rotation matrix of a unit quaternion."""
     return (
-        1 - 2 * (y * y + z * z),
-        2 * (x * y - w * z),
-        2 * (x * z + w * y),
-        2 * (x * y + w * z),
-        1 - 2 * (x * x + z * z),
-        2 * (y * z - w * x),
-        2 * (x * z - w * y),
-        2 * (y * z + w * x),
-        1 - 2 * (x * x + y * y),
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
 
 
@@ -187,9 +185,9 @@ def _put(table, i, values):
 
 
 @njit(fastmath=FAST)
-def _see(view, row, px, py, pz):
+def _see(view, row, p):
     """One coordinate of a point in camera space."""
-    return view[row, 0] * px + view[row, 1] * py + view[row, 2] * pz + view[row, 3]
+    return _dot(view[row], p) + view[row, 3]
 
 
 @njit(fastmath=FAST)
@@ -217,26 +215,29 @@ def _unit(quaternions, i):
 
 @njit(fastmath=FAST)
 def _jacobian(lens, view, u, v, iz):
-    """Rows of J R, the derivative of the pixel position by the world position (EWA splatting), u and v bounded."""
+    """u and v bounded, and the rows of J R, the derivative of the pixel position by the world position (EWA)."""
     uc = min(max(u, lens[2]), lens[3])
     vc = min(max(v, lens[4]), lens[5])
     j00, j02 = lens[0] * iz, -lens[0] * uc * iz
     j11, j12 = lens[1] * iz, -lens[1] * vc * iz
-    t00 = j00 * view[0, 0] + j02 * view[2, 0]
-    t01 = j00 * view[0, 1] + j02 * view[2, 1]
-    t02 = j00 * view[0, 2] + j02 * view[2, 2]
-    t10 = j11 * view[1, 0] + j12 * view[2, 0]
-    t11 = j11 * view[1, 1] + j12 * view[2, 1]
-    t12 = j11 * view[1, 2] + j12 * view[2, 2]
-    return uc, vc, t00, t01, t02, t10, t11, t12
+    t0 = j00 * view[0, 0] + j02 * view[2, 0], j00 * view[0, 1] + j02 * view[2, 1], j00 * view[0, 2] + j02 * view[2, 2]
+    t1 = j11 * view[1, 0] + j12 * view[2, 0], j11 * view[1, 1] + j12 * view[2, 1], j11 * view[1, 2] + j12 * view[2, 2]
+    return uc, vc, t0, t1
 
 
 @njit(fastmath=FAST)
-def _colour(deg, lens, px, py, pz, sh, i, b):
+def _direction(lens, p):
+    """Unit vector from the camera to a point, and 1 / the distance; 0, not NaN, for a point on the camera centre."""
+    dx, dy, dz = p[0] - lens[6], p[1] - lens[7], p[2] - lens[8]
+    dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)
+    return dx * dn, dy * dn, dz * dn, dn
+
+
+@njit(fastmath=FAST)
+def _colour(deg, lens, p, sh, i, b):
     """Unclamped colour of a row seen from the camera; b (16,) is scratch."""
-    dx, dy, dz = px - lens[6], py - lens[7], pz - lens[8]
-    dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)  # a mean on the camera centre: 0, not NaN
-    sh_basis(deg, dx * dn, dy * dn, dz * dn, b)
+    x, y, z, _ = _direction(lens, p)
+    sh_basis(deg, x, y, z, b)
     c0 = c1 = c2 = 0.5
     for k in range((deg + 1) * (deg + 1)):
         c0 += b[k] * sh[i, k, 0]
@@ -246,23 +247,21 @@ def _colour(deg, lens, px, py, pz, sh, i, b):
 
 
 @njit(fastmath=FAST)
-def _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh):
+def _colour_gradient(deg, lens, p, sh, i, g, basis, grad_sh):
     """Gradient of a row's colour by its coefficients, into grad_sh, and by its mean, returned; basis (4, 16)."""
     nk = (deg + 1) * (deg + 1)
-    dx, dy, dz = px - lens[6], py - lens[7], pz - lens[8]
-    dn = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz + 1e-30)  # as in _colour
-    ux, uy, uz = dx * dn, dy * dn, dz * dn
+    ux, uy, uz, dn = _direction(lens, p)
     sh_basis(deg, ux, uy, uz, basis[0])
     for k in range(nk):
-        grad_sh[i, k, 0] = basis[0, k] * g0
-        grad_sh[i, k, 1] = basis[0, k] * g1
-        grad_sh[i, k, 2] = basis[0, k] * g2
+        grad_sh[i, k, 0] = basis[0, k] * g[0]
+        grad_sh[i, k, 1] = basis[0, k] * g[1]
+        grad_sh[i, k, 2] = basis[0, k] * g[2]
     if deg == 0:
         return 0.0, 0.0, 0.0
-    sh_basis_grad(deg, ux, uy, uz, basis[1], basis[2], basis[3])
+    sh_basis_grad(deg, ux, uy, uz, basis)
     hx = hy = hz = 0.0
     for k in range(1, nk):
-        c = g0 * sh[i, k, 0] + g1 * sh[i, k, 1] + g2 * sh[i, k, 2]
+        c = _dot(g, sh[i, k])
         hx += c * basis[1, k]
         hy += c * basis[2, k]
         hz += c * basis[3, k]
@@ -290,8 +289,8 @@ def project(scene, camera, drawn, flat, key, tiles):
         for i in range(ch * N // NCH, (ch + 1) * N // NCH):
             tiles[i] = 0
             key[i] = np.uint64(0xFFFFFFFFFFFFFFFF)
-            px, py, pz = _three(means, i)
-            z = _see(view, 2, px, py, pz)
+            p = _three(means, i)
+            z = _see(view, 2, p)
             if not (z > near and z < far):
                 continue
             op = float(opacities[i])
@@ -300,24 +299,16 @@ def project(scene, camera, drawn, flat, key, tiles):
             w, qx, qy, qz, inv = _unit(quaternions, i)
             if not (inv >= 0.0):
                 continue
-            r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rot(w, qx, qy, qz)
+            rotation = _rotation(w, qx, qy, qz)
             iz = 1.0 / z
-            u, v = _see(view, 0, px, py, pz) * iz, _see(view, 1, px, py, pz) * iz
-            _, _, t00, t01, t02, t10, t11, t12 = _jacobian(lens, view, u, v, iz)
-            s0, s1, s2 = _three(scales, i)
-            m00 = (t00 * r00 + t01 * r10 + t02 * r20) * s0
-            m01 = (t00 * r01 + t01 * r11 + t02 * r21) * s1
-            m02 = (t00 * r02 + t01 * r12 + t02 * r22) * s2
-            m10 = (t10 * r00 + t11 * r10 + t12 * r20) * s0
-            m11 = (t10 * r01 + t11 * r11 + t12 * r21) * s1
-            m12 = (t10 * r02 + t11 * r12 + t12 * r22) * s2
-            sxx0 = m00 * m00 + m01 * m01 + m02 * m02
-            syy0 = m10 * m10 + m11 * m11 + m12 * m12
-            sxy = m00 * m10 + m01 * m11 + m02 * m12
-            k0 = m00 * m11 - m01 * m10
-            k1 = m00 * m12 - m02 * m10
-            k2 = m01 * m12 - m02 * m11
-            det = k0 * k0 + k1 * k1 + k2 * k2 + eps2d * (sxx0 + syy0) + eps2d * eps2d
+            u, v = _see(view, 0, p) * iz, _see(view, 1, p) * iz
+            _, _, t0, t1 = _jacobian(lens, view, u, v, iz)
+            scale = _three(scales, i)
+            m0, m1 = _times(_row_by(t0, rotation), scale), _times(_row_by(t1, rotation), scale)
+            sxx0, syy0, sxy = _dot(m0, m0), _dot(m1, m1), _dot(m0, m1)
+            # Cauchy-Binet: no cancellation for needles
+            minors = m0[0] * m1[1] - m0[1] * m1[0], m0[0] * m1[2] - m0[2] * m1[0], m0[1] * m1[2] - m0[2] * m1[1]
+            det = _dot(minors, minors) + eps2d * (sxx0 + syy0) + eps2d * eps2d
             sxx = sxx0 + eps2d
             syy = syy0 + eps2d
             if not (det > 0.0 and det < 1e30):
@@ -332,7 +323,7 @@ def project(scene, camera, drawn, flat, key, tiles):
             my = lens[1] * v + intrinsics[3]
             if not (mx + hx > 0.0 and mx - hx < W and my + hy > 0.0 and my - hy < H):
                 continue
-            c0, c1, c2 = _colour(deg, lens, px, py, pz, sh, i, b)
+            c0, c1, c2 = _colour(deg, lens, p, sh, i, b)
             if not (abs(c0) + abs(c1) + abs(c2) < 1e6):
                 continue
             _put(flat, i, (mx, my, A, beta, kap, t, max(c0, 0.0), max(c1, 0.0), max(c2, 0.0), hx, hy, np.float64(op)))
@@ -456,21 +447,29 @@ def _alpha(e):
     return p * p
 
 
+@njit(inline="always")
+def _bounds(tile, tiles_x, W, H):
+    """First column and row of the picture in a tile, and how many of both it has."""
+    y = tile // tiles_x * TILE
+    x = tile % tiles_x * TILE
+    return x, y, min(TILE, W - x), min(TILE, H - y)
+
+
 @njit(inline="always", fastmath=FAST)
-def _start_tile(X0, Y0, W, H, buf):
+def _start_tile(left, top, W, H, buf):
     """Planes 0 to 2 of a tile's scratch: transmittance, 0 outside the picture, then x and y of the pixel centres."""
     for k in range(TILE_PIXELS):
-        x = X0 + f4(k % TILE) + f4(0.5)
-        y = Y0 + f4(k // TILE) + f4(0.5)
+        x = f4(left) + f4(k % TILE) + f4(0.5)
+        y = f4(top) + f4(k // TILE) + f4(0.5)
         buf[k] = f4(1.0) if x < W and y < H else f4(0.0)
         buf[TILE_PIXELS + k] = x
         buf[2 * TILE_PIXELS + k] = y
 
 
 @njit(inline="always", fastmath=FAST)
-def _tile_rows(flat, i, Y0):
+def _tile_rows(flat, i, y):
     """Rows [a, b) of a tile with pixels of alpha >= 1/255; a <= b."""
-    top = flat[i, 1] - Y0 - f4(0.5)  # of the centre, in rows of the tile
+    top = flat[i, 1] - f4(y) - f4(0.5)  # of the centre, in rows of the tile
     a = math.ceil(min(max(top - flat[i, 10], f4(0.0)), f4(TILE)))
     b = math.floor(max(min(top + flat[i, 10], f4(TILE - 1.0)), f4(-1.0))) + 1
     return a, max(a, b)
@@ -505,59 +504,6 @@ def _all_finished(buf):
     return most <= f4(0.0)
 
 
-@njit(inline="always", fastmath=FAST)
-def _blend_tile(flat, ids, a, b, Y0, buf):
-    """Blend pairs a..b of a tile that `_start_tile` has set up: planes 3 to 5 of buf become r g b.
-
-    Returns how many pairs were visited.
-
-    The pixels of all rows that a Gaussian touches are one loop without branches, which compiles to vectors.
-    """
-    for k in range(3 * TILE_PIXELS, 6 * TILE_PIXELS):
-        buf[k] = f4(0.0)
-    for j in range(a, b):
-        i = ids[j]
-        mx, my, A, be, ka, t = _ellipse(flat, i)
-        hA, hk = f4(0.5) * A, f4(0.5) * ka
-        r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
-        ya, yb = _tile_rows(flat, i, Y0)
-        row = buf[ya * TILE :]
-        for q in range((yb - ya) * TILE):
-            _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
-            row[3 * TILE_PIXELS + q] += w * r
-            row[4 * TILE_PIXELS + q] += w * g
-            row[5 * TILE_PIXELS + q] += w * bl
-        if (j - a) % 8 == 7 and _all_finished(buf):
-            return j - a + 1
-    return b - a
-
-
-@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend(tiles, background, rgb, transmittance, blended):
-    """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited."""
-    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
-    H = rgb.shape[0]
-    W = rgb.shape[1]
-    for tt in prange(tile_order.shape[0]):
-        tile = tile_order[tt]
-        ty = tile // tiles_x
-        tx = tile - ty * tiles_x
-        buf = np.empty(6 * TILE_PIXELS, np.float32)  # T, x, y, r, g, b
-        X0 = f4(tx * TILE)
-        Y0 = f4(ty * TILE)
-        _start_tile(X0, Y0, W, H, buf)
-        blended[tile] = _blend_tile(flat, ids, tile_start[tile], tile_start[tile + 1], Y0, buf)
-        hh = min(TILE, H - ty * TILE)
-        ww = min(TILE, W - tx * TILE)
-        for yy in range(hh):
-            for xx in range(ww):
-                o = yy * TILE + xx
-                T = abs(buf[o])
-                transmittance[ty * TILE + yy, tx * TILE + xx] = T
-                for c in range(3):
-                    rgb[ty * TILE + yy, tx * TILE + xx, c] = buf[(3 + c) * TILE_PIXELS + o] + T * background[c]
-
-
 @njit
 def _bits(x):
     """The bits of a float32; of numbers from 0 they are ordered as the numbers are, and their maximum vectorises."""
@@ -571,48 +517,87 @@ def _from_bits(x):
 
 
 @njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
+def blend(tiles, background, rgb, transmittance, blended, statistics):
+    """Blend the tiles of `tile_order`: rgb (H, W, 3), transmittance (H, W), blended (tiles,) pairs visited.
+
+    With `statistics` (M, 3), not None, no picture is written, but per pair the sum and the maximum of its blending
+    weight alpha T, and pixels blended; it is compiled apart. The pixels of all rows that a Gaussian touches are one
+    loop without branches, which compiles to vectors.
+    """
+    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
+    H, W = transmittance.shape
+    for tt in prange(tile_order.shape[0]):
+        tile = tile_order[tt]
+        x, y, ww, hh = _bounds(tile, tiles_x, W, H)
+        buf = np.zeros(6 * TILE_PIXELS, np.float32)  # T, x, y, r, g, b
+        _start_tile(x, y, W, H, buf)
+        a = tile_start[tile]
+        visited = tile_start[tile + 1] - a
+        for j in range(a, a + visited):
+            i = ids[j]
+            mx, my, A, be, ka, t = _ellipse(flat, i)
+            hA, hk = f4(0.5) * A, f4(0.5) * ka
+            r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
+            total = hits = f4(0.0)
+            peak = np.int32(0)
+            ya, yb = _tile_rows(flat, i, y)
+            row = buf[ya * TILE :]
+            for q in range((yb - ya) * TILE):
+                _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
+                if statistics is None:
+                    row[3 * TILE_PIXELS + q] += w * r
+                    row[4 * TILE_PIXELS + q] += w * g
+                    row[5 * TILE_PIXELS + q] += w * bl
+                else:
+                    total += w
+                    peak = max(peak, _bits(w))
+                    hits += f4(1.0) if w > f4(0.0) else f4(0.0)
+            if statistics is not None:
+                _put(statistics, j, (total, _from_bits(peak), hits))
+            if (j - a) % 8 == 7 and _all_finished(buf):
+                visited = j - a + 1
+                break
+        blended[tile] = visited
+        if statistics is not None:
+            statistics[a + visited : tile_start[tile + 1]] = f4(0.0)
+            continue
+        for yy in range(hh):
+            for xx in range(ww):
+                o = yy * TILE + xx
+                T = abs(buf[o])
+                transmittance[y + yy, x + xx] = T
+                for c in range(3):
+                    rgb[y + yy, x + xx, c] = buf[(3 + c) * TILE_PIXELS + o] + T * background[c]
+
+
+@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
 def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmittance, statistics, pairs):
     """Gradients of every pair, front to back with the arithmetic of the forward pass.
 
     S, what lies behind a pixel, starts as the finished sum and loses each pair's part: no division chain by
     1 - alpha. grad_transmittance: dL / d(final transmittance), background excluded. With `statistics` True, not None,
-    columns 9 to 11 of a pair are those of `blend_statistics`; it is compiled apart.
+    columns 9 to 11 of a pair are those of `blend`; it is compiled apart.
     """
     flat, tile_start, ids, tile_order, tiles_x, _ = tiles
-    H = rgb.shape[0]
-    W = rgb.shape[1]
+    H, W = transmittance.shape
     for tt in prange(tile_order.shape[0]):
         tile = tile_order[tt]
-        ty = tile // tiles_x
-        tx = tile - ty * tiles_x
         a = tile_start[tile]
         n = blended[tile]
         pairs[a + n : tile_start[tile + 1]] = f4(0.0)
         if n == 0:
             continue
-        X0 = f4(tx * TILE)
-        Y0 = f4(ty * TILE)
+        x, y, ww, hh = _bounds(tile, tiles_x, W, H)
         buf = np.zeros(7 * TILE_PIXELS, np.float32)  # T, x, y, S, gR, gG, gB
-        _start_tile(X0, Y0, W, H, buf)
-        hh = min(TILE, H - ty * TILE)
-        ww = min(TILE, W - tx * TILE)
+        _start_tile(x, y, W, H, buf)
         for yy in range(hh):
             for xx in range(ww):
                 o = yy * TILE + xx
-                Y = ty * TILE + yy
-                X = tx * TILE + xx
-                g0 = grad_rgb[Y, X, 0]
-                g1 = grad_rgb[Y, X, 1]
-                g2 = grad_rgb[Y, X, 2]
-                buf[3 * TILE_PIXELS + o] = (
-                    g0 * rgb[Y, X, 0]
-                    + g1 * rgb[Y, X, 1]
-                    + g2 * rgb[Y, X, 2]
-                    + grad_transmittance[Y, X] * transmittance[Y, X]
-                )
-                buf[4 * TILE_PIXELS + o] = g0
-                buf[5 * TILE_PIXELS + o] = g1
-                buf[6 * TILE_PIXELS + o] = g2
+                g, seen = grad_rgb[y + yy, x + xx], rgb[y + yy, x + xx]
+                T = transmittance[y + yy, x + xx]
+                buf[3 * TILE_PIXELS + o] = _dot(g, seen) + grad_transmittance[y + yy, x + xx] * T
+                for c in range(3):
+                    buf[(4 + c) * TILE_PIXELS + o] = g[c]
         for j in range(a, a + n):
             i = ids[j]
             mx, my, A, be, ka, t = _ellipse(flat, i)
@@ -620,7 +605,7 @@ def blend_gradient(tiles, rgb, transmittance, blended, grad_rgb, grad_transmitta
             r, g, bl = flat[i, 6], flat[i, 7], flat[i, 8]
             sr = sg = sb = m0 = m1 = m2 = m0y = m0yy = m1y = c9 = c10 = c11 = f4(0.0)
             peak = np.int32(0)
-            ya, yb = _tile_rows(flat, i, Y0)
+            ya, yb = _tile_rows(flat, i, y)
             row = buf[ya * TILE :]
             for q in range((yb - ya) * TILE):
                 dy, d, ar, al, te, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
@@ -695,34 +680,21 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
             i = vis[kk]
             if not wanted[i]:
                 continue
-            px, py, pz = _three(means, i)
+            p = _three(means, i)
             g0 = float(grads[i, 0]) if flat[i, 6] > 0 else 0.0
             g1 = float(grads[i, 1]) if flat[i, 7] > 0 else 0.0
             g2 = float(grads[i, 2]) if flat[i, 8] > 0 else 0.0
-            gx, gy, gz = _colour_gradient(deg, lens, px, py, pz, sh, i, g0, g1, g2, basis, grad_sh)
+            by_colour = _colour_gradient(deg, lens, p, sh, i, (g0, g1, g2), basis, grad_sh)
             grad_opacities[i] = grads[i, 3] / float(opacities[i])  # reach = ln(255 opacity)
-            x, y, z = _see(view, 0, px, py, pz), _see(view, 1, px, py, pz), _see(view, 2, px, py, pz)
+            x, y, z = _see(view, 0, p), _see(view, 1, p), _see(view, 2, p)
             w, qx, qy, qz, inv = _unit(quaternions, i)
-            r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rot(w, qx, qy, qz)
+            rotation = _rotation(w, qx, qy, qz)
             iz = 1.0 / z
             u, v = x * iz, y * iz
-            uc, vc, t00, t01, t02, t10, t11, t12 = _jacobian(lens, view, u, v, iz)
-            s0, s1, s2 = _three(scales, i)
-            l00 = r00 * s0
-            l01 = r01 * s1
-            l02 = r02 * s2
-            l10 = r10 * s0
-            l11 = r11 * s1
-            l12 = r12 * s2
-            l20 = r20 * s0
-            l21 = r21 * s1
-            l22 = r22 * s2
-            m00 = t00 * l00 + t01 * l10 + t02 * l20
-            m01 = t00 * l01 + t01 * l11 + t02 * l21
-            m02 = t00 * l02 + t01 * l12 + t02 * l22
-            m10 = t10 * l00 + t11 * l10 + t12 * l20
-            m11 = t10 * l01 + t11 * l11 + t12 * l21
-            m12 = t10 * l02 + t11 * l12 + t12 * l22
+            uc, vc, t0, t1 = _jacobian(lens, view, u, v, iz)
+            scale = _three(scales, i)
+            shape = _times(rotation[0], scale), _times(rotation[1], scale), _times(rotation[2], scale)
+            m0, m1 = _row_by(t0, shape), _row_by(t1, shape)
             A, be, ka = float(flat[i, 2]), float(flat[i, 3]), float(flat[i, 4])
             gmx, gmy = float(grads[i, 4]), float(grads[i, 5])
             gA, gB, gK = float(grads[i, 6]), float(grads[i, 7]), float(grads[i, 8])
@@ -730,25 +702,16 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
             gsxy = -2.0 * be * A * A * gA - ka * gB
             gsyy = -be * be * A * A * gA - be * ka * gB - ka * ka * gK
             # dM = (dS + dS^T) M
-            a00 = 2 * gsxx * m00 + gsxy * m10
-            a01 = 2 * gsxx * m01 + gsxy * m11
-            a02 = 2 * gsxx * m02 + gsxy * m12
-            a10 = 2 * gsyy * m10 + gsxy * m00
-            a11 = 2 * gsyy * m11 + gsxy * m01
-            a12 = 2 * gsyy * m12 + gsxy * m02
-            # dL = T^T dM
-            d00 = t00 * a00 + t10 * a10
-            d01 = t00 * a01 + t10 * a11
-            d02 = t00 * a02 + t10 * a12
-            d10 = t01 * a00 + t11 * a10
-            d11 = t01 * a01 + t11 * a11
-            d12 = t01 * a02 + t11 * a12
-            d20 = t02 * a00 + t12 * a10
-            d21 = t02 * a01 + t12 * a11
-            d22 = t02 * a02 + t12 * a12
-            grad_scales[i, 0] = d00 * r00 + d10 * r10 + d20 * r20
-            grad_scales[i, 1] = d01 * r01 + d11 * r11 + d21 * r21
-            grad_scales[i, 2] = d02 * r02 + d12 * r12 + d22 * r22
+            a0 = 2 * gsxx * m0[0] + gsxy * m1[0], 2 * gsxx * m0[1] + gsxy * m1[1], 2 * gsxx * m0[2] + gsxy * m1[2]
+            a1 = 2 * gsyy * m1[0] + gsxy * m0[0], 2 * gsyy * m1[1] + gsxy * m0[1], 2 * gsyy * m1[2] + gsxy * m0[2]
+            # d(shape) = T^T dM
+            d00, d01, d02 = t0[0] * a0[0] + t1[0] * a1[0], t0[0] * a0[1] + t1[0] * a1[1], t0[0] * a0[2] + t1[0] * a1[2]
+            d10, d11, d12 = t0[1] * a0[0] + t1[1] * a1[0], t0[1] * a0[1] + t1[1] * a1[1], t0[1] * a0[2] + t1[1] * a1[2]
+            d20, d21, d22 = t0[2] * a0[0] + t1[2] * a1[0], t0[2] * a0[1] + t1[2] * a1[1], t0[2] * a0[2] + t1[2] * a1[2]
+            grad_scales[i, 0] = _dot((d00, d10, d20), _column(rotation, 0))
+            grad_scales[i, 1] = _dot((d01, d11, d21), _column(rotation, 1))
+            grad_scales[i, 2] = _dot((d02, d12, d22), _column(rotation, 2))
+            s0, s1, s2 = scale
             d00, d10, d20 = d00 * s0, d10 * s0, d20 * s0
             d01, d11, d21 = d01 * s1, d11 * s1, d21 * s1
             d02, d12, d22 = d02 * s2, d12 * s2, d22 * s2
@@ -761,17 +724,11 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
             grad_quaternions[i, 1] = (gqx - dot * qx) * inv
             grad_quaternions[i, 2] = (gqy - dot * qy) * inv
             grad_quaternions[i, 3] = (gqz - dot * qz) * inv
-            # dT = dM L^T
-            e00 = a00 * l00 + a01 * l01 + a02 * l02
-            e01 = a00 * l10 + a01 * l11 + a02 * l12
-            e02 = a00 * l20 + a01 * l21 + a02 * l22
-            e10 = a10 * l00 + a11 * l01 + a12 * l02
-            e11 = a10 * l10 + a11 * l11 + a12 * l12
-            e12 = a10 * l20 + a11 * l21 + a12 * l22
-            gj00 = e00 * view[0, 0] + e01 * view[0, 1] + e02 * view[0, 2]
-            gj02 = e00 * view[2, 0] + e01 * view[2, 1] + e02 * view[2, 2]
-            gj11 = e10 * view[1, 0] + e11 * view[1, 1] + e12 * view[1, 2]
-            gj12 = e10 * view[2, 0] + e11 * view[2, 1] + e12 * view[2, 2]
+            # dT = dM shape^T
+            e0 = _dot(a0, shape[0]), _dot(a0, shape[1]), _dot(a0, shape[2])
+            e1 = _dot(a1, shape[0]), _dot(a1, shape[1]), _dot(a1, shape[2])
+            gj00, gj02 = _dot(e0, view[0]), _dot(e0, view[2])
+            gj11, gj12 = _dot(e1, view[1]), _dot(e1, view[2])
             giz = gj00 * fx + gj11 * fy - gj02 * fx * uc - gj12 * fy * vc
             gu = gmx * fx
             gv = gmy * fy
@@ -779,60 +736,7 @@ def project_gradient(scene, camera, flat, vis, wanted, grads, gradients):
                 gu += -gj02 * fx * iz
             if v == vc:
                 gv += -gj12 * fy * iz
-            gcx = gu * iz
-            gcy = gv * iz
             giz += gu * x + gv * y
-            gcz = -giz * iz * iz
-            grad_means[i, 0] = gx + view[0, 0] * gcx + view[1, 0] * gcy + view[2, 0] * gcz
-            grad_means[i, 1] = gy + view[0, 1] * gcx + view[1, 1] * gcy + view[2, 1] * gcz
-            grad_means[i, 2] = gz + view[0, 2] * gcx + view[1, 2] * gcy + view[2, 2] * gcz
-
-
-@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy", boundscheck=False)
-def blend_statistics(tiles, W, H, pairs):
-    """Per pair: sum and maximum of the blending weight alpha T, and pixels blended, into pairs (M, 3)."""
-    flat, tile_start, ids, tile_order, tiles_x, _ = tiles
-    for tt in prange(tile_order.shape[0]):
-        tile = tile_order[tt]
-        ty = tile // tiles_x
-        tx = tile - ty * tiles_x
-        X0 = f4(tx * TILE)
-        Y0 = f4(ty * TILE)
-        buf = np.empty(3 * TILE_PIXELS, np.float32)  # T, x, y
-        _start_tile(X0, Y0, W, H, buf)
-        a = tile_start[tile]
-        finished = False
-        for j in range(a, tile_start[tile + 1]):
-            total = hits = f4(0.0)
-            peak = np.int32(0)
-            if not finished:
-                i = ids[j]
-                mx, my, A, be, ka, t = _ellipse(flat, i)
-                hA, hk = f4(0.5) * A, f4(0.5) * ka
-                ya, yb = _tile_rows(flat, i, Y0)
-                row = buf[ya * TILE :]
-                for q in range((yb - ya) * TILE):
-                    _, _, _, _, _, w = _blend_pixel(row, q, mx, my, hA, be, hk, t)
-                    total += w
-                    peak = max(peak, _bits(w))
-                    hits += f4(1.0) if w > f4(0.0) else f4(0.0)
-                finished = (j - a) % 8 == 7 and _all_finished(buf)
-            _put(pairs, j, (total, _from_bits(peak), hits))
-
-
-@njit(parallel=True, nogil=True, fastmath=FAST, cache=True, error_model="numpy")
-def sum_statistics(order, first_pair, slots, pairs, column, statistics):
-    """Sum, maximum and sum of columns `column` to `column` + 2 over a Gaussian's pairs, into statistics (N, 3).
-
-    `statistics` is zeroed before.
-    """
-    M = order.shape[0]
-    NCH = 64
-    for ch in prange(NCH):
-        for k in range(ch * M // NCH, (ch + 1) * M // NCH):
-            i = order[k]
-            for q in range(first_pair[k], first_pair[k + 1]):
-                p = slots[q]
-                statistics[i, 0] += pairs[p, column]
-                statistics[i, 1] = max(statistics[i, 1], pairs[p, column + 1])
-                statistics[i, 2] += pairs[p, column + 2]
+            by_place = gu * iz, gv * iz, -giz * iz * iz
+            for c in range(3):
+                grad_means[i, c] = by_colour[c] + _dot(_column(view, c), by_place)

@@ -1,4 +1,4 @@
-"""gsplat 1.5 behind the functions of the CPU renderer, for tensors on a CUDA device. Imports gsplat when it draws.
+"""Drawing with torch, with gradients: the CPU kernels, or gsplat 1.5 for tensors on a CUDA device.
 
 gsplat imports without its kernels and fails later, so they are looked for: `missing` says what is not there. It waits
 for the device twice a call (an inverse of the cameras' matrices, the number of pairs), which several cameras share;
@@ -8,19 +8,22 @@ nothing here waits besides. C cameras, N Gaussians, M pixels that Gaussians are 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from airgs_codec.render.cpu import DILATION, FAR, TILE, Contribution, Floats, RasterInputs, Render, Weights
+from airgs_codec.render import cpu
+from airgs_codec.render.cpu import DILATION, FAR, TILE, Contribution, Floats, Loaded, RasterInputs, Redraw, Render
 from airgs_codec.scene.camera import Background, Camera
 
 BAND_PAIRS = 1 << 17  # (Gaussian, tile) pairs whose pixels are listed at once: at most 256 each, of 70 bytes
 ALL_BATCHES = 2**31 - 1  # of the pairs of a tile; the kernel takes a 32-bit number
 MOST_ALPHA = 0.999  # of a Gaussian in a pixel, as in the CPU renderer
+
+Picture = tuple[torch.Tensor, torch.Tensor]  # rgb (H, W, 3) and transmittance (H, W)
 
 
 def _before_backward() -> tuple[torch.Tensor, torch.Tensor]:
@@ -44,7 +47,6 @@ class AbsGrad:
 
     def collect(self, parts: Sequence[AbsGrad]) -> None:
         """Become the sum of those of several pictures, which may not be known yet."""
-
         self.read = lambda: _summed([part.read() for part in parts])
         self.signed = lambda: _summed([part.signed() for part in parts])
 
@@ -85,6 +87,58 @@ class Drawn:
     rgb: torch.Tensor  # (C, H, W, 3)
     transmittance: torch.Tensor  # (C, H, W)
     meta: dict[str, Any]  # what gsplat says of its projection
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Picture:
+        *tensors, camera, background, absgrad, redraw = inputs
+        arrays = RasterInputs(*(np.ascontiguousarray(t.detach().numpy(), np.float32) for t in tensors))
+        ctx.absgrad, ctx.blended = absgrad, cpu.blend(arrays, camera, background, redraw)
+        picture = ctx.blended.picture
+        return torch.from_numpy(picture.rgb), torch.from_numpy(picture.transmittance)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Any) -> tuple[Any, ...]:
+        rgb, transmittance = (np.ascontiguousarray(g.numpy(), np.float32) for g in grads)
+        gradients = cpu.gradients(ctx.blended, rgb, transmittance)
+        if ctx.absgrad is not None:
+            seen = torch.zeros(len(gradients.places), dtype=torch.bool)
+            seen[torch.from_numpy(ctx.blended.projected.order)] = True
+            half = np.array(ctx.blended.projected.size, np.float32) / 2
+            absolute, signed = (
+                torch.from_numpy(np.hypot(x, y)) for x, y in (gradients.absolute.T, (gradients.places * half).T)
+            )
+            ctx.absgrad.read = lambda: (absolute, seen)
+            ctx.absgrad.signed = lambda: (signed, seen)
+        return (*(torch.from_numpy(column) for column in gradients.inputs), None, None, None, None)
+
+
+def rasterize_views(
+    inputs: RasterInputs[torch.Tensor],
+    cameras: Sequence[Camera],
+    absgrad: AbsGrad | None = None,
+    redraws: Sequence[Redraw | None] | None = None,
+) -> list[Picture]:
+    """Draw what several cameras see, each before its own background: float32, differentiable, on the inputs' device.
+
+    On CUDA cameras of one size and near plane are drawn at once. `absgrad` is that of all pictures together, and can be
+    read after the backward pass. `redraws`: one for each; only its tiles are drawn and have gradients (gsplat draws
+    all).
+    """
+    on_cuda = inputs.means.is_cuda
+    if on_cuda and alike(cameras):
+        drawn = rasterize(inputs, cameras, [camera.background for camera in cameras], absgrad)
+        return list(zip(drawn.rgb, drawn.transmittance, strict=True))
+    if absgrad is None or len(cameras) == 1:
+        parts: list[AbsGrad | None] = [absgrad] * len(cameras)
+    else:
+        absgrad.collect(several := [AbsGrad() for _ in cameras])
+        parts = [*several]
+    if on_cuda:
+        return [rasterize_views(inputs, [c], part)[0] for c, part in zip(cameras, parts, strict=True)]
+    each = zip(cameras, parts, redraws or [None] * len(cameras), strict=True)
+    return [_Rasterize.apply(*inputs, c, c.background, part, redraw) for c, part, redraw in each]
 
 
 def alike(cameras: Sequence[Camera]) -> bool:
@@ -232,72 +286,52 @@ def _transmittance(alpha: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OnCuda:
-    inputs: RasterInputs[Floats]
-    tensors: RasterInputs[torch.Tensor]  # the same on the device
+class OnCuda(Loaded):
+    """Gaussians that gsplat draws: at least one."""
+
+    tensors: RasterInputs[torch.Tensor]  # the inputs on the device
 
     @staticmethod
     def of(inputs: RasterInputs[Floats], device: str = "cuda") -> OnCuda:
         return OnCuda(inputs, RasterInputs(*(upload(column, device) for column in inputs)))
 
     def draw(self, camera: Camera, background: Background | None = None) -> Render:
-        """The picture that `camera` sees before a background; None: the camera's."""
-        return _draw(self.tensors, camera, camera.background if background is None else background)
+        with torch.no_grad():
+            drawn = rasterize(self.tensors, [camera], [camera.background if background is None else background])
+        return Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
 
     def contribution(self, camera: Camera) -> Contribution:
-        """How much each Gaussian gives to what `camera` sees."""
-        if not len(self.inputs.means):
-            return _contribution(None)
         with torch.no_grad():
             return _contribution(rasterize(self.tensors, [camera], [camera.background]))
 
     def contribution_and_gradients(self, camera: Camera, pull: Floats) -> tuple[Contribution, RasterInputs[Floats]]:
-        """The contribution, and the derivatives by the activated Gaussians of sum(picture * pull), pull (H, W, 3)."""
-        if not len(self.inputs.means):
-            return _contribution(None), RasterInputs(*(np.zeros_like(column) for column in self.inputs))
         leaves = RasterInputs(*(t.detach().clone().requires_grad_(True) for t in self.tensors))
         drawn = rasterize(leaves, [camera], [camera.background])
         gradients = torch.autograd.grad((drawn.rgb[0] * upload(pull, drawn.rgb.device)).sum(), leaves)
         return _contribution(drawn), RasterInputs(*(_array(g) for g in gradients))
 
-    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> Weights:
-        """The picture that `camera` sees, and what each Gaussian gives to tiles, in all and in a mask (H, W)."""
+    def weights(self, camera: Camera, mask: NDArray[np.bool_]) -> cpu.Weights:
         shape = (-(-camera.height // TILE), -(-camera.width // TILE))
-        if not len(self.inputs.means):
-            none = np.zeros(0, np.int32)
-            return Weights(self.draw(camera), shape, none, none, np.zeros(0, np.float32), np.zeros(0, np.float32))
         with torch.no_grad():
             drawn = rasterize(self.tensors, [camera], [camera.background])
             ids, tiles, total, inside = measure_pairs(drawn, upload(mask, drawn.rgb.device))
         picture = Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
         pairs = (_array(ids.int()), _array(tiles.int()), _array(total.float()), _array(inside.float()))
-        return Weights(picture, shape, *pairs)
+        return cpu.Weights(picture, shape, *pairs)
 
-    def without(self, camera: Camera) -> Callable[[NDArray[np.bool_] | None], Floats]:
-        """Draws what `camera` sees of the rows of a mask (N,), None for all, as often as it is asked."""
-
-        def draw(drawn: NDArray[np.bool_] | None) -> Floats:
-            if drawn is None:
+    def without(self, camera: Camera) -> cpu.Without:
+        def draw(rows: NDArray[np.bool_] | None) -> Floats:
+            if rows is None:
                 return self.draw(camera).rgb
-            rows = torch.from_numpy(np.flatnonzero(drawn)).to(self.tensors.means.device)
-            return _draw(RasterInputs(*(t[rows] for t in self.tensors)), camera, camera.background).rgb
+            if not rows.any():
+                return np.tile(np.asarray(camera.background, np.float32), (camera.height, camera.width, 1))
+            drawn = torch.from_numpy(np.flatnonzero(rows)).to(self.tensors.means.device)
+            return replace(self, tensors=RasterInputs(*(t[drawn] for t in self.tensors))).draw(camera).rgb
 
         return draw
 
 
-def _draw(tensors: RasterInputs[torch.Tensor], camera: Camera, background: Background) -> Render:
-    if not len(tensors.means):  # gsplat takes no empty scene
-        rgb = np.tile(np.asarray(background, np.float32), (camera.height, camera.width, 1))
-        return Render(rgb, np.ones((camera.height, camera.width), np.float32))
-    with torch.no_grad():
-        drawn = rasterize(tensors, [camera], [background])
-    return Render(_array(drawn.rgb[0]), _array(drawn.transmittance[0]))
-
-
-def _contribution(drawn: Drawn | None) -> Contribution:
-    """Return what one camera saw; None: there was nothing."""
-    if drawn is None:
-        return Contribution(np.zeros(0), np.zeros(0), np.zeros(0, np.int64))
+def _contribution(drawn: Drawn) -> Contribution:
     total, peak, hits = (values.cpu().numpy() for values in measure_weights(drawn))
     return Contribution(total, peak, hits.astype(np.int64))
 

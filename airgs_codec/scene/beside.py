@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from airgs_codec.errors import SceneError
 from airgs_codec.places.whole import atomic_path, write_json
 from airgs_codec.scene.camera import BLACK, Background
+from airgs_codec.scene.columns import Columns
 from airgs_codec.scene.files import expecting, read_object
-from airgs_codec.scene.origin import ZERO, Origin
+from airgs_codec.scene.frames import ZERO, Origin
 
 ATTRIBUTION_NAME = "ATTRIBUTION.txt"
 USAGE_NAME = "usage.npz"
@@ -58,29 +59,24 @@ def read_settings(folder: Path, frames: int) -> Settings:
         x, y, z = map(float, data.get("origin", ZERO))
         if not np.isfinite((x, y, z)).all():
             raise ValueError(f"an origin of {x}, {y}, {z}")
-    if starts and not (starts[0] >= 0 and starts[-1] < frames):
-        raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
-    background = _background(path, data.get("background", BLACK))
-    return Settings(frame_rate(str(path), fps), starts, background, notes, (x, y, z))
+        if starts and not (starts[0] >= 0 and starts[-1] < frames):
+            raise SceneError(f"{path}: expected keyframes in 0..{frames - 1}, got {starts[0]} to {starts[-1]}")
+        colour = data.get("background", BLACK)
+        numbers = colour if isinstance(colour, list | tuple) and len(colour) == 3 else [np.nan]
+        if not all(type(value) in (int, float) and 0 <= value <= 1 for value in numbers):
+            raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {colour}")
+        r, g, b = map(float, numbers)
+    return Settings(frame_rate(str(path), fps), starts, (r, g, b), notes, (x, y, z))
 
 
 def write_settings(folder: Path, settings: Settings) -> None:
-    """Write it, atomically; of what is as by default, but for the frame rate, nothing is said."""
+    """Writes it, atomically; of what is as by default, but for the frame rate, nothing is said."""
     fps = settings.fps
-    told: dict[str, Any] = {"fps": float(fps) if Fraction(str(float(fps))) == fps else str(fps)}
-    told |= {} if settings.keyframes is None else {"keyframes": list(settings.keyframes)}
-    told |= {} if settings.background == BLACK else {"background": list(settings.background)}
-    told |= {} if settings.origin == ZERO else {"origin": list(settings.origin)}
-    told |= {"notes": list(settings.notes)} if settings.notes else {}
-    write_json(folder / SETTINGS_NAME, told)
-
-
-def _background(path: Path, data: Any) -> Background:
-    numbers = data if isinstance(data, (list, tuple)) else ()
-    if len(numbers) == 3 and all(type(value) in (int, float) and 0 <= value <= 1 for value in numbers):
-        r, g, b = map(float, numbers)
-        return r, g, b
-    raise SceneError(f"{path}: expected a background of r, g, b from 0 to 1, got {data}")
+    said: dict[str, Any] = {"fps": float(fps) if Fraction(str(float(fps))) == fps else str(fps)}
+    for name in ("keyframes", "background", "origin", "notes"):
+        if (value := getattr(settings, name)) != getattr(Settings(), name):
+            said[name] = list(value)
+    write_json(folder / SETTINGS_NAME, said)
 
 
 def exact_number(text: str) -> Fraction:
@@ -99,7 +95,7 @@ def frame_rate(where: str, fps: Fraction | float) -> Fraction:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Usage:
+class Usage(Columns):
     """Blending weights alpha T of each Gaussian over all pixels, views and frames that were measured (AirGS)."""
 
     total: NDArray[np.float64]  # (N,) sum of alpha T
@@ -112,32 +108,31 @@ class Usage:
 
 
 def save_usage(path: Path, groups: Mapping[tuple[int, int], Usage]) -> None:
-    """Write the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
+    """Writes the usage of groups, given by their frames (start, stop), as .npz, whole or not at all."""
     arrays: dict[str, NDArray] = {}
     for (start, stop), usage in groups.items():
-        columns = {"total": usage.total, "peak": usage.peak, "hits": usage.hits}
-        arrays |= {f"{start}:{stop}/{name}": column for name, column in columns.items()}
+        arrays |= {f"{start}:{stop}/{name}": column for name, column in usage.columns().items()}
     with atomic_path(path) as temporary, temporary.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def load_usage(path: Path, start: int, stop: int, count: int) -> Usage | None:
-    """Read the usage of the group of frames [start, stop) of so many rows; None when the file has no such group.
+    """Reads the usage of the group of frames [start, stop) of so many rows; None when the file has no such group.
 
     Raises SceneError when the file is not one that `save_usage` wrote, or has more rows: they are not unpacked.
     """
-    names = {name: f"{start}:{stop}/{name}" for name in ("total", "peak", "hits")}
     with (
         expecting(path, "usage as the trainer writes it"),
         path.open("rb") as opened,
         np.load(opened, allow_pickle=False) as file,
     ):
-        if names["total"] not in file:
+        names = [f"{start}:{stop}/{name}" for name in Usage.__slots__]
+        if names[0] not in file:
             return None
-        for key in names.values():
+        for key in names:
             if (size := file.zip.getinfo(f"{key}.npy").file_size) > MOST_HEADER_BYTES + 8 * count:
                 raise ValueError(f"{count} rows of 8 bytes, got {size} bytes of {key}")
-        return Usage(**{name: file[key] for name, key in names.items()})
+        return Usage(*(file[key] for key in names))
 
 
 def read_attribution(folder: Path) -> str:

@@ -97,18 +97,18 @@ class Camera:
         width, height = _numbers("size", size, (2,)).astype(int).tolist()
         if intrinsics is None:
             half = np.radians(float(_numbers("fov_y", fov_y, ()))) / 2
-            fx = fy = height / 2 / np.tan(half) if 0 < half < np.pi / 2 else 0.0
+            fx = fy = float(height / 2 / np.tan(half)) if 0 < half < np.pi / 2 else 0.0
             cx, cy = width / 2, height / 2
         else:
             (fx, _, cx), (_, fy, cy), _ = _numbers("intrinsics", intrinsics, (3, 3)).tolist()
-        given = "world_to_camera" if camera_to_world is None else "camera_to_world"
-        matrix: NDArray[np.float64] = np.eye(4)
-        rows = _numbers(given, world_to_camera if camera_to_world is None else camera_to_world, (4, 4), (3, 4))
-        matrix[: len(rows)] = rows
+        given, value = ("world_to_camera", world_to_camera)
+        if camera_to_world is not None:
+            given, value = ("camera_to_world", camera_to_world)
+        rows = _numbers(given, value, (4, 4), (3, 4))
+        matrix = np.concatenate([rows, np.eye(4)[len(rows) :]])
         try:
-            if camera_to_world is not None:
-                matrix = np.linalg.inv(matrix).astype(np.float64)
-            camera = Camera(name, width, height, float(fx), float(fy), cx, cy, matrix)
+            matrix = matrix if camera_to_world is None else np.linalg.inv(matrix)
+            camera = Camera(name, width, height, fx, fy, cx, cy, matrix)
             check_camera(camera)
         except ValueError as error:  # a matrix without an inverse, too
             raise SceneError(f"{given}, size, fov_y, intrinsics: {error}") from None
@@ -145,13 +145,13 @@ def check_camera(c: Camera) -> None:
 
 def _numbers(name: str, value: ArrayLike | None, *shapes: tuple[int, ...]) -> NDArray[np.float64]:
     """Finite numbers of one of some shapes. Raises SceneError for anything else."""
-    expected = f"{name}: expected finite numbers of shape {' or '.join(map(str, shapes))}"
     try:
         found = np.asarray(value, np.float64)
     except (TypeError, ValueError):
-        raise SceneError(f"{expected}, got {described(value)}") from None
+        found = np.array(np.nan)
     if found.shape not in shapes or not np.isfinite(found).all():
-        raise SceneError(f"{expected}, got {described(value)}")
+        expected = f"expected finite numbers of shape {' or '.join(map(str, shapes))}"
+        raise SceneError(f"{name}: {expected}, got {described(value)}")
     return found
 
 
@@ -169,22 +169,16 @@ def look_at(
     `up` (3,) points up in the picture; `fov_y` is the field of view in radians.
     """
     forward = (target - position) / np.linalg.norm(target - position)
-    right = _cross(forward, up)
+    right = np.cross(forward, up)
     if np.linalg.norm(right) < 1e-6:  # looking along `up`, right would be 0 / 0: any right vector will do
-        right = _cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
+        right = np.cross(forward, np.eye(3)[np.argmin(np.abs(forward))])
     right /= np.linalg.norm(right)
-    rotation = np.array([right, _cross(forward, right), forward])
+    rotation = np.array([right, np.cross(forward, right), forward])
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = -rotation @ position
     focal = size / 2 / np.tan(fov_y / 2)
     return Camera(name, size, size, focal, focal, size / 2, size / 2, matrix)
-
-
-def _cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The cross product of two vectors (3,), as numpy's, which takes ten times as long for a single one."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def resized(camera: Camera, share: float) -> Camera:
@@ -260,14 +254,9 @@ def scene_scale(cameras: Sequence[Camera], means: NDArray[Any], weights: NDArray
     """
     finite = np.isfinite(means).all(axis=1) & (weights > 0)
     means, weights = means[finite].astype(np.float64), weights[finite].astype(np.float64)
-    seen = []
-    for camera in cameras:
-        inside, depths = in_picture(camera, means)
-        if inside.any():
-            seen.append(weighted_quantile(depths[inside], weights[inside], 0.5))
-    if seen:
-        return float(np.median(seen))
-    return extent_of(means, weights)[1]
+    looks = [in_picture(camera, means) for camera in cameras]
+    seen = [weighted_quantile(depths[inside], weights[inside], 0.5) for inside, depths in looks if inside.any()]
+    return float(np.median(seen)) if seen else extent_of(means, weights)[1]
 
 
 def in_picture(c: Camera, points: NDArray[np.float64]) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
@@ -299,7 +288,7 @@ def orbit_views(gaussians: Gaussians, count: int = 8, size: int = 256, up: NDArr
     turns = 2 * np.pi * np.arange(count) / max(count, 1)
     rises = np.resize(ELEVATIONS, count)
     around = np.stack([np.sin(rises), np.cos(turns) * np.cos(rises), np.sin(turns) * np.cos(rises)], axis=1)
-    return _views_from(gaussians, around @ _upright(up), up, size)
+    return _views_from(gaussians, around, up, size)
 
 
 def dome_views(
@@ -314,13 +303,14 @@ def dome_views(
     None is lower or higher than `rises`, in radians above the horizon. Else they are as those of `orbit_views`.
     """
     low, high = np.sin(rises)
-    return _views_from(gaussians, spiral(count, float(low), float(high)) @ _upright(up), up, size)
+    return _views_from(gaussians, spiral(count, float(low), float(high)), up, size)
 
 
-def _upright(up: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3, 3) rows of length 1: `up`, and two at right angles to it and to each other."""
-    axes = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0].T  # the first is `up` or its opposite
-    return np.stack([up / np.linalg.norm(up), *axes[1:]])
+def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
+    """Cameras that look at the scene from (C, 3) sides of it, unit length; the first coordinate is along `up`."""
+    across = np.linalg.svd(np.asarray(up, np.float64)[:, None])[0].T[1:]  # the first is `up` or its opposite
+    sides = sides @ np.stack([up / np.linalg.norm(up), *across])
+    return [side_view(gaussians, side, up, size, f"orbit{i:02d}") for i, side in enumerate(sides)]
 
 
 def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np.float64]:
@@ -328,11 +318,6 @@ def spiral(count: int, lowest: float = -1.0, highest: float = 1.0) -> NDArray[np
     rises = highest - (highest - lowest) * (np.arange(count) + 0.5) / max(count, 1)
     turns, across = GOLDEN_ANGLE * np.arange(count), np.sqrt(1 - rises**2)
     return np.stack([rises, across * np.cos(turns), across * np.sin(turns)], axis=1)
-
-
-def _views_from(gaussians: Gaussians, sides: NDArray[np.float64], up: NDArray[np.float64], size: int) -> list[Camera]:
-    """Cameras that look at the scene from (C, 3) sides of it, unit length."""
-    return [side_view(gaussians, side, up, size, f"orbit{i:02d}") for i, side in enumerate(sides)]
 
 
 def side_view(
@@ -347,7 +332,14 @@ def side_view(
 
     `weights` (N,): what each row counts, by default its opacity.
     """
-    means, weights, centre = _content(gaussians, gaussians.opacities() if weights is None else weights)
+    weights = gaussians.opacities().astype(np.float64) if weights is None else weights
+    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weights)
+    if finite.any():
+        means, weights = gaussians.means[finite].astype(np.float64), weights[finite] + LEAST_SHARE
+    else:
+        means, weights = np.zeros((1, 3)), np.ones(1)
+    ends = (1 - COVERED) / 2, (1 + COVERED) / 2
+    centre = np.array([sum(weighted_quantile(values, weights, end) for end in ends) / 2 for values in means.T])
     offsets = means - centre
     matrix = look_at(side, np.zeros(3), up, size=size, fov_y=FIELD_OF_VIEW, name=name).world_to_camera
     x, y, z = matrix[:3, :3] @ offsets.T
@@ -361,20 +353,6 @@ def side_view(
     away = max(weighted_quantile(wanted, weights, COVERED), least)
     camera = look_at(centre + away * side, centre, up, size=size, fov_y=FIELD_OF_VIEW, name=name)
     return replace(camera, near=NEAR_SHARE * away)
-
-
-def _content(
-    gaussians: Gaussians, weights: NDArray[np.floating]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """(N, 3) the means that are finite, (N,) their weights, and (3,) the middle of nearly all weight."""
-    finite = np.isfinite(gaussians.means).all(axis=1) & np.isfinite(weights)
-    if not finite.any():
-        return np.zeros((1, 3)), np.ones(1), np.zeros(3)
-    means = gaussians.means[finite].astype(np.float64)
-    chosen = weights[finite].astype(np.float64) + LEAST_SHARE  # weights of 0 have a middle, too
-    ends = (1 - COVERED) / 2, (1 + COVERED) / 2
-    middle = [sum(weighted_quantile(values, chosen, end) for end in ends) / 2 for values in means.T]
-    return means, chosen, np.array(middle)
 
 
 def weighted_quantile(values: NDArray[np.float64], weights: NDArray[np.float64], share: float) -> float:

@@ -89,7 +89,6 @@ class Cursor:
             return cls(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
 
     def skip(self, count: int) -> int:
-        """Pass over `count` bytes; gives the place before them."""
         start, self.at = self.at, self.at + count
         if self.at > len(self.data):
             raise ValueError(f"it ends after {len(self.data)} bytes")
@@ -100,12 +99,10 @@ class Cursor:
         return struct.unpack_from(f"<{form}", self.data, self.skip(struct.calcsize(f"<{form}")))
 
     def piece(self, count: int) -> bytes:
-        """The next `count` bytes."""
         start = self.skip(count)
         return self.data[start : self.at]
 
     def text(self) -> str:
-        """UTF-8 up to a zero byte."""
         end = self.data.find(b"\0", self.at)
         if end < 0:
             raise ValueError("a name has no end")

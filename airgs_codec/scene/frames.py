@@ -1,29 +1,43 @@
-"""Frames that are read or made as they are asked for, and repairs that make those of one group codable. N rows."""
+"""Frames that are read or made as they are asked for, their repairs, and where their coordinates begin.
+
+Positions may be float64 until an origin comes off: far from zero float32 is too coarse for Gaussians. How coarse is
+measured against a Gaussian's own size, which is that of its second largest axis, and at least SMALL of that of most:
+beside them nobody sees where what is smaller is. N Gaussians.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import overload
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from airgs_codec._arguments import frame_argument
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.gaussians import LEAST_SHARE, Gaussians, least_turned, mix_rows, rename_axes, to_rotation_vector
-from airgs_codec.scene.origin import SAID, moved_share
+
+Origin = tuple[float, float, float]
+ZERO: Origin = (0.0, 0.0, 0.0)
+MOVED = 1 / 256  # of its size: a Gaussian's flank falls by 0.61 a size at most, so no pixel changes by 1/255
+SMALL = 0.1
+SAID = 0.01  # share of what is opaque that may move further before a line says so
+RUBBLE = 0.5  # share that may move further than its own size before nothing is left to encode
 
 OPACITY_LOGIT_LIMIT = np.float32(20.0)  # sigmoid(20) = 1 - 2e-9; an infinite logit is stored as this
 QUATERNION_MIN_NORM = 1e-12  # below it the squared length leaves float32: no direction to read
 NARROWER = 1.0  # bits a row that other names of axes must save
 LEAST_SPREAD = 1e-3  # of a channel: what varies by less takes no bits
-HIDDEN = "Gaussians that are not finite in some frame are not shown there"  # in notes of repairs, after their number
-ZERO = "Gaussians with zero quaternions were given identity"
 MOST_HIDDEN = 0.5  # share of what is opaque: the rest would be a scene that nobody gave
-FLAT = "Gaussians without thickness were given a thousandth of their largest axis"
 THIN = np.float32(np.log(1e-3))  # what is thinner covers no pixel of its own while it is less than a thousand wide
+NOTES = (  # of repairs, after the number of rows
+    "Gaussians that are not finite in some frame are not shown there",
+    "Gaussians with zero quaternions were given identity",
+    "Gaussians without thickness were given a thousandth of their largest axis",
+)
 
 
 class LazyFrames(Sequence[Gaussians]):
@@ -66,7 +80,6 @@ class HeldFrames:
         """`most`: bytes that all frames together may take."""
         self.most = most
         self._frames: dict[int, Gaussians] = {}  # the one that was asked for last stands last
-        self._bytes = 0
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[HeldFrames], tuple[int]]:
@@ -76,7 +89,6 @@ class HeldFrames:
         return number in self._frames
 
     def get(self, number: int, read: Callable[[int], Gaussians]) -> Gaussians:
-        """Return a frame, which `read` gives where it is not held."""
         with self._lock:
             frame = self._frames.pop(number, None)
             if frame is not None:
@@ -84,21 +96,19 @@ class HeldFrames:
                 return frame
         frame = read(number)
         with self._lock:
-            if number not in self._frames and _bytes_of(frame) <= self.most:
+            if _bytes_of(frame) <= self.most:
                 self._frames[number] = frame
-                self._bytes += _bytes_of(frame)
-            while self._bytes > self.most:
-                self._bytes -= _bytes_of(self._frames.pop(next(iter(self._frames))))
+            while sum(map(_bytes_of, self._frames.values())) > self.most:
+                del self._frames[next(iter(self._frames))]
         return frame
 
     def clear(self) -> None:
         with self._lock:
             self._frames.clear()
-            self._bytes = 0
 
 
 def _bytes_of(frame: Gaussians) -> int:
-    return sum(getattr(frame, field.name).nbytes for field in fields(frame))
+    return sum(column.nbytes for column in frame.columns().values())
 
 
 def place_rows(g: Gaussians, order: NDArray[np.integer]) -> Gaussians:
@@ -119,19 +129,18 @@ class Repaired:
 
 
 def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
-    """Make frames of one group codable; `where` names them in notes and errors. Row n stays row n.
+    """Makes frames of one group codable; `where` names them in notes and errors. Row n stays row n.
 
     Infinite opacity logits become ±20 and zero quaternions identity, all others unit length, and what has no thickness
     a thousandth of its largest axis. A row that is not finite then in some frame has no opacity there, and else what
     it has in the first frame where it is finite. All frames are looked at, one after the other. Notes give the largest
     share of what is opaque in a frame. Raises SceneError where that is more than MOST_HIDDEN of what is not finite.
     """
-    kinds = (HIDDEN, ZERO, FLAT)
-    rows, shares, apart = np.zeros((len(kinds), len(frames[0])), bool), np.zeros(len(kinds)), 0.0
+    rows, shares, apart = np.zeros((len(NOTES), len(frames[0])), bool), np.zeros(len(NOTES)), 0.0
     for place, frame in enumerate(frames):
         finite = _finite_rows(_with_finite_values(frame))
         flat = finite & np.isneginf(frame.log_scales).any(axis=1)
-        found = np.stack([~finite, finite & _zero_quaternions(frame), flat])
+        found = np.stack([~finite, finite & (_lengths(frame) < QUATERNION_MIN_NORM), flat])
         seen = np.nan_to_num(frame.opacities().astype(np.float64), nan=1.0) + LEAST_SHARE
         shares = np.maximum(shares, found @ seen / seen.sum())
         rows |= found
@@ -141,7 +150,7 @@ def repair(frames: Sequence[Gaussians], where: str) -> Repaired:
             raise SceneError(f"{where}: expected finite Gaussians, got {got}")
     stand_in = _stand_in(frames) if rows[0].any() else None
     rows[1:] &= ~rows[0]
-    counts = zip(np.count_nonzero(rows, axis=1), shares, kinds, strict=True)
+    counts = zip(np.count_nonzero(rows, axis=1), shares, NOTES, strict=True)
     notes = [f"{where}: {count} {words} ({share:.2%} of what is opaque)" for count, share, words in counts if count]
     if apart > SAID:
         notes.append(f"{where}: float32 moves {apart:.0%} of what is opaque by more than 1/256 of its size")
@@ -161,8 +170,43 @@ def _stand_in(frames: Sequence[Gaussians]) -> Gaussians:
     return found.take(np.where(left, np.argmin(left), np.arange(len(left))))
 
 
+def _repaired(frame: Gaussians, stand_in: Gaussians | None) -> Gaussians:
+    """A frame with finite rows, those of `stand_in` without opacity in place of others, and unit quaternions."""
+    frame = _with_finite_values(frame)
+    if stand_in is not None and not (finite := _finite_rows(frame)).all():
+        hidden = replace(stand_in, opacity_logits=np.full(len(frame), -OPACITY_LOGIT_LIMIT))
+        frame = mix_rows(frame, hidden, finite)
+    lengths = _lengths(frame)
+    zero = lengths < QUATERNION_MIN_NORM
+    q = np.where(zero[:, None], np.array([1, 0, 0, 0], np.float32), frame.quaternions)
+    return replace(frame, quaternions=(q / np.where(zero, 1.0, lengths)[:, None]).astype(np.float32))
+
+
+def _with_finite_values(g: Gaussians) -> Gaussians:
+    """The frame whose infinite opacity logits are limited, and axes without a size thin; a row of no size stays so."""
+    logits = np.where(np.isinf(g.opacity_logits), np.sign(g.opacity_logits) * OPACITY_LOGIT_LIMIT, g.opacity_logits)
+    sizes = g.log_scales
+    if (flat := np.isneginf(sizes)).any():
+        sizes = np.where(flat, sizes.max(axis=1, keepdims=True) + THIN, sizes)
+    return replace(g, opacity_logits=logits.astype(np.float32), log_scales=sizes)
+
+
+def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
+    rows = np.ones(len(g), bool)
+    for column in g.columns().values():
+        finite = np.isfinite(column)
+        if not finite.all():  # it takes a tenth of the time that looking at every row takes
+            rows &= finite.reshape(len(g), -1).all(axis=1)
+    return rows
+
+
+def _lengths(g: Gaussians) -> NDArray[np.float64]:
+    w, x, y, z = g.quaternions.T.astype(np.float64)
+    return np.asarray(np.sqrt(w * w + x * x + y * y + z * z))
+
+
 def turn_least(repaired: Repaired) -> Repaired:
-    """Name the axes of rows so that they are turned least, where they take fewer bits then; what they show stays.
+    """Renames the axes of rows so that they are turned least, where they take fewer bits then; what they show stays.
 
     A row has the names that turn it least in the middle frame in all frames of the group. Rows keep the names that they
     have where log-scales and rotation vectors would not take NARROWER bits a row less, by the logarithms of how much
@@ -183,48 +227,70 @@ def _spread(g: Gaussians) -> float:
     return float(np.log2(np.maximum(values.std(axis=0), LEAST_SPREAD)).sum())
 
 
-def _repaired(frame: Gaussians, stand_in: Gaussians | None) -> Gaussians:
-    """A frame with finite rows; those of `stand_in`, without opacity, in place of others."""
-    frame = _with_finite_values(frame)
-    if stand_in is not None and not (finite := _finite_rows(frame)).all():
-        hidden = replace(stand_in, opacity_logits=np.full(len(frame), -OPACITY_LOGIT_LIMIT))
-        frame = mix_rows(frame, hidden, finite)
-    return _with_unit_quaternions(frame)
+def moved_share(g: Gaussians, positions: NDArray[np.floating], by: float = MOVED) -> float:
+    """The share of what is opaque that float32 at (N, 3) may move by more than a Gaussian's size, times a factor."""
+    a, b, c = g.log_scales.T
+    x, y, z = np.abs(positions.T)
+    with np.errstate(over="ignore", invalid="ignore"):
+        steps = np.spacing(np.maximum(np.maximum(x, y), z).astype(np.float32)) / 2
+        sizes = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
+        sizes = np.exp(np.maximum(sizes, np.median(sizes) + np.float32(np.log(SMALL)) if len(sizes) else 0))
+        limits = np.float32(by) * sizes
+    alpha = np.nan_to_num(np.where(np.isfinite(steps) & (limits > 0), g.opacities(), 0.0))
+    return float(alpha[steps > limits].sum() / total) if (total := float(alpha.sum())) else 0.0
 
 
-def _with_finite_values(g: Gaussians) -> Gaussians:
-    """The frame whose infinite opacity logits are limited, and axes without a size thin; a row of no size stays so."""
-    logits = np.where(np.isinf(g.opacity_logits), np.sign(g.opacity_logits) * OPACITY_LOGIT_LIMIT, g.opacity_logits)
-    sizes = g.log_scales
-    if (flat := np.isneginf(sizes)).any():
-        sizes = np.where(flat, sizes.max(axis=1, keepdims=True) + THIN, sizes)
-    return replace(g, opacity_logits=logits.astype(np.float32), log_scales=sizes)
+def choose_origin(g: Gaussians) -> Origin:
+    """Where coordinates are to begin: at zero, unless another origin mends at least half of what float32 moves there.
+
+    It is about the median of the Gaussians, a multiple of a power of two that is not above how far they lie from it.
+    """
+    if (share := moved_share(g, g.means)) <= SAID:
+        return ZERO
+    origin = rounded_middle(g.means)
+    return origin if 2 * moved_share(g, g.means - np.array(origin)) <= share else ZERO
 
 
-def _finite_rows(g: Gaussians) -> NDArray[np.bool_]:
-    """(N,) whether every attribute of a row is finite."""
-    columns = (g.means, g.quaternions, g.log_scales, g.opacity_logits[:, None], g.sh_dc, g.sh_rest.reshape(len(g), -1))
-    rows = np.ones(len(g), bool)
-    for finite in map(np.isfinite, columns):
-        if not finite.all():  # it takes a tenth of the time that looking at every row takes
-            rows &= finite.all(axis=1)
-    return rows
+def rounded_middle(positions: NDArray[np.floating]) -> Origin:
+    """The median of finite positions (N, 3), rounded to no more than half of what most are away from it; 0 of none."""
+    positions = positions[np.isfinite(positions).all(axis=1)].astype(np.float64)
+    if not len(positions):
+        return ZERO
+    middle = np.median(positions, axis=0)
+    apart = float(np.median(np.abs(positions - middle).max(axis=1)))
+    x, y, z = (np.round(middle / (step := 2.0 ** np.floor(np.log2(apart)))) * step if apart else middle).tolist()
+    return x, y, z
 
 
-def _lengths(g: Gaussians) -> NDArray[np.float64]:
-    """(N,) of quaternions."""
-    w, x, y, z = g.quaternions.T.astype(np.float64)
-    return np.asarray(np.sqrt(w * w + x * x + y * y + z * z))
+def narrowed(g: Gaussians, origin: NDArray[np.float64], path: Path) -> Gaussians:
+    """The frame of a file with its positions from an origin (3,), in float32.
+
+    Raises SceneError where float32 holds doubles so coarsely that little is left of them.
+    """
+    if g.means.dtype == np.float32 and not origin.any():
+        return g
+    positions = g.means - origin
+    if g.means.dtype != np.float32 and (share := moved_share(g, positions, 1.0)) > RUBBLE:
+        raise SceneError(
+            f"{path}: expected Gaussians near each other, got some so far apart that float32 moves {share:.0%} of what "
+            "is opaque by more than its own size"
+        )
+    with np.errstate(over="ignore"):  # what becomes infinite is repaired or refused later
+        return replace(g, means=positions.astype(np.float32))
 
 
-def _zero_quaternions(g: Gaussians) -> NDArray[np.bool_]:
-    """(N,) whether the quaternion of a row has no direction."""
-    return _lengths(g) < QUATERNION_MIN_NORM
+def in_world(g: Gaussians, origin: ArrayLike) -> Gaussians:
+    """A frame for a file of doubles: its positions from zero, float64, where they are from an origin (3,)."""
+    positions: NDArray[Any] = g.means + np.asarray(origin, np.float64)
+    return replace(g, means=positions)
 
 
-def _with_unit_quaternions(g: Gaussians) -> Gaussians:
-    """The frame with quaternions of length 1, identity where they have no direction."""
-    lengths = _lengths(g)
-    zero = lengths < QUATERNION_MIN_NORM
-    q = np.where(zero[:, None], np.array([1, 0, 0, 0], np.float32), g.quaternions)
-    return replace(g, quaternions=(q / np.where(zero, 1.0, lengths)[:, None]).astype(np.float32))
+def origin_notes(g: Gaussians, origin: Origin) -> tuple[str, ...]:
+    """What people should know of the origin that was chosen by a frame as its file has it."""
+    if origin == ZERO:
+        return ()
+    where = ", ".join(f"{value:.15g}" for value in origin)
+    lost = f"float32 would move {moved_share(g, g.means):.0%} of what is opaque by more than 1/256 of its size"
+    if g.means.dtype == np.float32:
+        lost = lost.replace("would move", "in the files has moved") + ", which nothing brings back"
+    return (f"positions are taken from the origin ({where}): {lost}",)

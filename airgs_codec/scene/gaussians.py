@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
+from airgs_codec.scene.columns import Columns
 
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), real SH band 0
 LEAST_SHARE = 1e-9
@@ -26,14 +27,7 @@ SATURATED_LOGIT = np.float32(math.log(1019))  # a quarter of a step of 1/255 off
 LARGEST = 30.0  # ln(world units) of a scale that counts: the squares of larger ones leave float32
 SMALL_ANGLE = 1e-8  # radians, below which sin(a/2)/a is 1/2 to float64 precision; above it the division is safe
 Floats = NDArray[np.floating]
-_SHAPES: Mapping[str, tuple[str, Sequence[tuple[int, ...]]]] = {  # of attributes, for people and past N
-    "means": ("(N, 3)", [(3,)]),
-    "quaternions": ("(N, 4)", [(4,)]),
-    "log_scales": ("(N, 3)", [(3,)]),
-    "opacity_logits": ("(N,)", [()]),
-    "sh_dc": ("(N, 3)", [(3,)]),
-    "sh_rest": ("(N, K, 3) with K of 0, 3, 8 or 15", [(k, 3) for k in SH_REST]),
-}
+_SHAPES = {"means": (3,), "quaternions": (4,), "log_scales": (3,), "opacity_logits": (), "sh_dc": (3,)}  # past N
 # Each step moves the bits of a 21-bit number further apart: shift, then keep the bits of the mask.
 _SPREAD = (
     (32, 0x001F00000000FFFF),
@@ -43,10 +37,13 @@ _SPREAD = (
     (2, 0x1249249249249249),
 )
 _LOW_21 = np.uint64(0x1FFFFF)
+# (24, 4) unit quaternions of the rotations that bring a cube to itself, one of q and -q.
+_WHOLE = [q for q in itertools.product((0.0, 1.0, -1.0), repeat=4) if np.count_nonzero(q) in (1, 2, 4)]
+CUBE = np.array([np.divide(q, np.linalg.norm(q)) for q in _WHOLE if next(filter(None, q)) > 0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gaussians:
+class Gaussians(Columns):
     """One frame of N Gaussians in stored domain, float32. Row n is the same Gaussian in every frame of a group.
 
     means           (N, 3)     world units
@@ -72,18 +69,17 @@ class Gaussians:
 
     def __post_init__(self) -> None:
         rows = next(iter(getattr(self.means, "shape", ())), 0)
-        for name, (text, shapes) in _SHAPES.items():
-            value = getattr(self, name)
+        for name, value in self.columns().items():
             shape = getattr(value, "shape", None)
             if shape is not None and not (isinstance(value, np.ndarray) and value.dtype.kind == "f"):
                 object.__setattr__(self, name, as_floats(name, value))
-            if shape not in [(rows, *rest) for rest in shapes]:
-                expected = text if name == "means" else text.replace("N", str(rows))
+            rest = [(k, 3) for k in SH_REST] if name == "sh_rest" else [_SHAPES[name]]
+            if shape not in [(rows, *one) for one in rest]:
+                expected = f"({rows}, K, 3) with K of 0, 3, 8 or 15" if name == "sh_rest" else (rows, *_SHAPES[name])
                 got = type(value).__name__ if shape is None else tuple(shape)
-                raise SceneError(f"{name}: expected an array of shape {expected}, got {got}")
-
-    def __len__(self) -> int:
-        return len(self.means)
+                raise SceneError(
+                    f"{name}: expected an array of shape {'(N, 3)' if name == 'means' else expected}, got {got}"
+                )
 
     def __repr__(self) -> str:
         ends = [f"({', '.join(f'{x:.4g}' for x in end(self.means, axis=0))})" for end in (np.min, np.max) if len(self)]
@@ -91,12 +87,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        """The degree of the spherical harmonics, 0 to 3."""
         return SH_REST.index(self.sh_rest.shape[1])
-
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_] | slice) -> Gaussians:
-        """The rows that an index array, a mask or a slice picks; a slice copies nothing."""
-        return Gaussians(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def with_degree(self, degree: int) -> Gaussians:
         """The same Gaussians without the SH bands above `degree`, which is at most theirs."""
@@ -119,10 +110,9 @@ class Gaussians:
 
 
 def as_floats(where: str, value: Any, wide: bool = False) -> NDArray[Any]:
-    """Float32 on this machine, without a copy where it is that; of a torch tensor without its gradient.
+    """Converts an array or a torch tensor to float32, without a copy where it is that; doubles stay where `wide`.
 
-    Where `wide`, numbers of more bytes become float64. Raises SceneError, which begins with `where`, for what is no
-    array of real numbers.
+    Raises SceneError, which begins with `where`, for what is no array of real numbers.
     """
     try:
         if hasattr(value, "detach"):
@@ -137,37 +127,40 @@ def as_floats(where: str, value: Any, wide: bool = False) -> NDArray[Any]:
 
 
 def mean_frame(frames: Sequence[Gaussians]) -> Gaussians:
-    """The mean of frames of the same rows, each weighed by its alpha, so that what nobody sees does not count.
+    """Averages frames of the same rows, each row weighed by its alpha, so that what nobody sees does not count.
 
-    So do frames in which a row is far from the scene, by the area that it takes in pictures there. Alpha itself is
-    averaged plainly; the shorter of both ways between two rotations is taken. Frames are looked at one after the other.
+    Frames in which a row is far from the scene count less, by the area that it takes in pictures there. Alpha itself is
+    averaged plainly; of q and -q that is taken which is nearer to the middle frame's. Frames are read one by one.
     """
-    seen, weight = np.zeros(len(frames[0])), np.zeros(len(frames[0]))
-    middle, remoteness = frames[len(frames) // 2].quaternions, remoteness_in(frames[len(frames) // 2])
+    middle = frames[len(frames) // 2]
+    remoteness = remoteness_in(middle)
+    sums = {name: np.zeros(column.shape) for name, column in middle.columns().items()}
+    weight = np.zeros(len(middle))
 
-    def shares(g: Gaussians) -> Floats:
+    def weights(g: Gaussians) -> Floats:
         """Above 0, so that frames of rows that are never seen count alike."""
         return (g.opacities().astype(np.float64) + LEAST_SHARE) / np.maximum(remoteness(g), 1) ** 2
 
     for g in frames:
-        seen += g.opacities()
-        weight += shares(g)
-    names = [f.name for f in fields(Gaussians) if f.name != "opacity_logits"]
-    sums = {name: np.zeros(getattr(frames[0], name).shape) for name in names}
+        weight += weights(g)
     for g in frames:
-        share = shares(g) / weight
-        turn = np.where(np.einsum("ni,ni->n", g.quaternions, middle) < 0, -1.0, 1.0)
-        for name, total in sums.items():
-            column = getattr(g, name) * turn[:, None] if name == "quaternions" else getattr(g, name)
-            total += column * share.reshape(-1, *[1] * (column.ndim - 1))
-    alpha = np.clip(seen / len(frames), ALPHA_LIMIT, 1 - ALPHA_LIMIT)
+        share = weights(g) / weight
+        turn = np.where(np.einsum("ni,ni->n", g.quaternions, middle.quaternions) < 0, -1.0, 1.0)
+        for name, column in g.columns().items():
+            if name == "opacity_logits":
+                sums[name] += g.opacities()
+            else:
+                values = column * turn[:, None] if name == "quaternions" else column
+                sums[name] += values * share.reshape(-1, *[1] * (column.ndim - 1))
+    alpha = np.clip(sums["opacity_logits"] / len(frames), ALPHA_LIMIT, 1 - ALPHA_LIMIT)
+    sums["opacity_logits"] = np.log(alpha / (1 - alpha))
     means = {name: total.astype(np.float32) for name, total in sums.items()}
     means["quaternions"] /= np.linalg.norm(means["quaternions"], axis=1, keepdims=True)
-    return Gaussians(**means, opacity_logits=np.log(alpha / (1 - alpha)).astype(np.float32))
+    return Gaussians(**means)
 
 
 def remoteness_in(scene: Gaussians) -> Callable[[Gaussians], NDArray[np.float64]]:
-    """What gives (N,) distances of finite rows from the middle of a scene; above 1 they are FAR times the median."""
+    """Measures how far rows are from the middle of a scene: (N,), above 1 where it is FAR times the median distance."""
     middle = np.median(scene.means, axis=0).astype(np.float64)
     far = FAR * float(np.median(np.abs(scene.means - middle).max(axis=1)))
     return lambda g: np.abs(g.means - middle).max(axis=1) / (far or np.inf)
@@ -175,13 +168,7 @@ def remoteness_in(scene: Gaussians) -> Callable[[Gaussians], NDArray[np.float64]
 
 def mix_rows(a: Gaussians, b: Gaussians, choose: NDArray[np.bool_]) -> Gaussians:
     """Rows of `a` where `choose` (N,) says so, else those of `b`."""
-    columns = [(getattr(a, f.name), getattr(b, f.name)) for f in fields(Gaussians)]
-    return Gaussians(*(np.where(choose.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in columns))
-
-
-def join_rows(parts: Sequence[Gaussians]) -> Gaussians:
-    """The rows of all parts one after another; all of one SH degree."""
-    return Gaussians(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(Gaussians)))
+    return Gaussians.combined([a, b], lambda ab: np.where(choose.reshape(-1, *[1] * (ab[0].ndim - 1)), *ab))
 
 
 def sigmoid(x: NDArray[np.floating]) -> NDArray:
@@ -191,10 +178,7 @@ def sigmoid(x: NDArray[np.floating]) -> NDArray:
 
 
 def logits_of(alpha: NDArray[np.floating]) -> NDArray[np.float32]:
-    """Logits of opacities in [0, 1], NaN of NaN.
-
-    What is nearer to 0 or 1 than a quarter of a step of 1/255 becomes that, so that no logit is infinite.
-    """
+    """Logits of opacities in [0, 1], those nearer to 0 or 1 than 1/1020 as that, so that none is infinite."""
     alpha = alpha.astype(np.float64)
     with np.errstate(divide="ignore", invalid="ignore"):
         logits = np.log(alpha / (1 - alpha))
@@ -226,27 +210,16 @@ def multiply(a: Floats, b: Floats) -> Floats:
     """The Hamilton product a b of (..., 4) quaternions: the rotation by b, then by a."""
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
-    return np.stack(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ],
-        axis=-1,
-    )
+    w = aw * bw - ax * bx - ay * by - az * bz
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    return np.stack([w, x, y, z], axis=-1)
 
 
 def conjugate(q: Floats) -> Floats:
     """(..., 4) unit quaternions -> their inverses."""
     return q * np.array([1, -1, -1, -1], q.dtype)
-
-
-def _cube_rotations() -> NDArray[np.float64]:
-    """(24, 4) unit quaternions of the rotations that bring a cube to itself, one of q and -q."""
-    whole = [q for q in itertools.product((0.0, 1.0, -1.0), repeat=4) if np.count_nonzero(q) in (1, 2, 4)]
-    ahead = np.array([q for q in whole if next(filter(None, q)) > 0])
-    return ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
 
 
 def least_turned(g: Gaussians) -> NDArray[np.intp]:
@@ -255,10 +228,7 @@ def least_turned(g: Gaussians) -> NDArray[np.intp]:
 
 
 def rename_axes(g: Gaussians, cube: NDArray[np.intp]) -> Gaussians:
-    """The same shapes, each row turned by a rotation (N,) of CUBE first, its log-scales in the order that asks for.
-
-    A Gaussian looks alike whichever of its axes is called x, and whichever way along it is counted as ahead.
-    """
+    """Turns each row by a rotation (N,) of CUBE first and reorders its log-scales, so that it shows the same."""
     axes = np.abs(to_matrices(CUBE)).argmax(axis=1)[cube]
     turned = multiply(g.quaternions.astype(np.float64), CUBE[cube]).astype(np.float32)
     return replace(g, quaternions=turned, log_scales=np.take_along_axis(g.log_scales, axes, axis=1))
@@ -304,6 +274,3 @@ def morton_decode(code: NDArray[np.uint64]) -> NDArray[np.uint32]:
             v = (v | (v >> np.uint64(shift))) & np.uint64(mask)
         index[:, axis] = v
     return index
-
-
-CUBE = _cube_rotations()

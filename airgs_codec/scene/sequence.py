@@ -17,45 +17,34 @@ from airgs_codec._arguments import argument, described, frame_argument, path_arg
 from airgs_codec.errors import FrameError, SceneError
 from airgs_codec.places.place import Copied, is_address
 from airgs_codec.progress import Progress, silent, told
-from airgs_codec.scene.arrays import IN_MEMORY, clip_of
-from airgs_codec.scene.beside import (
-    ATTRIBUTION_NAME,
-    DEFAULT_FPS,
-    SETTINGS_NAME,
-    USAGE_NAME,
-    Settings,
-    Usage,
-    frame_rate,
-    load_usage,
-    read_attribution,
-    read_settings,
-)
+from airgs_codec.scene import beside
+from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Usage
 from airgs_codec.scene.camera import BLACK, Background, Camera, cameras_from
-from airgs_codec.scene.cameras.posed import distinct, told_of_lenses
-from airgs_codec.scene.cameras.read import NAMES as CAMERA_NAMES
-from airgs_codec.scene.cameras.read import SUFFIXES as CAMERA_SUFFIXES
-from airgs_codec.scene.cameras.read import find_cameras, locate_cameras, read_cameras, read_posed
+from airgs_codec.scene.cameras import CAMERA_NAMES, CAMERA_SUFFIXES, find_cameras, locate_cameras, read_posed
+from airgs_codec.scene.cameras.forms import distinct, told_of_lenses
+from airgs_codec.scene.formats import table
+from airgs_codec.scene.formats.clips import clip_of
 from airgs_codec.scene.formats.form import Axes, Bake, Clip, FrameFormat, FrameHeader
 from airgs_codec.scene.formats.ply import is_whole, read_ply, read_ply_header
-from airgs_codec.scene.formats.table import (
-    CLIP_SUFFIXES,
-    Found,
-    clip_format,
-    find_frames,
-    format_of,
-    natural_key,
-    oddities_of,
-    read_frame,
-    read_frame_header,
+from airgs_codec.scene.frames import (
+    ZERO,
+    HeldFrames,
+    LazyFrames,
+    Origin,
+    Repaired,
+    choose_origin,
+    narrowed,
+    origin_notes,
+    place_rows,
+    repair,
 )
-from airgs_codec.scene.frames import HeldFrames, LazyFrames, Repaired, place_rows, repair
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, Origin, choose_origin, narrowed, origin_notes
 
 if TYPE_CHECKING:
-    from airgs_codec.media.sound import SoundTrack  # and PyAV with it
+    from airgs_codec.media.movie import SoundTrack  # and PyAV with it
 
-BESIDE = (ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
+BESIDE = (beside.ATTRIBUTION_NAME, *CAMERA_NAMES)  # what is copied with one file that is opened by its own address
+IN_MEMORY = Path("frames in memory")  # in place of a file
 LONE = 2  # frames of a sequence that may be of another scene: where more are unlike, counts vary
 HELD_BYTES = 1 << 29  # of the frames of a group: more are read again and again, not held in memory
 
@@ -109,12 +98,13 @@ class GaussianSequence:
         views = tuple(argument("cameras", camera, Camera, "cameras") for camera in cameras)
         clip = clip_of(frames, fps)
         paths, behind = (IN_MEMORY,) * len(clip.headers), views[0].background if views else BLACK
-        found = GaussianSequence(IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind)
-        return _from_own_origin(replace(found, alone=True, clip=clip))
+        found = GaussianSequence(
+            IN_MEMORY, paths, clip.headers, clip.fps, None, views, background=behind, alone=True, clip=clip
+        )
+        return _from_own_origin(found)
 
     @property
     def sh_degree(self) -> int:
-        """The SH degree of every frame as it is read, 0 to 3."""
         return min(self.headers[0].sh_degree, self.max_sh_degree)
 
     @property
@@ -125,7 +115,7 @@ class GaussianSequence:
     @property
     def format(self) -> FrameFormat:
         """The format of the frames, where they are no clip. Raises SceneError."""
-        return format_of(self.paths[0])
+        return table.format_of(self.paths[0])
 
     @property
     def attribution(self) -> str:
@@ -133,7 +123,7 @@ class GaussianSequence:
         if self.credit is not None:
             return self.credit
         with _naming(self.copied):
-            return read_attribution(self.folder)
+            return beside.read_attribution(self.folder)
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -151,16 +141,14 @@ class GaussianSequence:
         return map(self.read, range(len(self)))
 
     def __repr__(self) -> str:
-        place, most = self.name_of(self.paths[0] if self.alone else self.folder), max(h.count for h in self.headers)
-        frames = f"{len(self)} frame{'s' * (len(self) > 1)} at {float(self.fps):g} a second"
-        return f"Sequence({place}: {frames}, of up to {most} rows)"
+        place = self.name_of(self.paths[0] if self.alone else self.folder)
+        return f"Sequence({place}: {len(self)} frames at {float(self.fps):g} a second)"
 
     def name_of(self, path: Path) -> str:
         """A path for people: the address, where it was copied from one."""
         return self.copied.named(str(path)) if self.copied else str(path)
 
     def count(self, frame: int) -> int:
-        """The number of rows of a frame as it is read."""
         return len(self.orders[frame]) if frame in self.orders else self.headers[frame].count
 
     def usage(self, start: int, stop: int) -> Usage | None:
@@ -168,14 +156,14 @@ class GaussianSequence:
 
         Rows that are in another order than in the files are not those that it measured.
         """
-        if self.alone or any(frame in self.orders for frame in range(start, stop)):
+        path = self.folder / beside.USAGE_NAME
+        if self.alone or any(frame in self.orders for frame in range(start, stop)) or not path.is_file():
             return None
-        path = self.folder / USAGE_NAME
         with _naming(self.copied):
-            return load_usage(path, start, stop, self.count(start)) if path.is_file() else None
+            return beside.load_usage(path, start, stop, self.count(start))
 
     def read(self, frame: int) -> Gaussians:
-        """Read one frame unrepaired, as its file has it but for `orders`.
+        """Reads one frame unrepaired, as its file has it but for `orders`.
 
         Raises FrameError for a number below 0 or past the end, SceneError when the file is broken.
         """
@@ -185,7 +173,6 @@ class GaussianSequence:
         return place_rows(g, self.orders[frame]) if frame in self.orders else g
 
     def close(self) -> None:
-        """Let go of the frames that are held."""
         if self.held is not None:
             self.held.clear()
 
@@ -194,9 +181,8 @@ class GaussianSequence:
             return narrowed(self._stored(frame), np.subtract(self.origin, self.stored_at), self.paths[frame])
 
     def _stored(self, frame: int) -> Gaussians:
-        """A frame as its file has it, with positions that may be float64."""
         path = self.paths[frame]
-        return self.clip.read(path, frame) if self.clip else read_frame(path)
+        return self.clip.read(path, frame) if self.clip else table.read_frame(path)
 
     def at_origin(self, origin: Origin) -> GaussianSequence:
         """The sequence with positions of frames and cameras from another origin in the world."""
@@ -258,7 +244,7 @@ def open_sequence(
     them, and a `bake_fps` of frames; ConfigError for a wrong address, TransportError for a store that does not answer.
     """
     folder = path_argument("folder", folder)
-    rate = None if bake_fps is None else frame_rate(str(folder), bake_fps)
+    rate = None if bake_fps is None else beside.frame_rate(str(folder), bake_fps)
     bake = Bake(rate, None if duration is None else Fraction(str(duration)))
     copied = Copied(str(folder), BESIDE, told(progress)) if is_address(folder) else None
     with _naming(copied):
@@ -277,29 +263,23 @@ def _naming(copied: Copied | None) -> Iterator[None]:
 
 
 def _open(place: Path, bake: Bake, views: str | Path | None, fps: Fraction | float | None) -> GaussianSequence:
-    found = find_frames(place)
-    if len(found.paths) == 1 and (form := clip_format(found.paths[0])):
-        return _sequence_of_clip(found, form.open(found.paths[0], bake), views, fps)
-    if bake != Bake():
-        raise SceneError(f"{place}: expected a clip to bake ({', '.join(CLIP_SUFFIXES)}), got frames")
-    frames = [(path, read_frame_header(path)) for path in found.paths]
-    return sequence_of(found.folder, frames, views=views, fps=fps, alone=found.alone)
-
-
-def _sequence_of_clip(
-    found: Found, clip: Clip, views: str | Path | None, fps: Fraction | float | None
-) -> GaussianSequence:
-    """A clip with its own cameras or those beside it; the note says where its own are not of the scene."""
+    found = table.find_frames(place)
     path = found.paths[0]
-    if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
-        try:
-            read_cameras(path)
-            views = path
-        except SceneError as error:
-            clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
-    frames = [(path, header) for header in clip.headers]
-    rate = clip.fps if fps is None else fps
-    return sequence_of(found.folder, frames, views=views, fps=rate, alone=True, clip=clip)
+    if len(found.paths) == 1 and (form := table.clip_format(path)):
+        clip = form.open(path, bake)
+        if views is None and path.suffix.lower() in CAMERA_SUFFIXES:
+            try:
+                read_posed(path)
+                views = path
+            except SceneError as error:  # its own are not of the scene
+                clip = replace(clip, note=f"{clip.note}; no cameras from it ({str(error).removeprefix(f'{path}: ')})")
+        headed = [(path, header) for header in clip.headers]
+        rate = clip.fps if fps is None else fps
+        return sequence_of(found.folder, headed, views=views, fps=rate, alone=True, clip=clip)
+    if bake != Bake():
+        raise SceneError(f"{place}: expected a clip to bake ({', '.join(table.CLIP_SUFFIXES)}), got frames")
+    headed = [(path, table.read_frame_header(path)) for path in found.paths]
+    return sequence_of(found.folder, headed, views=views, fps=fps, alone=found.alone)
 
 
 def sequence_of(
@@ -316,37 +296,44 @@ def sequence_of(
 
     `alone`: it is one file, which others may lie beside. `origin`: by default the one that the first frame asks for.
     """
-    degree = frames[0][1].sh_degree
+    first, degree = frames[0][0], frames[0][1].sh_degree
     for path, header in frames:
         if header.count == 0:
             raise SceneError(f"{path}: expected at least one Gaussian, got none")
         if header.sh_degree != degree:
-            expected = f"expected SH degree {degree} as in {frames[0][0].name}"
-            raise SceneError(f"{path}: {expected}, got {header.sh_degree}")
-    own = Settings() if alone else read_settings(folder, len(frames))
-    odd = () if alone else (*oddities_of([path for path, _ in frames]), *_lone_counts(frames))
-    rate = own.fps if fps is None else frame_rate(str(folder), fps)
+            raise SceneError(f"{path}: expected SH degree {degree} as in {first.name}, got {header.sh_degree}")
+    paths, headers = zip(*frames, strict=True)
+    own = beside.Settings() if alone else beside.read_settings(folder, len(frames))
     cameras_path = locate_cameras(Path(views)) if views else find_cameras(folder)
     posed = read_posed(cameras_path) if cameras_path else []
-    cameras = tuple(replace(c, background=own.background) for c in distinct(posed))
-    paths, headers = zip(*frames, strict=True)
-    found = GaussianSequence(folder, paths, headers, rate, own.keyframes, cameras, cameras_path=cameras_path)
-    found = replace(
-        found, background=own.background, notes=(*own.notes, *odd, *told_of_lenses(posed)), alone=alone, clip=clip
+    cameras = (replace(camera, background=own.background) for camera in distinct(posed))
+    odd = () if alone else (*table.oddities_of(paths), *_lone_counts(frames))
+    found = GaussianSequence(
+        folder,
+        paths,
+        headers,
+        own.fps if fps is None else beside.frame_rate(str(folder), fps),
+        own.keyframes,
+        cameras_from(own.origin, cameras),
+        cameras_path=cameras_path,
+        background=own.background,
+        notes=(*own.notes, *odd, *told_of_lenses(posed)),
+        alone=alone,
+        clip=clip,
+        origin=own.origin,
+        stored_at=own.origin,
     )
-    found = replace(found, origin=own.origin, stored_at=own.origin, cameras=cameras_from(own.origin, cameras))
     return _from_own_origin(found) if origin is None else found.at_origin(origin)
 
 
 def _lone_counts(frames: Sequence[tuple[Path, FrameHeader]]) -> list[str]:
     """A sentence for each frame with another number of rows than those on both sides, where there are few."""
-    counts = [header.count for _, header in frames]
-    lone = [i for i in range(1, len(counts) - 1) if counts[i - 1] == counts[i + 1] != counts[i]]
-    lines = [
-        f"{frames[i][0].name}: {counts[i]} Gaussians, frames beside it have {counts[i - 1]}: is it of another scene?"
-        for i in lone
+    lone = [
+        f"{path.name}: {this.count} Gaussians, frames beside it have {before.count}: is it of another scene?"
+        for (_, before), (path, this), (_, after) in zip(frames, frames[1:], frames[2:], strict=False)
+        if before.count == after.count != this.count
     ]
-    return lines if len(lone) <= LONE else []
+    return lone if len(lone) <= LONE else []
 
 
 def _from_own_origin(sequence: GaussianSequence) -> GaussianSequence:
@@ -381,7 +368,8 @@ class GrowingFolder:
         Raises SceneError as `open_sequence` does, and for a frame whose name comes before that of one that was taken.
         """
         fresh = [(path, read_ply_header(path)) for path in itertools.takewhile(is_whole, self._waiting())]
-        written = self._settings_time()
+        settings = self._folder / SETTINGS_NAME
+        written = settings.stat().st_mtime_ns if settings.is_file() else 0
         if fresh or (self._frames and written != self._read_at):
             self._frames += fresh
             self._read_at = written
@@ -397,15 +385,9 @@ class GrowingFolder:
             raise SceneError(f"{self._folder}: expected at least one .ply frame, got none")
 
     def _waiting(self) -> list[Path]:
-        """Files behind the frames that were taken, in order."""
         taken = {path for path, _ in self._frames}
-        found = sorted((path for path in self._folder.glob("*.ply") if path not in taken), key=natural_key)
-        if found and self._frames and natural_key(found[0]) < natural_key(self._frames[-1][0]):
+        found = sorted((path for path in self._folder.glob("*.ply") if path not in taken), key=table.natural_key)
+        if found and self._frames and table.natural_key(found[0]) < table.natural_key(self._frames[-1][0]):
             last = self._frames[-1][0].name
             raise SceneError(f"{found[0]}: expected frames to come in the order of their names, got it after {last}")
         return found
-
-    def _settings_time(self) -> int:
-        """Return when sequence.json was last written; 0 where it is not there."""
-        path = self._folder / SETTINGS_NAME
-        return path.stat().st_mtime_ns if path.is_file() else 0

@@ -1,4 +1,4 @@
-"""The application: files of packages below their names, a list of the packages above them, and the player.
+"""The server: Hypercorn, which serves files of packages below their names, a list of the packages, and the player.
 
 Starlette sends files, with its ranges and conditions, in pieces as a connection takes them. Texts, which change while a
 package grows, are read whole: what a client gets under one entity tag is one version, never a mixture of two.
@@ -10,12 +10,19 @@ import asyncio
 import contextlib
 import gzip
 import hashlib
+import logging
 import os
-import re
+import socket
+import ssl
 import stat
-from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+from urllib.parse import quote
 
+from hypercorn.asyncio import serve as serve_asgi
+from hypercorn.config import Config
+from priority import PriorityError
 from starlette.applications import Starlette
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
@@ -26,18 +33,17 @@ from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, POSTER_NAME, ROOTS
+from airgs_codec.package.layout import INIT_NAME, JSON_NAME, MEDIA_TYPES, MPD_NAME, POSTER_NAME, belongs
 from airgs_codec.package.package import REPR_DIGEST, repr_digest
 from airgs_codec.package.tables import shorten
 from airgs_codec.serve import pages
-from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, addresses, content_policy, list_page, player_address
+from airgs_codec.serve.pages import NOT_BUILT, PAGE_TYPES, content_policy, list_page, player_address
 
 LASTING = "public, max-age=31536000, immutable"
 CHECKED = "no-cache"  # may be stored, but is asked for again each time
 LEAST_ZIPPED_BYTES = 1024  # what fits one packet gains nothing
 MOST_HELD_BYTES = 4 << 20  # of a text that is read whole and zipped; a longer one is sent in pieces
 METHODS = "GET, HEAD, OPTIONS"
-POLICY = "Content-Security-Policy"
 HEAD_BYTES = 16 * 1024  # of a request's target and headers
 EVERYWHERE = {  # pages of any origin may read what is served here, and see its headers and times
     "Access-Control-Allow-Origin": "*",
@@ -45,17 +51,19 @@ EVERYWHERE = {  # pages of any origin may read what is served here, and see its 
     "Timing-Allow-Origin": "*",
     "X-Content-Type-Options": "nosniff",
 }
-NOTHING_MORE: Mapping[str, str] = {}
 PREFLIGHT = {
     "Allow": METHODS,
     "Access-Control-Allow-Methods": METHODS,
     "Access-Control-Allow-Headers": "If-None-Match, If-Range, Range",
     "Access-Control-Max-Age": "86400",
 }
-_BELOW = r"(?:group|index|key|sound|state)/(?:[A-Za-z0-9_-]+/){0,3}[A-Za-z0-9_-]+(?:\.[a-z0-9]+){1,2}"
-_PATH = re.compile("|".join([*map(re.escape, (*ROOTS, INIT_NAME, POSTER_NAME)), _BELOW]), re.ASCII)
 _TEXT = (".json", ".mpd", ".html", ".js")  # the only files that are not compressed already
 _FILES = StaticFiles()
+
+PATIENCE_S = 20.0
+BACKLOG = 1024  # connections that wait to be taken
+SILENCE = 6  # times the patience without a word from a client end its connection, even while it takes an answer
+CONNECTION_REQUESTS = 1_000_000  # a viewer's connection lives as long as a sequence
 
 
 class Packages:
@@ -68,57 +76,58 @@ class Packages:
         """
         self._named: dict[str, Path] = {}
         self._holders: list[Path] = []
-        self._known: dict[str, Path] = {}
+        known: dict[str, Path] = {}
         for folder in folders:
-            own = _is_package(folder)
-            found = {folder.resolve().name: folder.absolute()} if own else _packages_in(folder)
-            if not found and not _is_empty(folder):
-                kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one"
-                raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
-            for name in sorted(found.keys() & self._known.keys()):
-                raise ConfigError(f"{found[name]}: expected packages of different names, got {name} twice")
-            self._known |= found
-            if own:
+            if _is_package(folder):
+                found = {folder.resolve().name: folder.absolute()}
                 self._named |= found
             else:
+                found = _packages_in(folder.absolute())
                 self._holders.append(folder.absolute())
+            # without any files but hidden ones: packages may be on their way
+            is_empty = folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
+            if not found and not is_empty:
+                kinds = f"a package with {JSON_NAME}, a folder with packages or an empty one"
+                raise ConfigError(f"{folder}: expected {kinds}, got nothing of that kind")
+            for name in sorted(found.keys() & known.keys()):
+                raise ConfigError(f"{found[name]}: expected packages of different names, got {name} twice")
+            known |= found
 
     def now(self) -> dict[str, Path]:
         """Those that are there now. Where a name has come up twice, the folder that was named first has it."""
         found: dict[str, Path] = {}
         for holder in reversed(self._holders):
             found |= _packages_in(holder)
-        self._known = found | self._named
-        return dict(self._known)
+        return found | self._named
 
     def find(self, name: str) -> Path | None:
         """The folder of a package, None where there is no such package."""
-        return self._known.get(name) or self.now().get(name)
+        held = (holder / name for holder in self._holders)
+        return self._named.get(name) or next(filter(_is_held, held), None)
 
 
 def _is_package(folder: Path) -> bool:
     return os.path.isfile(folder / JSON_NAME)  # False, too, where it may not be looked at
 
 
-def _is_empty(folder: Path) -> bool:
-    """Whether a folder has no files but hidden ones: packages may be on their way."""
-    return folder.is_dir() and all(path.name.startswith(".") for path in folder.iterdir())
+def _is_held(folder: Path) -> bool:
+    """Whether a folder is a package: no link, nothing hidden, and no name that an address cannot have."""
+    name = folder.name
+    usable = not name.startswith(".") and name.isprintable() and not os.path.islink(folder)
+    return usable and _is_package(folder)
 
 
 def _packages_in(holder: Path) -> dict[str, Path]:
-    """The packages in a folder: no links, nothing hidden, and no name that an address cannot have."""
     try:
-        with os.scandir(holder) as entries:
-            names = sorted(entry.name for entry in entries if entry.is_dir(follow_symlinks=False))
+        names = sorted(os.listdir(holder))
     except OSError:
         return {}
-    usable = (name for name in names if not name.startswith(".") and name.isprintable())
-    return {name: holder.absolute() / name for name in usable if _is_package(holder / name)}
+    return {name: holder / name for name in names if _is_held(holder / name)}
 
 
 def media_type(path: str) -> str | None:
     """The media type of a file of a package by its path, None for a path that no file of a package has."""
-    if not _PATH.fullmatch(path):
+    if not belongs(path):
         return None
     name = path.rpartition("/")[2]
     return MEDIA_TYPES.get(name[name.index(".") :])
@@ -137,11 +146,45 @@ def find_file(folder: Path, path: str) -> tuple[str, os.stat_result] | None:
 
 def make_app(packages: Packages) -> Starlette:
     """The ASGI application that serves these packages."""
-    site = _Site(packages)
+
+    async def index(request: Request) -> Response:
+        """The packages, as JSON where the client asks for it, else as a page."""
+        headers = {"Cache-Control": CHECKED, "Vary": "Accept"}
+        now = await asyncio.to_thread(packages.now)
+        if "application/json" in request.headers.get("accept", ""):
+            listed = [
+                {
+                    "name": name,
+                    "play": player_address(name),
+                    "tables": f"/{quote(name)}/{JSON_NAME}",
+                    "mpd": f"/{quote(name)}/{MPD_NAME}",
+                }
+                for name in sorted(now)
+            ]
+            return JSONResponse(listed, headers=headers)
+        page = await asyncio.to_thread(list_page, now)
+        return HTMLResponse(page, headers=headers | {"Content-Security-Policy": content_policy(page)})
+
+    async def player(request: Request) -> Response:
+        name = request.path_params["page"]
+        kind = PAGE_TYPES.get(name)
+        response = await asyncio.to_thread(_answer, request, pages.PAGE, name, kind) if kind else None
+        return response or PlainTextResponse(f"{NOT_BUILT if kind else 'no such file'}\n", 404)
+
+    async def file(request: Request) -> Response:
+        """A file of a package; the folder itself leads to the player."""
+        name, path = request.path_params["name"], request.path_params["path"]
+        kind, response = media_type(path), None
+        if (kind or not path) and (folder := await asyncio.to_thread(packages.find, name)):
+            if not kind:
+                return RedirectResponse(f"..{player_address(name)}", 307, {"Cache-Control": CHECKED})
+            response = await asyncio.to_thread(_answer, request, folder, path, kind)
+        return response or PlainTextResponse("no such file\n", 404)
+
     routes = [
-        Route("/", site.index),
-        Route("/{page}", site.page),  # never a file of a package: those lie below a name
-        Route("/{name}/{path:path}", site.file),
+        Route("/", index),
+        Route("/{page}", player),  # never a file of a package: those lie below a name
+        Route("/{name}/{path:path}", file),
     ]
     app = Starlette(routes=routes, middleware=[Middleware(_Gate)])
     app.router.redirect_slashes = False
@@ -168,52 +211,17 @@ class _Gate:
             await self._choose(scope)(scope, receive, send_more)
 
     def _choose(self, scope: Scope) -> ASGIApp:
-        if scope["method"] not in METHODS.split(", "):
-            return _refusal(f"expected {METHODS}", 405, {"Allow": METHODS})
         headers = Headers(scope=scope)
-        target = len(scope["raw_path"]) + len(scope["query_string"])
-        if target + sum(len(name) + len(value) for name, value in headers.raw) > HEAD_BYTES:
-            return _refusal(f"expected at most {HEAD_BYTES} bytes of headers", 431)
+        sizes = [len(scope["raw_path"]), len(scope["query_string"]), *(len(n) + len(v) for n, v in headers.raw)]
+        # A refusal ends the connection, too, so that what follows is never taken for a request.
+        end = {"Connection": "close"}
+        if scope["method"] not in METHODS.split(", "):
+            return PlainTextResponse(f"expected {METHODS}\n", 405, {**end, "Allow": METHODS})
+        if sum(sizes) > HEAD_BYTES:
+            return PlainTextResponse(f"expected at most {HEAD_BYTES} bytes of headers\n", 431, end)
         if "transfer-encoding" in headers or headers.get("content-length", "0") != "0":
-            return _refusal("expected no body", 413)
+            return PlainTextResponse("expected no body\n", 413, end)
         return Response(status_code=204, headers=PREFLIGHT) if scope["method"] == "OPTIONS" else self._app
-
-
-def _refusal(words: str, status: int, headers: Mapping[str, str] = NOTHING_MORE) -> Response:
-    """Ends the connection, too, so that what follows is never taken for a request."""
-    return PlainTextResponse(f"{words}\n", status, {"Connection": "close", **headers})
-
-
-class _Site:
-    def __init__(self, packages: Packages) -> None:
-        self._packages = packages
-
-    async def index(self, request: Request) -> Response:
-        """The packages, as JSON where the client asks for it, else as a page."""
-        headers = {"Cache-Control": CHECKED, "Vary": "Accept"}
-        packages = await asyncio.to_thread(self._packages.now)
-        if "application/json" in request.headers.get("accept", ""):
-            return JSONResponse([addresses(name) for name in sorted(packages)], headers=headers)
-        page = await asyncio.to_thread(list_page, packages)
-        return HTMLResponse(page, headers=headers | {POLICY: content_policy(page)})
-
-    async def page(self, request: Request) -> Response:
-        name = request.path_params["page"]
-        kind = PAGE_TYPES.get(name)
-        if kind is None:
-            return PlainTextResponse("no such file\n", 404)
-        response = await asyncio.to_thread(_answer, request, pages.PAGE, name, kind)
-        return response or PlainTextResponse(f"{NOT_BUILT}\n", 404)
-
-    async def file(self, request: Request) -> Response:
-        """A file of a package; the folder itself leads to the player."""
-        name, path = request.path_params["name"], request.path_params["path"]
-        if not path and name in await asyncio.to_thread(self._packages.now):
-            return RedirectResponse(f"..{player_address(name)}", 307, {"Cache-Control": CHECKED})
-        kind = media_type(path)
-        folder = await asyncio.to_thread(self._packages.find, name) if kind else None
-        response = await asyncio.to_thread(_answer, request, folder, path, kind) if kind and folder else None
-        return response or PlainTextResponse("no such file\n", 404)
 
 
 def _answer(request: Request, folder: Path, path: str, kind: str) -> Response | None:
@@ -243,5 +251,76 @@ def _answer(request: Request, folder: Path, path: str, kind: str) -> Response | 
     if not lasting:  # no table says what its bytes are
         response.headers[REPR_DIGEST] = repr_digest(bytes(response.body))
     if kind == "text/html":
-        response.headers[POLICY] = content_policy(data.decode())
+        response.headers["Content-Security-Policy"] = content_policy(data.decode())
     return response
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certificate:
+    """Files of a TLS certificate with its chain, and of its key, both PEM."""
+
+    chain: Path
+    key: Path
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ServerSettings:
+    certificate: Certificate | None = None  # for https and HTTP/2 in browsers
+    patience_s: float = PATIENCE_S  # for the headers of a request, and for the next request
+    grace_s: float = 3.0  # for answers under way when the server stops
+
+
+def listen(host: str, port: int, patience_s: float = PATIENCE_S) -> socket.socket:
+    """A socket that takes connections; port 0 stands for any free one.
+
+    The kernel drops a client that takes nothing for `patience_s`, where it knows TCP_USER_TIMEOUT (RFC 5482).
+    Connections inherit that and TCP_NODELAY from the socket; those made before `serve` runs have them, too.
+
+    Raises ConfigError where nothing can listen.
+    """
+    if not 0 <= port < 1 << 16:
+        raise ConfigError(f"port: expected 0 to 65535, got {port}")
+    try:
+        family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
+        listening = socket.create_server((host, port), family=family, backlog=BACKLOG)
+    except (OSError, UnicodeError) as error:
+        words = getattr(error, "strerror", None) or str(error)
+        raise ConfigError(f"{host} port {port}: expected an address to listen at, got: {words}") from error
+    listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # asyncio sees proto 0 here and leaves it out
+    with contextlib.suppress(OSError):
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, int(1e3 * patience_s))
+    return listening
+
+
+def check_certificate(certificate: Certificate) -> None:
+    """Raises ConfigError for files that are no certificate with its key."""
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate.chain, certificate.key)
+    except OSError as error:  # ssl.SSLError is one
+        raise ConfigError(f"{certificate.chain}: expected a PEM certificate with its key, got: {error}") from error
+
+
+async def serve(app: ASGIApp, listening: socket.socket, settings: ServerSettings, stop: asyncio.Event) -> None:
+    """Serve an ASGI application on a listening socket, which it closes, until `stop` is set."""
+    config = Config()
+    config.bind = [f"fd://{listening.detach()}"]
+    config.backlog = BACKLOG
+    config.h11_max_incomplete_size = config.h2_max_header_list_size = HEAD_BYTES
+    config.keep_alive_timeout = settings.patience_s  # Hypercorn counts until the headers of a request are whole
+    config.read_timeout = max(1, round(SILENCE * settings.patience_s))  # the only limit on HTTP/2 without a request
+    config.keep_alive_max_requests = CONNECTION_REQUESTS
+    config.graceful_timeout = settings.grace_s
+    config.include_server_header = False
+    config.errorlog = logging.getLogger("airgs_codec.serve")
+    if settings.certificate:
+        config.certfile, config.keyfile = os.fspath(settings.certificate.chain), os.fspath(settings.certificate.key)
+        config.ssl_handshake_timeout = settings.patience_s
+    asyncio.get_running_loop().set_exception_handler(_report)
+    await serve_asgi(app, config, shutdown_trigger=stop.wait)  # type: ignore[arg-type]
+
+
+def _report(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    """Report what went wrong outside of all handlers; a connection that breaks or asks too much is no news."""
+    error = context.get("exception")
+    if not error or BaseExceptionGroup("", [error]).split((OSError, PriorityError, asyncio.CancelledError))[1]:
+        loop.default_exception_handler(context)

@@ -13,6 +13,7 @@ packages/NAME/       a package, as it was
 from __future__ import annotations
 
 import html
+import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -21,14 +22,14 @@ from pathlib import Path
 from urllib.parse import quote
 
 from airgs_codec.errors import ConfigError
-from airgs_codec.package.dash_check import check_mpd, check_shared
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
-from airgs_codec.package.mpd import still_files
+from airgs_codec.package.mpd import check_mpd, check_shared, still_files
 from airgs_codec.package.package import Package, find_file, open_package, read_file, root_of, write_file
 from airgs_codec.package.parse import parse_root
 from airgs_codec.places.place import Folder, is_address
 from airgs_codec.places.whole import staged_folder
 from airgs_codec.progress import Progress, silent
+from airgs_codec.serve import pages
 from airgs_codec.serve.pages import (
     PLAYER_SCRIPT,
     PLAYER_SCRIPTS,
@@ -37,16 +38,13 @@ from airgs_codec.serve.pages import (
     content_policy,
     look_at,
     page_of,
-    read_scripts,
     title_of,
 )
 
 PLAIN = ".nojekyll"
 PARALLEL = 8  # files that are read at a time
-INDEX = "index.html"
-PACKAGES, PAGES = "packages", "play"
+INDEX, PACKAGES, PAGES = "index.html", "packages", "play"
 MADE_BY = '<meta name="generator" content="airgs-manifest export-page">'
-SEVERAL = "Scenes"  # title of a list
 STYLE = """
 html, body { height: 100%; margin: 0; background: #000 }
 body { display: flex; flex-direction: column }
@@ -75,16 +73,21 @@ def export_page(
     Raises FormatError and TransportError for a package that cannot be read, ConfigError where one is still growing,
     two have one name, the folder holds something else, or the player is not built, and OSError.
     """
-    target, scripts = Path(folder).resolve(), read_scripts()
+    target = Path(folder).resolve()
+    if not pages.is_built():
+        raise ConfigError(f"{pages.PAGE}: {pages.NOT_BUILT}")
     opened = dict(map(_open, packages))
     if not opened or len(opened) < len(packages):
         raise ConfigError(f"{folder}: expected packages of different names, got {', '.join(map(str, packages))}")
     with staged_folder(target, _is_site, "exported page") as stage:
         (stage / PLAIN).touch()
-        for name, script in scripts.items():
-            (stage / name).write_bytes(script)
-        made = [_export(stage, name, package, progress) for name, package in opened.items()]
-        write_pages(stage, made, title, address)
+        for name in PLAYER_SCRIPTS:
+            shutil.copyfile(pages.PAGE / name, stage / name)
+        made = []
+        for name, package in opened.items():
+            copied = _copy(package, name, Folder(stage / PACKAGES / name), progress)
+            made.append(Exported(name, look_at(package.manifest, package.root_bytes + package.mpd_bytes), copied))
+        _write_pages(stage, made, title, address)
     return made
 
 
@@ -103,12 +106,6 @@ def _is_site(folder: Path) -> bool:
     if not index.is_file() or not {path.name for path in folder.iterdir()} <= ours:
         return False
     return MADE_BY.encode() in index.read_bytes()
-
-
-def _export(stage: Path, name: str, package: Package, progress: Progress) -> Exported:
-    m = package.manifest
-    copied = _copy(package, name, Folder(stage / PACKAGES / name), progress)
-    return Exported(name, look_at(m, package.root_bytes + package.mpd_bytes), copied)
 
 
 def _copy(package: Package, name: str, target: Folder, progress: Progress) -> int:
@@ -140,64 +137,44 @@ class Exported:
     bytes: int  # of its files
 
     @property
-    def title(self) -> str:
-        return title_of(self.name)
-
-    @property
     def folder(self) -> str:
         """Its address from the top of the site."""
         return f"{PACKAGES}/{quote(self.name)}/"
 
-    @property
-    def page(self) -> str:
-        """The address of its page from there, where there are several."""
-        return f"{PAGES}/{quote(self.name)}.html"
 
-
-def write_pages(site: Path, packages: Sequence[Exported], title: str | None, address: str) -> None:
+def _write_pages(site: Path, packages: Sequence[Exported], title: str | None, address: str) -> None:
     """Write the pages for `packages` into a folder that is going to be at `address`, "" where nobody knows it."""
     root = f"{address.rstrip('/')}/" if address else ""
     if len(packages) == 1:
-        pages = {INDEX: _player_page(packages[0], title or packages[0].title, "", root)}
+        written = {INDEX: _player_page(packages[0], title or title_of(packages[0].name), "", root)}
     else:
-        pages = {f"{PAGES}/{p.name}.html": _player_page(p, p.title, "../", root) for p in packages}
-        pages[INDEX] = _list_page(packages, title or SEVERAL, root)
+        written = {f"{PAGES}/{p.name}.html": _player_page(p, title_of(p.name), "../", root) for p in packages}
+        cards = [card(p.name, f"{PAGES}/{quote(p.name)}.html", p.folder, p.seen) for p in packages]
+        title = title or "Scenes"
+        written[INDEX] = pages.page_of_cards(title, cards, _preview(packages[0], title, "", root))
         (site / PAGES).mkdir()
-    for path, text in pages.items():
+    for path, text in written.items():
         (site / path).write_text(text, encoding="utf-8")
 
 
 def _player_page(package: Exported, title: str, up: str, root: str) -> str:
     """A page that plays one package; `up` leads from it to the top of the site."""
     seen, source = package.seen, html.escape(f"{up}{package.folder}")
-    attributes = f'src="{source}" controls autoplay hash loop capture'
-    if seen.has_poster:
-        attributes += f' poster="{source}{POSTER_NAME}"'
+    poster = f' poster="{source}{POSTER_NAME}"' if seen.has_poster else ""
     credit = f"<footer>{html.escape(seen.credit)}</footer>\n" if seen.credit else ""
     policy = f'<meta http-equiv="Content-Security-Policy" content="{content_policy("")}">\n'
-    return (
-        f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{html.escape(title)}</title>\n'
-        f'<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n{policy}'
-        f"{_preview(package, title, up, root)}<style>{STYLE}</style>\n"
-        f"<airgs-player {attributes}></airgs-player>\n{credit}"
+    body = (
+        f'<airgs-player src="{source}" controls autoplay hash loop capture{poster}></airgs-player>\n{credit}'
         f'<script type="module" src="{up}{PLAYER_SCRIPT}"></script>\n'
-        "<noscript>This page plays a scene with JavaScript.</noscript>\n</html>\n"
+        "<noscript>This page plays a scene with JavaScript.</noscript>\n"
     )
-
-
-def _list_page(packages: Sequence[Exported], title: str, root: str) -> str:
-    cards = [card(package.name, package.page, package.folder, package.seen) for package in packages]
-    return page_of(title, cards, _preview(packages[0], title, "", root))
+    return page_of(title, policy + _preview(package, title, up, root), STYLE, body)
 
 
 def _preview(package: Exported, title: str, up: str, root: str) -> str:
     """Who made the page, and what others show of a link to it (ogp.me)."""
     words = f"{package.seen.words}\n{package.seen.credit}".strip()
-    values = {
-        "og:type": "website",
-        "og:title": title,
-        "og:description": words,
-    }
+    values = {"og:type": "website", "og:title": title, "og:description": words}
     if package.seen.has_poster:
         values["og:image"] = f"{root or up}{package.folder}{POSTER_NAME}"
     tags = "".join(f'<meta property="{name}" content="{html.escape(value)}">\n' for name, value in values.items())

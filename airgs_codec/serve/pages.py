@@ -13,14 +13,13 @@ import logging
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 from urllib.parse import quote
 
-from airgs_codec.errors import AirgsError, ConfigError, FormatError
+from airgs_codec.errors import AirgsError, FormatError
 from airgs_codec.package.layout import JSON_NAME, MPD_NAME, POSTER_NAME
-from airgs_codec.package.manifest import Groups, Manifest, pooled_quality
+from airgs_codec.package.manifest import Groups, Manifest, quality_of
 from airgs_codec.package.package import open_package
 
 PAGE = Path(__file__).parent / "page"
@@ -80,60 +79,39 @@ def is_built() -> bool:
     return all((PAGE / name).is_file() for name in PAGE_TYPES)
 
 
-def read_scripts() -> dict[str, bytes]:
-    """The scripts of the player by their names. Raises ConfigError where it is not built."""
-    if not is_built():
-        raise ConfigError(f"{PAGE}: {NOT_BUILT}")
-    return {name: (PAGE / name).read_bytes() for name in PLAYER_SCRIPTS}
-
-
-def addresses(name: str) -> dict[str, str]:
-    """Return where a package is, from the root of the server: its name, what plays it, and its tables."""
-    tables, mpd = (f"/{quote(name)}/{path}" for path in (JSON_NAME, MPD_NAME))
-    return {"name": name, "play": player_address(name), "tables": tables, "mpd": mpd}
-
-
 @dataclass(frozen=True, slots=True)
 class Glance:
-    """A package in a few figures. Those of bytes and PSNR are of its first groups where there are more than LOOKED_AT.
-
-    The best rung is the first.
-    """
+    """A package in a few figures: its length, its bytes, and its best rung, which is the first."""
 
     frames: int
-    fps: Fraction
-    live: bool
     bytes: int  # of all files; scaled up to all frames where only the first groups were looked at
     whole: bool  # whether all groups were looked at
-    bps: float  # bits a second of the best rung, without tables
     psnr: float | None  # dB of the best rung, None where it was not measured
+    words: str  # all of that, for people
     credit: str  # whom the scene is by
     has_poster: bool
 
-    @property
-    def words(self) -> str:
-        about = "" if self.whole else "about "
-        best = [f"{about}{self.bps / 1e6:.3g} Mbit/s", *([] if self.psnr is None else [f"{self.psnr:.1f} dB"])]
-        parts = [
-            f"{float(self.frames / self.fps):.1f} s",
-            "1 frame" if self.frames == 1 else f"{self.frames} frames",
-            f"{about}{_size(self.bytes)}",
-            f"{' and '.join(best)} at best",
-            *(["live"] if self.live else []),
-        ]
-        return " · ".join(parts)
-
 
 def look_at(m: Manifest, root_bytes: int) -> Glance:
-    """The figures of a package from the tables of a few groups. Raises FormatError where they are refused."""
+    """The figures of a package from the tables of at most LOOKED_AT groups. Raises FormatError where they are refused.
+
+    `root_bytes`: of its airgs.json and MPD.
+    """
     first, whole = m.groups[:LOOKED_AT], len(m.groups) <= LOOKED_AT
     part = m if whole else replace(m, frames=first[-1].stop, groups=Groups.of(first))
     listed = part.media_bytes() + part.bytes_of(part.table_files())
-    best = pooled_quality(part, 0, 0)
     size = root_bytes + listed * m.frames // part.frames
-    bps = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)
-    psnr = best.psnr if best else None
-    return Glance(m.frames, m.fps, m.live, size, whole, bps, psnr, m.attribution, m.poster is not None)
+    rate = float(8 * part.bytes_of(part.rung_files(0, 0)) * m.fps / part.frames)  # bits a second, without tables
+    quality, about = quality_of(part, 0, 0), "" if whole else "about "
+    words = [
+        f"{float(m.frames / m.fps):.1f} s",
+        "1 frame" if m.frames == 1 else f"{m.frames} frames",
+        f"{about}{_size(size)}",
+        f"{about}{rate / 1e6:.3g} Mbit/s{f' and {quality.psnr:.1f} dB' if quality else ''} at best",
+        *(["live"] if m.live else []),
+    ]
+    psnr = quality.psnr if quality else None
+    return Glance(m.frames, size, whole, psnr, " · ".join(words), m.attribution, m.poster is not None)
 
 
 @lru_cache(256)
@@ -174,16 +152,20 @@ def escape(text: str) -> str:
 def list_page(packages: Mapping[str, Path]) -> str:
     """The page at the root of the server."""
     rows = ((name, player_address(name), f"/{quote(name)}/", describe(packages[name])) for name in sorted(packages))
-    return page_of("Packages", [card(*row) for row in rows])
+    return page_of_cards("Packages", [card(*row) for row in rows])
 
 
-def page_of(title: str, cards: Sequence[str], head: str = "") -> str:
-    """An HTML page with cards; `head`: more elements of its head."""
+def page_of_cards(title: str, cards: Sequence[str], head: str = "") -> str:
     rows = "".join(f"<li>{one}</li>\n" for one in cards)
+    return page_of(title, head, STYLE, f"<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n")
+
+
+def page_of(title: str, head: str, style: str, body: str) -> str:
+    """An HTML page; `head`: more elements of its head, `body`: HTML."""
     return (
         f'<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>{html.escape(title)}</title>\n'
         '<meta name="viewport" content="width=device-width">\n<link rel="icon" href="data:,">\n'
-        f"{head}<style>{STYLE}</style>\n<h1>{html.escape(title)}</h1>\n<ul>\n{rows}</ul>\n</html>\n"
+        f"{head}<style>{style}</style>\n{body}</html>\n"
     )
 
 

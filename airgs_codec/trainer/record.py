@@ -27,8 +27,8 @@ from airgs_codec.scene.beside import USAGE_NAME, Settings, Usage, exact_number, 
 from airgs_codec.scene.camera import BLACK, OPENGL_TO_OPENCV, Background, Camera, cameras_from
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.ply import read_ply, write_ply
+from airgs_codec.scene.frames import ZERO, in_world, narrowed
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, in_world, narrowed
 from airgs_codec.trainer.data.multiview import MultiviewScene
 from airgs_codec.trainer.data.pictures import Exposure
 from airgs_codec.trainer.settings import BUDGET, TrainSettings
@@ -59,8 +59,6 @@ class FrameRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedFrame:
-    """A finished frame, and what is known with it."""
-
     gaussians: Gaussians
     record: FrameRecord
     networks: Mapping[str, np.ndarray] | None = None  # their weights after the frame; None: frames move without
@@ -78,17 +76,13 @@ class Record:
 
     @staticmethod
     def of(scene: MultiviewScene, background: Background, settings: TrainSettings) -> Record:
-        """The record of a run that has no frame yet, whose pictures are before a background."""
         cameras = [f"{c.name} {c.split} {c.width}x{c.height} near {c.near:g}" for c in scene.cameras]
         first = Path(str(scene.frames[0][0].source)).name
-        named = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
-        same: dict[str, Any] = {**named, "background": list(background)}
-        if scene.origin != ZERO:
-            same["origin"] = list(scene.origin)
-        if scene.offsets:
-            same["offsets"] = dict(scene.offsets)
-        if scene.notes:
-            same["notes"] = list(scene.notes)
+        same: dict[str, Any] = {"name": scene.path.resolve().name, "first picture": first, "cameras": cameras}
+        origin = None if scene.origin == ZERO else list(scene.origin)
+        more: dict[str, Any] = {"origin": origin, "offsets": dict(scene.offsets), "notes": list(scene.notes)}
+        more["tracked"] = scene.given is not None
+        same |= {"background": list(background)} | {name: value for name, value in more.items() if value}
         return Record(same, settings.table(), len(scene), str(scene.fps))
 
     @property
@@ -104,11 +98,19 @@ class Record:
 
     def quality(self) -> str:
         """How near the finished frames are to their pictures, in a sentence that packages of them repeat."""
+        if self.scene.get("tracked"):
+            shown, keys = [f.psnr for f in self.frames], len(self.keyframes())
+            worst, views = int(np.argmin(shown)), len(self.scene["cameras"])
+            return (
+                f"tracked: {keys} key{'s' * (keys > 1)} for {len(shown)} frames; against what was given "
+                f"{np.mean(shown):.1f} dB in {views} views, {shown[worst]:.1f} at frame {worst}, the worst"
+            )
         trained = f"{np.mean([f.psnr for f in self.frames]):.1f} dB to the pictures it was trained on"
-        held_out = [f.held_out_psnr for f in self.frames if f.held_out_psnr is not None]
-        unseen = f" and {np.mean(held_out):.1f} dB to those held out" if held_out else ""
-        matched = [f.held_out_matched for f in self.frames if f.held_out_matched is not None]
-        unseen += f", {np.mean(matched):.1f} with their exposure matched" if matched and self.exposure else ""
+        unseen = ""
+        if held_out := [f.held_out_psnr for f in self.frames if f.held_out_psnr is not None]:
+            matched = [f.held_out_matched for f in self.frames if f.held_out_matched is not None]
+            unseen = f" and {np.mean(held_out):.1f} dB to those held out"
+            unseen += f", {np.mean(matched):.1f} with their exposure matched" if self.exposure else ""
         return f"qualities are those of the coding: the trained model is itself at {trained}{unseen}"
 
     def warnings(self) -> list[str]:
@@ -138,11 +140,9 @@ class Model:
 
     @property
     def _origin(self) -> NDArray[np.float64]:
-        """(3,) What is trained is from it, files are in the world."""
         return np.array(self.record.scene.get("origin", ZERO), np.float64)
 
     def read(self, frame: int) -> Gaussians:
-        """A finished frame. Raises SceneError when it cannot be read."""
         return narrowed(read_ply(self._path(frame)), self._origin, self._path(frame))
 
     def commit(self, trained: TrainedFrame) -> FrameRecord:
@@ -153,20 +153,17 @@ class Model:
         with atomic_path(self._path(frame.frame)) as temporary:
             write_ply(temporary, shown)
         if trained.networks is not None:
-            with atomic_path(self._networks(frame.frame)) as temporary:
-                _save(temporary, trained.networks)
+            with atomic_path(self._networks(frame.frame)) as temporary, temporary.open("wb") as file:
+                np.savez(file, allow_pickle=False, **trained.networks)
         found = dict(trained.exposure or self.record.exposure)
         self.record = replace(self.record, frames=(*self.record.frames, frame), exposure=found)
-        self._write_settings()
         self.write_record()
         if frame.frame:
             self._networks(frame.frame - 1).unlink(missing_ok=True)
         return frame
 
     def cut(self, count: int) -> None:
-        """Remove all frames behind the first `count`."""
         self.record = replace(self.record, frames=self.record.frames[:count])
-        self._write_settings()
         self.write_record()
         self.remove_leftovers()
 
@@ -178,15 +175,14 @@ class Model:
             self.folder.rmdir()
 
     def write_record(self) -> None:
-        """Write the record; the folder is this run's from then on."""
-        write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(self.record)})
-
-    def _write_settings(self) -> None:
-        red, green, blue = self.record.scene.get("background", BLACK)
+        """Write sequence.json, and last the record; the folder is this run's from then on."""
         record = self.record
-        notes = (*record.scene.get("notes", ()), *([record.quality()] if record.frames else ()))
-        told = Settings(Fraction(record.fps), tuple(record.keyframes()), (red, green, blue), notes)
-        write_settings(self.folder, told)
+        if record.frames:
+            red, green, blue = record.scene.get("background", BLACK)
+            notes = (*record.scene.get("notes", ()), record.quality())
+            settings = Settings(Fraction(record.fps), tuple(record.keyframes()), (red, green, blue), notes)
+            write_settings(self.folder, settings)
+        write_json(self.folder / RECORD_NAME, {"version": VERSION, **asdict(record)})
 
     def write_cameras(self, cameras: Sequence[Camera]) -> None:
         """Write the cameras of the run as a nerfstudio transforms.json without pictures."""
@@ -195,7 +191,8 @@ class Model:
             matrix = np.linalg.inv(c.world_to_camera) @ OPENGL_TO_OPENCV
             intrinsics = {"w": c.width, "h": c.height, "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy}
             entry = {"camera": c.name, "split": c.split, "file_path": "", **intrinsics}
-            frames.append({**entry, "near": c.near, "transform_matrix": matrix.tolist()})
+            entry |= {"near": c.near} if c.near else {}  # 0: not known
+            frames.append({**entry, "transform_matrix": matrix.tolist()})
         fps = float(Fraction(self.record.fps))
         write_json(self.folder / CAMERAS_NAME, {"camera_model": "PINHOLE", "fps": fps, "frames": frames})
 
@@ -232,10 +229,7 @@ class Model:
 
 
 def open_model(folder: Path, wanted: Record, resume: bool) -> Model:
-    """A new model folder for the `wanted` run, or with `resume` the one that is there.
-
-    Raises ConfigError when there is something in `folder` that would be lost, or that another run has made.
-    """
+    """The model folder of the `wanted` run, new or resumed. Raises ConfigError for one that holds something else."""
     new = replace(wanted, scene=json.loads(to_json(wanted.scene)), settings=json.loads(to_json(wanted.settings)))
     if folder.exists() and not folder.is_dir():
         raise ConfigError(f"{folder}: expected a folder for the model, got a file")
@@ -273,7 +267,6 @@ def known_offsets(folder: Path) -> Mapping[str, float] | None:
 
 
 def _continued(folder: Path, known: Record, new: Record) -> Record:
-    """The new record with the frames that are known already. Raises ConfigError where the runs differ."""
     for before, now in ((known.settings, new.settings), (known.scene, new.scene)):
         for name in sorted({*before, *now}):
             if before.get(name) != now.get(name):
@@ -282,8 +275,3 @@ def _continued(folder: Path, known: Record, new: Record) -> Record:
     if len(known.frames) > new.total:
         raise ConfigError(f"{folder}: expected at most {new.total} finished frames, got {len(known.frames)}")
     return replace(new, frames=known.frames, exposure=known.exposure)
-
-
-def _save(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    with path.open("wb") as file:
-        np.savez(file, allow_pickle=False, **arrays)

@@ -29,8 +29,6 @@ BACKGROUNDS: dict[str, Background] = {"black": BLACK, "white": (1.0, 1.0, 1.0)}
 
 @dataclass(frozen=True, slots=True)
 class Temporal:
-    """Weight and unit of the temporal loss; see `fit.losses`."""
-
     weight: float = setting(1e-3, "weight of changes from frame to frame; 0: none")
     unit: str = setting(
         "step", "mean over Gaussians, in codec steps (step), or the paper's sum, read literally (raw)", choices=UNITS
@@ -80,9 +78,7 @@ class TrainSettings:
     )
     sh_degree: int = setting(1, "degree of the spherical harmonics, 0 to 3")
     first_iterations: int | None = setting(
-        None,
-        f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view",
-        default=FIRST,
+        None, f"iterations of the first frame; None: {FIRST}, at least {FIRST_A_VIEW} a view", default=FIRST
     )
     key_iterations: int = setting(1000, "iterations of a keyframe")
     frame_iterations: int = setting(300, "iterations of a frame in a group")
@@ -148,9 +144,7 @@ class TrainSettings:
         default="the scene's own, else black",
     )
     foreground: str = setting(
-        OFF,
-        "train all (off), or only what the masks of the scene show (given)",
-        choices=FOREGROUNDS,
+        OFF, "train all (off), or only what the masks of the scene show (given)", choices=FOREGROUNDS
     )
     match_exposure: str = setting(
         "auto",
@@ -185,7 +179,6 @@ class TrainSettings:
 
     @property
     def knows_rest(self) -> bool:
-        """Whether plates are made of cameras that stand still; before random backgrounds nothing rests."""
         return self.static == "auto" and self.background != RANDOM
 
     @property
@@ -194,7 +187,6 @@ class TrainSettings:
         return self.match_exposure == ON or (self.match_exposure == AUTO and self.background != RANDOM)
 
     def iterations_from_scratch(self, views: int) -> int:
-        """Iterations of a frame from scratch that so many views see."""
         return max(FIRST, FIRST_A_VIEW * views) if self.first_iterations is None else self.first_iterations
 
     def table(self) -> dict[str, Any]:
@@ -205,10 +197,8 @@ def named_background(text: str | None) -> Background | None:
     """The colour that a `background` names; None for None and RANDOM, which name none. Raises ConfigError."""
     if text is None or text == RANDOM:
         return None
-    if text in BACKGROUNDS:
-        return BACKGROUNDS[text]
     try:
-        r, g, b = (float(part) for part in text.split(","))
+        r, g, b = BACKGROUNDS[text] if text in BACKGROUNDS else map(float, text.split(","))
         if all(0 <= value <= 1 for value in (r, g, b)):
             return r, g, b
     except ValueError:
@@ -217,10 +207,7 @@ def named_background(text: str | None) -> Background | None:
 
 
 def settings_from_table(table: Mapping[str, Any]) -> TrainSettings:
-    """The settings of a table that has been through JSON, where infinity is null.
-
-    Raises ConfigError for values that cannot work, TypeError for names that no setting has.
-    """
+    """The settings of a table from JSON, where infinity is null. Raises ConfigError, TypeError for other names."""
     drop = math.inf if table["max_drop_db"] is None else table["max_drop_db"]
     return TrainSettings(**{**table, "temporal": Temporal(**table["temporal"]), "max_drop_db": drop})
 

@@ -131,7 +131,7 @@ def test_a_broken_row_does_not_stand_in_for_those_that_are_missing(tmp_path):
 
 
 def test_only_the_frames_asked_for_are_looked_at_and_usage_of_rows_in_another_order_is_not_taken(tmp_path, monkeypatch):
-    monkeypatch.setattr("airgs_codec.scene.sequence.load_usage", lambda *_: "known")
+    monkeypatch.setattr("airgs_codec.scene.beside.load_usage", lambda *_: "known")
     sequence = open_sequence(write_sequence(tmp_path, shuffled(MOVING, {1, 4})))
     assert restore_rows(sequence, frames=range(3, 6)).matched == (4, 5)
     assert restore_rows(sequence, "keep").sequence is sequence

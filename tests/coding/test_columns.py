@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import rangecoder, sidecar
-from airgs_codec.coding.grid import cell_bits, coarse_codes, fit_grid, grid_codes, grid_means
 from airgs_codec.coding.rangecoder import ColumnReader, encode_columns, sum_gaps
+from airgs_codec.coding.sidecar import cell_bits, coarse_codes, fit_grid, grid_codes, grid_means
 from tests.faces import FormatError, Grid
 
 MOST = (1 << 63) - 1

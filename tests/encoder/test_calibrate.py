@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from airgs_codec.encoder.calibrate import STEPS, Subject, balance, calibrate, solve_steps
 from airgs_codec.encoder.pipeline import CALIBRATION
+
 from tests import faces
 from tests.faces import EncodeSettings, GaussianSequence, GroupSpan, StepSettings, ViewPlan, get_step, open_sequence
 from tests.support.jobs import prepared_as_one_group

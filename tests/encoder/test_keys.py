@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from airgs_codec.encoder.pipeline import DIFFERENCE, KEY, STEPS
+
 from tests import faces
 from tests.faces import MEASURING, GroupSpan, decode, decode_canonical, mse, open_package, psnr, render, validate
 from tests.support.packages import GROUP, KEPT_KEYS, PACKAGES
@@ -27,7 +27,7 @@ def key_bytes(m, group):
 
 def unchanged(one, other):
     """(N,) rows of a group that are those of its base bit by bit."""
-    names = ("means", "quaternions", "log_scales", "opacity", "colours")
+    names = ("means", "quaternions", "log_scales", "opacity", "colour")
     return np.all([(getattr(one, n) == getattr(other, n)).reshape(len(one.means), -1).all(1) for n in names], axis=0)
 
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from airgs_codec.coding import grid, motion
+from airgs_codec.coding import motion, sidecar
 from airgs_codec.encoder import plan, sample
 from airgs_codec.media.h264 import state_codec
 from tests import faces
@@ -50,7 +50,7 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     sensitivity = 4.0 ** rng.integers(-4, 5, 4096)
     classes = motion.motion_classes(sensitivity, 1e-9)
     means, still = rng.normal(size=(4096, 3)).astype(np.float32), np.zeros_like(classes)
-    means = means[np.argsort(grid.grid_codes(means, still, grid.fit_grid(means, still, 1e-3))[0])]
+    means = means[np.argsort(sidecar.grid_codes(means, still, sidecar.fit_grid(means, still, 1e-3))[0])]
     turn = np.cross([0.1, 0.2, 1.0], means + np.array([3, 0, 0])) if together else rng.normal(size=means.shape)
     moved = np.array([3 * np.sin(0.2 + 0.3 * t) * turn.T for t in range(8)])
     chosen = motion.share_class(classes, sensitivity, moved, 1.0)

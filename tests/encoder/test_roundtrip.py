@@ -6,11 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from airgs_codec.encoder.pipeline import draw_poster
 from PIL import Image
 
-from airgs_codec.coding import channels, grid
-from airgs_codec.decoder.states import state_units
-from airgs_codec.encoder.pipeline import draw_poster
+from airgs_codec.coding import channels, sidecar
 from airgs_codec.media.h264 import open_segment
 from tests import faces
 from tests.faces import ConfigError, EncodeSettings, LevelSettings, decode, decode_canonical, decode_frames, psnr
@@ -90,7 +89,7 @@ def test_state_codes_are_within_the_codecs_error_of_the_source(fox, coded):
             values = channels.state_channels(shown_rows, base, group.state_steps)
             rows = (base.depths >= j) & (base.depths != 255)
             for t, shown in enumerate(faces.decode_pictures(fox, g, j, range(group.stop - group.start))):
-                error = shown.values(slice(None), state_units(fox, g, j)) - values[t][:, rows]
+                error = shown.values(slice(None)) - values[t][:, rows]
                 error /= (steps * level.factor)[:, None]
                 drawn = shown_rows[t].opacities()[rows] >= 1 / 255
                 assert np.abs(error[:, drawn]).max() <= 5
@@ -112,7 +111,7 @@ def test_key_codes_are_within_the_codecs_error_and_means_within_half_a_cell_of_t
                 assert np.abs(error).max() <= 2.5 and np.sqrt(np.mean(error**2)) <= 0.5
             error = np.abs(decode_canonical(fox, g, q).means - layout.key.means).max(axis=1)
             cells = layout.classes - layout.wider
-            side = group.grid.step * 2.0 ** (layout.wider + grid.cell_bits(cells, group.grid, quality.coarser))
+            side = group.grid.step * 2.0 ** (layout.wider + sidecar.cell_bits(cells, group.grid, quality.coarser))
             assert (error <= side / 2 * (1 + 1e-6)).all()
             assert len(np.unique(side)) > 2
         for t, count in enumerate(counts):

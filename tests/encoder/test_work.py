@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from airgs_codec.encoder.pipeline import KEY, STEPS, SURVEY, Step, with_rows_of_others
+
 from airgs_codec.jobs import work as work_module
 from tests import faces
 from tests.faces import EncodeSettings, ViewPlan, Work, airgs_encode, encode, open_sequence, open_store, validate
@@ -117,7 +117,7 @@ def test_frames_are_read_once_where_memory_holds_all_and_else_three_times(tmp_pa
     The first one is that as well when the sequence is opened. There are no cameras, so that views are looked for.
     """
     reads, read, out = Counter(), faces.read_frame, tmp_path / "out"
-    monkeypatch.setattr("airgs_codec.scene.sequence.read_frame", lambda path: reads.update([path.stem]) or read(path))
+    monkeypatch.setattr("airgs_codec.scene.formats.table.read_frame", lambda p: reads.update([p.stem]) or read(p))
     scene = write_sequence(tmp_path / "scene", moving_frames(150, 6), cameras=False)
     settings = replace(SETTINGS, group_frames=2)
     encode(scene, out, settings)

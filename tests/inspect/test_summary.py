@@ -36,29 +36,28 @@ def test_quality_pools_squared_errors_by_frames_not_decibels():
 def test_what_is_not_measured_is_none_and_absurd_claims_are_still_numbers(claim):
     m = tiny_manifest(psnr=None) if claim is None else with_measured(tiny_manifest(), 0, claim, 0.9)
     summary = summarise(m, MANIFESTS)
-    written = json.loads(json.dumps(summary.to_json(), allow_nan=False))
+    written = json.loads(json.dumps(summary, allow_nan=False))
     for name in ("psnr", "worst", "ssim", "delta_e"):
         assert (claim is None) == ({rung[name] for rung in written["rungs"]} == {None})
     assert (claim is None) == (pooled_quality(m, 0, 0) is None)
-    assert format_summary(summary)
+    assert format_summary(m, MANIFESTS)
 
 
 def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fetches():
     m = tiny_manifest(groups=(10, 5))  # 1 s and 0.5 s; L0: 2000 B of media and 100 B of sidecar each
-    assert faces.segment_rates(m, 0).tolist() == [16800, 33600]
-    level = summarise(m, MANIFESTS).levels[0]
-    assert level.mean_bps == pytest.approx(2 * 16800 / 1.5)
-    assert level.peak_bps == 33600
-    assert level.bytes_per_frame == pytest.approx(4200 / 15)
+    level = summarise(m, MANIFESTS)["levels"][0]
+    assert level["mean_bps"] == pytest.approx(2 * 16800 / 1.5)
+    assert level["peak_bps"] == 33600
+    assert level["bytes_per_frame"] == pytest.approx(4200 / 15)
     m = tiny_manifest()
-    rungs = {(r.key, r.state): r for r in summarise(m, MANIFESTS).rungs}
+    rungs = {(r["key"], r["state"]): r for r in summarise(m, MANIFESTS)["rungs"]}
     keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
-    assert rungs["Q0", "L0"].bytes_per_frame * 20 == pytest.approx(keys + state + MANIFESTS)
-    assert rungs["Q1", "L2"].bytes_per_frame * 20 == pytest.approx(3400 + 1200 + MANIFESTS)
-    assert rungs["Q1", "L2"].psnr == pytest.approx(32) and rungs["Q1", "L2"].worst == 30
+    assert rungs["Q0", "L0"]["bytes_per_frame"] * 20 == pytest.approx(keys + state + MANIFESTS)
+    assert rungs["Q1", "L2"]["bytes_per_frame"] * 20 == pytest.approx(3400 + 1200 + MANIFESTS)
+    assert rungs["Q1", "L2"]["psnr"] == pytest.approx(32) and rungs["Q1", "L2"]["worst"] == 30
     assert len(rungs) == 6
     m = tiny_manifest(groups=(3, 3))  # 2000 B of media hold 3 * 666 B of pictures
-    kinds = faces.bytes_by_kind(m, 0, 0, MANIFESTS)
+    kinds = summarise(m, MANIFESTS)["top_rung_bytes"]
     expected = {"key pictures": 8000, "key sidecars": 400, "state pictures": 3996, "escapes and boxes": 204}
     assert kinds == expected | {"manifests": MANIFESTS}
     assert sum(kinds.values()) == m.bytes_of(m.rung_files(0, 0)) + MANIFESTS
@@ -66,22 +65,22 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
 
 def test_rows_that_a_group_keeps_are_counted():
     m = faces.open_package(VALID / "kept").manifest
-    assert [group.keeps for group in summarise(m, MANIFESTS).groups] == [None, 1, 1]
+    assert [group["keeps"] for group in summarise(m, MANIFESTS)["groups"]] == [None, 1, 1]
 
 
 def test_the_viewing_region_is_told_in_figures_and_words():
     region = arc(90, 3, 1.0)
     region.places[1] = replace(region.places[1], reach=0.25)
-    s = summarise(replace(tiny_manifest(), region=region), MANIFESTS)
-    record = json.loads(json.dumps(s.to_json()))["region"]
+    m = replace(tiny_manifest(), region=region)
+    record = json.loads(json.dumps(summarise(m, MANIFESTS)))["region"]
     assert (record["source"], record["places"], record["reach"]) == ("cameras", 3, [0.25, 1.0])
     assert record["distance"] == pytest.approx([3, 3]) and (record["turn"], record["near"]) == (10, 0.01)
     assert (record["width"], record["height"], record["fov_y"]) == (32, 24, 50)
-    text = format_summary(s)
+    text = format_summary(m, MANIFESTS)
     assert "3 places with a reach of 0.25 to 1 units, 3 units from what is looked at" in text
     assert "views of 32x24 pixels, 50° high" in text and "nobody knows" not in text
     guess = replace(tiny_manifest(), region=replace(region, source="orbit"))
-    assert "nobody knows from where" in format_summary(summarise(guess, MANIFESTS))
+    assert "nobody knows from where" in format_summary(guess, MANIFESTS)
 
 
 @pytest.mark.parametrize("m", [
@@ -99,13 +98,13 @@ def test_the_ladder_is_the_convex_hull():
     """Q0 + L1 costs more than Q1 + L0 and shows less; Q1 + L1 lies between two others, but above their line."""
     psnr = ((40.0, 36.0), (35.0, 32.5), (34.0, 32.0))
     m = tiny_manifest(key_bytes=((9000, 1000), (1000, 500)), state_bytes=(2000, 1900, 500), psnr=psnr)
-    best = {(r.key, r.state) for r in summarise(m, MANIFESTS).rungs if r.best}
+    best = {(r["key"], r["state"]) for r in summarise(m, MANIFESTS)["rungs"] if r["best"]}
     assert best == {("Q0", "L0"), ("Q1", "L0"), ("Q1", "L2")}
-    assert format_summary(summarise(m, MANIFESTS)).count("*") == 1 + len(best)
-    assert format_ladder(summarise(m, MANIFESTS)).count(" + L") == len(best)
-    unmeasured = format_ladder(summarise(tiny_manifest(psnr=None), MANIFESTS))
-    assert unmeasured.count(" + L") == len(summarise(m, MANIFESTS).rungs) and "not measured" in unmeasured
-    assert not any(r.best for r in summarise(tiny_manifest(psnr=None), MANIFESTS).rungs)
+    assert format_summary(m, MANIFESTS).count("*") == 1 + len(best)
+    assert format_ladder(m, MANIFESTS).count(" + L") == len(best)
+    unmeasured = format_ladder(tiny_manifest(psnr=None), MANIFESTS)
+    assert unmeasured.count(" + L") == len(summarise(m, MANIFESTS)["rungs"]) and "not measured" in unmeasured
+    assert not any(rung["best"] for rung in summarise(tiny_manifest(psnr=None), MANIFESTS)["rungs"])
 
 
 def test_what_many_groups_leave_out_alike_is_one_line():

@@ -9,8 +9,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-
 from airgs_codec.jobs.job import code_digest, digest, modules_run
+
 from tests.faces import EncodeSettings
 from tests.support.jobs import square
 from tests.support.paths import PACKAGE

@@ -102,7 +102,7 @@ def look_and_play(files: Files) -> str:
     """All that is told of a package, and a session over a link that is known."""
     package = faces.open_files(faces.Memory("mutant.airgs", files))
     m, policy = package.manifest, faces.NAMES[crc32(files[faces.JSON_NAME]) % len(faces.NAMES)]
-    faces.format_summary(faces.summarise(m, package.manifest_bytes))
+    faces.format_summary(m, package.manifest_bytes)
     look_at(m, package.root_bytes)
     faces.walk_through(m.region, np.zeros(1))
     assert faces.simulate(package, faces.Trace.open("const:1"), policy, faces.SessionSettings(loops=2)).metrics

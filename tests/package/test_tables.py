@@ -45,10 +45,10 @@ def test_the_format_lists_the_same_channels_in_the_same_order(layout, steps):
     for number, (row, attribute) in enumerate(zip(rows, layout.attributes, strict=True)):
         named, _, step = (cell.strip() for cell in row.strip("| ").split("|"))
         assert list(range(layout.width(COLOURS)))[layout.slice(attribute)] == channels(named)
-        assert {layout.attribute_of(channel) for channel in channels(named)} == {attribute}
+        assert {layout.names(COLOURS)[channel] for channel in channels(named)} == {attribute}
         assert np.flatnonzero(index == number).tolist() == channels(named)
         assert step == ("1" if attribute == "colour" else f"`{steps}.{attribute}`")
-    with pytest.raises(KeyError):
+    with pytest.raises(ValueError, match="colours"):
         layout.slice("colours")
 
 

@@ -87,7 +87,7 @@ def test_another_quality_than_the_bases_needs_the_base_in_that_quality():
         *("key/T0/2.bin", "key/T0/Q1/2.m4s", "key/T0/1.bin", "key/T0/Q1/1.m4s"),
         *("key/T1/2.bin", "key/T1/1.bin", "key/T1/Q1/1.m4s"),
     )
-    assert KEPT.wire_bytes([KEPT.file_bytes(p) for p in batch.files]) == sizes[q1]
+    assert KEPT.wire_bytes(batch.files) == sizes[q1]
 
 
 def test_what_has_no_schedule():

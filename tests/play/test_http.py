@@ -101,7 +101,7 @@ def test_a_link_that_falls_silent_is_given_up():
     assert arrival.abandoned and not arrival.whole and not arrival.complete
     assert arrival.at_s - arrival.first_byte_s >= 2 * 0.5
     assert looks[0].elapsed_s >= 0.5 and looks[0].bytes < looks[0].expected_bytes
-    assert looks[0].expected_bytes == offers.wire_bytes([offers.file_bytes(path)])
+    assert looks[0].expected_bytes == offers.wire_bytes([path])
 
 
 def opened(url, timeout_s=0.3, attempts=FAST.attempts):
@@ -283,7 +283,7 @@ def test_what_pictures_show_beside_a_session_is_fetched_after_it():
     with plainly_serving(PACKAGE) as port, HttpDownloader(local(port), FAST, files.__setitem__) as downloader:
         log = play(downloader.open(), downloader, "fixed:Q1+L0", RULES)
         before = set(files)
-        faces.fetch_beside(log, downloader)
+        downloader.fetch_beside(log)
     assert {path.split("/")[-2] for path in set(files) - before} == {"Q0"}
 
 

@@ -15,7 +15,6 @@ from unittest.mock import patch
 import pytest
 
 from airgs_codec.play import player
-from airgs_codec.play.downloader import answer
 from airgs_codec.play.fetcher import Fetcher
 from airgs_codec.play.playout import Playout
 from tests import faces
@@ -241,9 +240,9 @@ class Live:
 
 def remembered(package, fetcher, playout):
     """How many of each thing publisher, tables and player know."""
-    tables, keys = fetcher.tables, fetcher.keys
+    tables = fetcher.tables
     known = {"tables of the publisher": package.manifest.groups._kept, "names": tables._paths}
-    known |= {"segments": tables._complete, "keys": keys.decoded(0), "options": keys._options}
+    known |= {"segments": tables._complete, "keys": fetcher.decoded(0)}
     known |= {"downloads": fetcher.downloads, "timeline": playout.timeline}
     return {name: len(things) for name, things in known.items()}
 
@@ -253,7 +252,7 @@ def test_hours_of_live_publishing_and_a_viewer_who_stays_end_flat():
     minutes = replace(open_package(VALID / "paged").manifest, frame_rate=[1, 60], timescale=1, region=region())
     live, shown, asked, seen = Live(minutes, 60 * 400), 0, 0, []
     viewer = live.player()
-    for event in answer(viewer.play(), live):
+    for event in viewer.play():
         if isinstance(event, faces.Shown):
             shown += 1
             assert event.rung == 0
@@ -271,7 +270,7 @@ def test_hours_of_live_publishing_and_a_viewer_who_stays_end_flat():
 def test_tables_of_a_growing_package_are_a_twentieth_of_its_media(demo_package):
     """A third of a minute of the demo scene, whose groups have five frames."""
     live, media = Live(open_package(demo_package).manifest, 20.0), 0
-    for event in answer(live.player().play(), live):
+    for event in live.player().play():
         if isinstance(event, faces.Arrived):
             batch = event.arrival.request.batch
             media += sum(live.tables.offers.file_bytes(path) for path in (*batch.keys, *batch.state))

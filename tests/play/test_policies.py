@@ -15,9 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.play.ladder import Ladder, Option, saved_shares, select
-from airgs_codec.play.policies.paper import frame_budget, select_literal
-from airgs_codec.play.policies.simple import upcoming_horizon
+from airgs_codec.play.ladder import Option, build_ladder, frame_budget, saved_shares, select, select_literal
+from airgs_codec.play.policies import upcoming_horizon
 from tests.faces import NAMES, NONE, ConfigError, Decision, Download, Offers, PlayerState, make_policy
 from tests.support.manifests import keys, link, tiny_manifest
 
@@ -169,22 +168,21 @@ def dense(*qualities: float, sizes: list[int] | None = None, saved: list[float] 
 
 @pytest.mark.parametrize("case", TABLE["ladders"], ids=lambda case: case["name"])
 def test_undefined_cases_of_the_ladder(case):
-    assert [p.index for p in Ladder.build(dense(*map(float, case["qualities"]))).options] == case["kept"]
+    assert [p.index for p in build_ladder(dense(*map(float, case["qualities"])))] == case["kept"]
 
 
-@pytest.mark.parametrize(("levels", "options", "left"), [
-    *((dense(34, 32, 30, 28, 26), {"min_quality": floor}, [0, 1, 2]) for floor in (29.0, 30.0)),  # 5: a slow slide
-    (dense(34, 32, 30, 28, 26), {"min_quality": 30.5}, [0, 1]),
+@pytest.mark.parametrize(("levels", "left"), [
+    (dense(34, 32, 30, 28, 26), [0, 1, 2, 3, 4]),  # 5: a slow slide
     # From 40 % on, 1.2 dB for 10 % after 2 dB for 40 %: a cliff; the same levels 10 % apart have none.
-    (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), {}, [0, 1]),
-    (dense(40.0, 38.0, 36.8), {}, [0, 1, 2]),
+    (dense(40.0, 38.0, 36.8, saved=saved_shares([1000, 600, 500])), [0, 1]),
+    (dense(40.0, 38.0, 36.8), [0, 1, 2]),
     # 4 dB for 40 %, 2 dB for 10 %: 1.2 dB per 10 % so far, of which 2.3 is no cliff and 2.5 is one.
-    (dense(40, 36, 34, 31.7, saved=[0, 0.4, 0.5, 0.6]), {}, [0, 1, 2, 3]),
-    (dense(40, 36, 34, 31.5, saved=[0, 0.4, 0.5, 0.6]), {}, [0, 1, 2]),
-    (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), {}, [0, 1, 3]),  # 9: sizes that do not fall
+    (dense(40, 36, 34, 31.7, saved=[0, 0.4, 0.5, 0.6]), [0, 1, 2, 3]),
+    (dense(40, 36, 34, 31.5, saved=[0, 0.4, 0.5, 0.6]), [0, 1, 2]),
+    (dense(40, 39, 38, 37, sizes=[1000, 400, 700, 300]), [0, 1, 3]),  # 9: sizes that do not fall
 ])  # fmt: skip
-def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
-    assert [p.index for p in Ladder.build(levels, **options).options] == left
+def test_what_is_left_before_a_cliff(levels, left):
+    assert [p.index for p in build_ladder(levels)] == left
 
 
 @pytest.mark.parametrize(("qualities", "sizes", "budget", "expected"), [
@@ -195,7 +193,7 @@ def test_what_is_left_above_the_floor_and_before_a_cliff(levels, options, left):
     *(((40, 39), None, budget, NONE_FIT) for budget in (math.nan, -1.0, -math.inf, 0.0)),  # 12: that are none
 ])  # fmt: skip
 def test_the_best_that_fits_or_the_smallest(qualities, sizes, budget, expected):
-    assert select(Ladder.build(dense(*qualities, sizes=sizes)), budget) == expected
+    assert select(build_ladder(dense(*qualities, sizes=sizes)), budget) == expected
 
 
 def test_units_13_bandwidths_that_are_none_12_and_shares_saved():
@@ -208,9 +206,9 @@ def test_units_13_bandwidths_that_are_none_12_and_shares_saved():
 
 @pytest.mark.parametrize(("function", "arguments", "words"), [
     # 6
-    *((partial(Ladder.build, beta=beta), [dense(40, 39)], "more than 1") for beta in (1.0, 0.5, 0.0, math.nan)),
-    (Ladder.build, [[]], "at least one level"), (select_literal, [[], 10], "at least one level"),  # 10
-    (Ladder.build, [dense(40, math.nan)], "level 1"),  # 11
+    *((partial(build_ladder, beta=beta), [dense(40, 39)], "more than 1") for beta in (1.0, 0.5, 0.0, math.nan)),
+    (build_ladder, [[]], "at least one level"), (select_literal, [[], 10], "at least one level"),  # 10
+    (build_ladder, [dense(40, math.nan)], "level 1"),  # 11
     (frame_budget, [1e6, 0.0], "frame rate"),  # 12
 ])  # fmt: skip
 def test_what_is_refused(function, arguments, words):
@@ -228,11 +226,11 @@ def test_algorithm_1_as_printed(case):
 
 @given(points=points, budget=st.floats(allow_nan=True, allow_infinity=True), beta=st.floats(1.01, 100))
 def test_selection_is_total_and_keeps_its_word(points, budget, beta):
-    ladder = Ladder.build(points, beta=beta)
+    ladder = build_ladder(points, beta=beta)
     decision = select(ladder, budget)
-    assert decision.index in [p.index for p in ladder.options]
+    assert decision.index in [p.index for p in ladder]
     usable = budget if budget > 0 else 0.0
-    assert decision.fits == any(p.size_bytes <= usable for p in ladder.options)
+    assert decision.fits == any(p.size_bytes <= usable for p in ladder)
     assert not decision.fits or decision.size_bytes <= usable
     assert decision.size_bytes == points[decision.index].size_bytes
 
@@ -240,11 +238,11 @@ def test_selection_is_total_and_keeps_its_word(points, budget, beta):
 @given(points=points, budget=st.integers(0, 12_000))
 def test_without_a_cliff_ladders_fall_strictly_and_the_best_that_fits_is_taken(points, budget):
     """The paper's ILP separates by frame: the optimum is the best quality among what fits."""
-    ladder = Ladder.build(points, beta=math.inf, cliff_db=math.inf)
-    for better, worse in itertools.pairwise(ladder.options):
+    ladder = build_ladder(points, math.inf)
+    for better, worse in itertools.pairwise(ladder):
         assert better.size_bytes > worse.size_bytes and better.quality > worse.quality
     for p in points:  # whatever was left out is beaten or equalled by something kept
-        assert any(r.size_bytes <= p.size_bytes and r.quality >= min(p.quality, 100) for r in ladder.options)
+        assert any(r.size_bytes <= p.size_bytes and r.quality >= min(p.quality, 100) for r in ladder)
     fitting = [min(p.quality, 100.0) for p in points if p.size_bytes <= budget]
     if fitting:
         assert min(points[select(ladder, budget).index].quality, 100.0) == max(fitting)
@@ -255,6 +253,6 @@ def test_as_printed_and_as_defined_agree_where_algorithm_1_is_defined(qualities,
     """Falling quality and sizes, no cliff, something fits."""
     points = dense(*sorted(qualities, reverse=True))
     answer = select_literal(points, budget, beta=math.inf)
-    decision = select(Ladder.build(points, beta=math.inf, cliff_db=math.inf), budget)
+    decision = select(build_ladder(points, math.inf), budget)
     assert (answer is not None) == decision.fits
     assert answer is None or answer == decision.index

@@ -10,12 +10,9 @@ import torch
 
 from airgs_codec.render import cuda
 from airgs_codec.render.backend import Renderer
-from airgs_codec.render.cuda import AbsGrad, OnCuda
-from airgs_codec.render.differentiable import rasterize_views
-from airgs_codec.trainer.fit.losses import mean_psnr
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import render, render_views
-from airgs_codec.trainer.fit.variables import PerGaussian
+from airgs_codec.render.cuda import AbsGrad, OnCuda, rasterize_views
+from airgs_codec.trainer.fit.losses import mean_psnr, render, render_views
+from airgs_codec.trainer.fit.optimise import PerGaussian, Schedule, optimise
 from tests.faces import ATTRIBUTES, CPU, RasterInputs, View, from_gaussians
 from tests.support import fake_gsplat
 from tests.support.scenes import random_gaussians

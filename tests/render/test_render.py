@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import backend, measure_contribution, render_views
-from airgs_codec.render.cpu import activate, blend, contribution_and_gradients, draw, gradients, project
-from airgs_codec.render.differentiable import rasterize
+from airgs_codec.render import backend, measure_contribution
+from airgs_codec.render.cpu import activate, blend, gradients, project
+from airgs_codec.render.cuda import rasterize_views
 from airgs_codec.render.reference import blending_weights, render_reference
-from tests.faces import Camera, ConfigError, RasterInputs, Redraw, render
+from tests.faces import CPU, Camera, ConfigError, RasterInputs, Redraw, render
 from tests.support.scenes import random_gaussians
 
 # Single pixels flip at alpha = 1/255 between float32 and float64: one flip moves a pixel by up to 4e-3.
@@ -32,6 +32,10 @@ def inputs(count=200, degree=1, seed=0, **columns):
     values = {name: getattr(a, name).astype(np.float64) for name in NAMES}
     values["scales"] = values["scales"] * 0.3
     return {n: np.asarray(columns.get(n, v), np.float32).astype(np.float64) for n, v in values.items()}
+
+
+def rasterize(inputs, view, background=(0.0, 0.0, 0.0)):
+    return rasterize_views(inputs, [replace(view, background=background)])[0]
 
 
 def both(values, view, background=(0.2, 0.5, 0.9), seed=1):
@@ -154,11 +158,11 @@ def test_contribution_and_gradients_of_one_pass_are_those_of_two(logit):
     g, behind = random_gaussians(300, 2), (0.2, 0.5, 0.9)
     g, view = replace(g, opacity_logits=g.opacity_logits + np.float32(logit)), replace(camera(), background=behind)
     active, pull = activate(g), np.random.default_rng(0).normal(size=(50, 70, 3)).astype(np.float32)
-    seen, derivatives = contribution_and_gradients(active, view, pull)
+    seen, derivatives = CPU.load(g).contribution_and_gradients(view, pull)
     alone, apart = measure_contribution(g, view), blend(active, view, behind)
     np.testing.assert_allclose(seen.total, alone.total, rtol=1e-6)
     assert np.array_equal(seen.peak, alone.peak) and np.array_equal(seen.hits, alone.hits)
-    expected = gradients(active, view, apart, pull, np.zeros((50, 70), np.float32)).inputs
+    expected = gradients(apart, pull, np.zeros((50, 70), np.float32)).inputs
     for name in NAMES:
         wanted = getattr(expected, name)
         np.testing.assert_allclose(getattr(derivatives, name), wanted, rtol=1e-4, atol=1e-5 * np.abs(wanted).max())
@@ -171,12 +175,11 @@ def expect_same(picture, alone):
 
 def test_views_drawn_together_are_those_drawn_alone_and_rows_taken_out_were_never_there():
     g, views, behind = random_gaussians(300, 1), [camera(), camera(3.0, 33, 47), camera(turn=0.0)], (0.1, 0.2, 0.3)
-    for view, picture in zip(views, render_views(g, views, behind), strict=True):
-        expect_same(picture, render(g, view, behind))
+    for view in views:
+        expect_same(CPU.load(g).draw(view, behind), render(g, view, behind))
     for share in (0.0, 0.4, 1.0):
         kept = np.random.default_rng(0).random(300) < share
-        tiles = project(activate(g), camera()).tiles.keep(kept)
-        expect_same(draw(tiles, behind), render(g.take(kept), camera(), behind))
+        expect_same(project(activate(g), camera()).draw(behind, kept), render(g.take(kept), camera(), behind))
 
 
 def test_two_runs_give_the_same_bits():
@@ -200,7 +203,7 @@ def test_only_some_tiles_are_drawn_again():
     rng = np.random.default_rng(4)
     grad = rng.normal(size=(50, 70, 3)).astype(np.float32) * pixels[..., None]
     none = np.zeros((50, 70), np.float32)
-    parts, wholes = (gradients(a, view, drawn, grad, none) for drawn in (part, whole))
+    parts, wholes = (gradients(drawn, grad, none) for drawn in (part, whole))
     for x, y in zip(parts.inputs, wholes.inputs, strict=True):
         assert np.abs(y[wanted]).max() > 0 and relative(x[wanted], y[wanted]) < 1e-6
         assert not x[~wanted].any()

@@ -16,10 +16,6 @@ CAMERAS = [airgs.Camera.look_at((0, 0, -4), (0, 0, 0), size=(64, 48))]
 GSPLAT = ("means", "quats", "scales", "opacities", "sh0", "shN")  # its names of the same
 
 
-def columns(frame):
-    return {name: getattr(frame, name) for name in NAMES}
-
-
 def stacked():
     return {name: np.stack([getattr(frame, name) for frame in FRAMES]) for name in NAMES}
 
@@ -39,7 +35,7 @@ def as_in_gsplat():
 
 MAKERS = {
     "gsplat": as_in_gsplat, "torch": tensors, "Gaussians": lambda: FRAMES, "iterator": lambda: iter(FRAMES),
-    "mappings": lambda: [columns(frame) for frame in FRAMES],
+    "mappings": lambda: [frame.columns() for frame in FRAMES],
     "time axis": lambda: {name: column.astype(np.float64) for name, column in stacked().items()},
 }  # fmt: skip
 
@@ -49,7 +45,7 @@ def test_frames_are_those_that_were_given_and_sh_past_dc_may_be_left_out(make):
     sequence = airgs.Sequence.from_arrays(make(), fps=24, cameras=CAMERAS)
     assert (len(sequence), sequence.fps, sequence.sh_degree) == (3, 24, 1)
     assert all(same(sequence)) and all(same(pickle.loads(pickle.dumps(sequence))))
-    without = {name: column for name, column in columns(FRAMES[0]).items() if name != "sh_rest"}
+    without = {name: column for name, column in FRAMES[0].columns().items() if name != "sh_rest"}
     assert airgs.Sequence.from_arrays([without]).sh_degree == 0
 
 
@@ -88,7 +84,7 @@ def test_a_frame_of_other_arrays_is_drawn_and_written_and_gaussians_of_tensors_a
 
 
 def changed(**others):
-    return [FRAMES[0], columns(FRAMES[1]) | others]
+    return [FRAMES[0], FRAMES[1].columns() | others]
 
 
 MEANS, SCALES = (getattr(FRAMES[1], name).copy() for name in ("means", "log_scales"))
@@ -108,7 +104,7 @@ GIVEN = [
     (as_in_gsplat() | dict.fromkeys(("scales", "opacities"), np.ones((3, 60, 3))),
      "frames: scales, opacities: expected logarithms"),
     ([FRAMES[0].take(slice(0, 0))], "frame 0: expected at least one Gaussian, got none"),
-    (columns(FRAMES[0]), r"means: expected an array of shape \(T, N, 3\), got \(60, 3\)"),
+    (FRAMES[0].columns(), r"means: expected an array of shape \(T, N, 3\), got \(60, 3\)"),
     (stacked() | {"sh_dc": np.zeros((2, 60, 3))}, r"sh_dc: expected 3 frames as of means, got the shape \(2, 60, 3\)"),
 ]  # fmt: skip
 
@@ -125,4 +121,4 @@ def test_other_arguments_and_arrays_of_gaussians_are_checked():
         with pytest.raises(airgs.AirgsError, match=r"fps|cameras"):
             airgs.Sequence.from_arrays(FRAMES, **more)
     with pytest.raises(airgs.AirgsError, match=r"^means: expected an array of numbers"):
-        airgs.Gaussians(**columns(FRAMES[0]) | {"means": np.full((60, 3), "x")})
+        airgs.Gaussians(**FRAMES[0].columns() | {"means": np.full((60, 3), "x")})

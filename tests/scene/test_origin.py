@@ -9,7 +9,7 @@ import pytest
 from airgs_codec.inspect.compare import compare
 from airgs_codec.scene.camera import cameras_from
 from airgs_codec.scene.formats.table import read
-from airgs_codec.scene.origin import in_world
+from airgs_codec.scene.frames import in_world
 from airgs_codec.trainer.record import Model, TrainedFrame
 from tests import faces
 from tests.faces import GaussianSequence, SceneError, open_sequence, repair, write_ply

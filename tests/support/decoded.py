@@ -88,7 +88,7 @@ class _Writer:
         frames = decode_frames(self.package, 0, m.frames, level=level, key_quality=quality, tiers=self.tiers)
         shown, groups = [], []
         for g in (frame.gaussians for frame in frames):
-            pictures = [self.blob.add(picture.rgb) for picture in cpu.render_views(g, cameras)]
+            pictures = [self.blob.add(cpu.render(g, camera).rgb) for camera in cameras]
             shown.append({"means": self.blob.add(g.means), "pictures": pictures})
         for number in range(len(m.groups)):
             segments = []
@@ -120,7 +120,7 @@ class _Writer:
         """The picture of a tier; None where it has none."""
         atlas = self.package.manifest.groups[group].tiers[tier].qualities[self.rung.quality]
         shown, _ = _read_key(self.package, group, tier, self.rung.quality)
-        return None if shown is None else self._picture(shown[0], atlas, _dense(atlas, shown[1]))
+        return None if shown is None else self._picture(shown.luma[0], atlas, _dense(atlas, shown.luma[1]))
 
     def _states(self, index: int) -> list[Json]:
         """Every frame of a segment; none where there is nothing to fetch."""

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.render import cpu
-from airgs_codec.render.differentiable import _Rasterize
+from airgs_codec.render import cpu, cuda
 from tests.faces import Camera, RasterInputs
 
 TILE = 16
@@ -33,22 +32,22 @@ def rasterization(
     for view, k, behind in zip(views.numpy(), lenses.numpy(), backgrounds.tolist(), strict=True):
         lens = (float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]))
         camera = Camera("", width, height, *lens, view.astype(np.float64), near=near_plane)
-        pictures.append(_Rasterize.apply(*inputs, camera, tuple(behind), None, None))
+        pictures.append(cuda._Rasterize.apply(*inputs, camera, tuple(behind), None, None))
         projected.append(cpu.project(host, camera))
     rgb, transmittance = (torch.stack(parts) for parts in zip(*pictures, strict=True))
     return rgb, 1 - transmittance[..., None], _meta(projected, opacities, (width, height))
 
 
 def _meta(projected: list[cpu.Projected], opacities: torch.Tensor, size: tuple[int, int]) -> dict[str, Any]:
-    flat = np.stack([p.tiles.flat for p in projected])
+    flat = np.stack([p.flat for p in projected])
     peak, shear, fall = (flat[..., i] for i in (2, 3, 4))
     conics = np.stack([peak, peak * shear, fall + peak * shear**2], axis=-1)
-    across, down = projected[0].tiles.shape
+    across, down = projected[0].shape
     offsets, ids, done, radii = [], [], 0, np.zeros((*flat.shape[:2], 2), np.int32)
     for c, p in enumerate(projected):
-        offsets.append(done + p.tiles.start[:-1].reshape(down, across))
-        ids.append(p.tiles.ids.astype(np.int64) + c * flat.shape[1])
-        done += len(p.tiles.ids)
+        offsets.append(done + p.start[:-1].reshape(down, across))
+        ids.append(p.ids.astype(np.int64) + c * flat.shape[1])
+        done += len(p.ids)
         radii[c, p.order] = 1
     arrays = {
         "means2d": flat[..., :2].copy(), "conics": conics, "radii": radii,

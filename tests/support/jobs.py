@@ -11,6 +11,7 @@ from airgs_codec.errors import FormatError
 
 if TYPE_CHECKING:
     from airgs_codec.encoder.pipeline import PreparedSequence
+
     from tests.faces import GaussianSequence, ViewPlan, Work
 
 

@@ -9,13 +9,11 @@ from tests.support.views import coloured_cloud, moved, ring
 
 @pytest.fixture(scope="session", autouse=True)
 def no_pool():
-    """As in a run: the kernels have their own threads."""
     torch.set_num_threads(1)
 
 
 @pytest.fixture
 def moving(tmp_path):
-    """A scene of two frames and six cameras, one of them held out."""
     g = coloured_cloud()
     frames = [g, moved(g, slice(0, 30), (0.1, 0, 0))]
     return write_views(tmp_path / "scene", frames, ring(6, held_out=1), g.means[:60])

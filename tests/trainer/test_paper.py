@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.trainer.fit import losses, optimise, parameters
+from airgs_codec.trainer.fit import losses, optimise
 from tests import faces
 from tests.faces import FrameViews, InMotion, Trainer, TrainSettings, fit_first, from_gaussians, preset, scene_extent
 from tests.support.scenes import random_gaussians
@@ -20,9 +20,8 @@ LAMBDA, LAMBDA_T, LAMBDA_INF = 0.2, 1e-3, 1e-5
 
 @pytest.fixture
 def seen(monkeypatch):
-    """What every iteration of a fit draws, from where, its loss, and the weights of |D| that Adam gets."""
     seen = SimpleNamespace(gaussians=[], cameras=[], losses=[], shrinks=[])
-    draw, add, step = optimise.render_views, optimise.Losses.add, parameters.Adam.step
+    draw, add, step = optimise.render_views, optimise.Losses.add, optimise.Adam.step
 
     def look(p, cameras, *rest):
         seen.gaussians.append({name: value.detach().clone() for name, value in p.items()})
@@ -39,7 +38,7 @@ def seen(monkeypatch):
 
     monkeypatch.setattr(optimise, "render_views", look)
     monkeypatch.setattr(optimise.Losses, "add", note)
-    monkeypatch.setattr(parameters.Adam, "step", move)
+    monkeypatch.setattr(optimise.Adam, "step", move)
     return seen
 
 
@@ -51,13 +50,12 @@ def trainer(**settings) -> Trainer:
 def l_3dgs(p, views, name, sh_degree=1):
     """(1 - lambda) L1 + lambda (1 - SSIM) of the picture of one camera."""
     view = next(v for v in views if v.camera.name == name)
-    picture = parameters.render(p, view.camera, sh_degree)[0].double()
+    picture = losses.render(p, view.camera, sh_degree)[0].double()
     target = torch.from_numpy(view.target.rgb).double()
     return float((1 - LAMBDA) * (picture - target).abs().mean() + LAMBDA * (1 - losses.windowed_ssim(picture, target)))
 
 
 def raw_sum(p, base, rows):
-    """Sum over the six attributes of |difference|, of the first rows."""
     return sum(float((p[name][:rows] - base[name][:rows]).double().abs().sum()) for name in SIX)
 
 

@@ -32,13 +32,11 @@ def scene(blobs):
 
 @pytest.fixture
 def expected(small, model_of):
-    """What is in the model that jobs have trained."""
     return files(model_of("chunked") / "m")
 
 
 @pytest.fixture
 def done(monkeypatch):
-    """Labels of the jobs that are done in this process."""
     labels, perform = [], work_module.perform
     monkeypatch.setattr(work_module, "perform", lambda store, job: labels.append(job.label) or perform(store, job))
     return labels
@@ -58,8 +56,8 @@ def test_chunks_begin_with_keyframes_which_may_have_half_as_many_gaussians_more_
         (260, None, 118, 260), (260, None, 205, 308), (None, None, 118, 177), (50, 70, 118, 70),
     ):  # fmt: skip
         capture = faces.Capture.of(scene, faces.TrainSettings(budget=budget, capacity=capacity), "cpu")
-        first = pipeline.First(faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0))
-        assert capture.with_first(first).settings.capacity == most
+        first = faces.from_points(np.zeros((rows, 3)), np.zeros((rows, 3)), 0, 0.5, 1.0)
+        assert capture.with_first(first, {}).settings.capacity == most
 
 
 def test_two_processes_write_the_same_files(scene, expected, tmp_path):

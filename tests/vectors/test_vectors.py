@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from airgs_codec.coding import atlas, channels, escapes, grid, sidecar
+from airgs_codec.coding import atlas, channels, escapes, sidecar
 from airgs_codec.coding.motion import motion_units
 from airgs_codec.coding.rangecoder import ColumnReader
 from airgs_codec.render.reference import sh_colours
@@ -91,7 +91,7 @@ def test_positions(case):
     for quality in case["qualities"]:
         found = read_detail(shared, case, quality["data"], quality["coarser"], coarsest)
         assert found.codes.tolist() == numbers(quality["codes"])
-        means = grid.grid_means(found.codes, found.classes, found.wider, Grid(**case["grid"]), quality["coarser"])
+        means = sidecar.grid_means(found.codes, found.classes, found.wider, Grid(**case["grid"]), quality["coarser"])
         np.testing.assert_array_equal(means, quality["means"])
 
 
@@ -108,7 +108,7 @@ def test_depths_alone(case):
 
 def unpack_escapes(case):
     shape = tuple(case[name] for name in ("frames", "planes", "rows"))
-    return escapes.unpack(data(case["data"]), shape, "vector")
+    return escapes.unpack_segment(data(case["data"]), shape, False, "vector")[1]
 
 
 @each("escapes")
@@ -168,8 +168,9 @@ def test_keys(case):
     values = from_codes(codes, KEY.steps(steps, width) * case["factor"], case["gain"])
     nowhere = (np.zeros(codes.shape[1], kind) for kind in (np.uint64, np.int16, np.int16, np.uint8))
     transform = unpack_matrix(case["colour_transform"], width)
-    key = channels.dequantise_key(values, sidecar.KeySidecar(*nowhere), transform, Grid(**case["grid"]), steps)
-    names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colours}
+    of = sidecar.KeySidecar(*nowhere), transform, Grid(**case["grid"]), steps
+    key = channels.dequantise_key(values, *of)
+    names = {"quaternions": key.quaternions, "log_scales": key.log_scales, "alpha": key.opacity, "colours": key.colour}
     assert_near(names, case)
 
 
@@ -182,7 +183,8 @@ def test_states(case):
         opacity=np.array(space["alpha"], np.float32),
         depths=np.array(space["depths"], np.uint8),
         transform=unpack_matrix(case["colour_transform"], width),
-        **{name: np.array(space[name], np.float32) for name in ("quaternions", "log_scales", "colours")},
+        **{name: np.array(space[name], np.float32) for name in ("quaternions", "log_scales")},
+        colour=np.array(space["colours"], np.float32),
     )
     rows = np.flatnonzero((base.depths >= case["level"]) & (base.depths != 255))
     assert rows.tolist() == case["rows"]

@@ -137,28 +137,28 @@ ROOT = FOX.files.path.joinpath("airgs.json").read_bytes()
 HEADERS = 350  # bytes of each answer, which pages are not told
 ROOTS = {  # answer for airgs.json -> what is opened, or why not
     "right": (Answer(ROOT, headers={REPR_DIGEST: repr_digest(ROOT)}),
-              {"groups": 2, "bytes": len(ROOT) + HEADERS, "retries": []}),
+              {"groups": 2, "bytes": len(ROOT) + HEADERS}),
     "wrong": (Answer(ROOT, headers={REPR_DIGEST: repr_digest(b"another")}), "hash_mismatch"),
     "busy": (Answer(status=503), "TransportError"),
     "away": (Answer(dropped=True), "TransportError"),
     "missing": (Answer(status=404), "missing_file"),
 }  # fmt: skip
-FAULTS = {  # answers for the table of the first group -> (answers that were not taken, why it cannot be had)
-    "none": ([], 0, None),
-    "wrong bytes": ([Answer(OTHER)], 1, None),
-    "wrong length": ([Answer(TABLE_BYTES + b"more")], 1, None),
-    "unpacked by the browser": ([Answer(TABLE_BYTES, headers={"Content-Encoding": "gzip"})], 0, None),
-    "unpacked by the server": ([Answer(gzip.decompress(TABLE_BYTES))], 0, None),
-    "403": ([Answer(b"", 403)], 0, "missing_file"),
-    "always a page": ([Answer(b"<html>" * 999)] * 9, 1, "size_mismatch"),
-    "truncated": ([Answer(TABLE_BYTES, lost=40)] * 2, 2, None),
-    "500": ([Answer(b"", 500)], 1, None),
-    "404": ([Answer(b"", 404)], 0, "missing_file"),
-    "away: 503": ([Answer(b"", 503)] * 3, 3, None),
-    "always wrong bytes": ([Answer(OTHER)] * 9, 1, "hash_mismatch"),
-    "always short": ([Answer(TABLE_BYTES[:-1])] * 9, 1, "size_mismatch"),
-    "always 500": ([Answer(b"", 500)] * 9, 1, "missing_file"),
-    "away: no connection": ([Answer(dropped=True)] * 3, None, None),  # Chromium asks again itself, too
+FAULTS = {  # answers for the table of the first group -> why it cannot be had; later answers are the file
+    "none": ([], None),
+    "wrong bytes": ([Answer(OTHER)], None),
+    "wrong length": ([Answer(TABLE_BYTES + b"more")], None),
+    "unpacked by the browser": ([Answer(TABLE_BYTES, headers={"Content-Encoding": "gzip"})], None),
+    "unpacked by the server": ([Answer(gzip.decompress(TABLE_BYTES))], None),
+    "403": ([Answer(b"", 403)], "missing_file"),
+    "always a page": ([Answer(b"<html>" * 999)] * 9, "size_mismatch"),
+    "truncated": ([Answer(TABLE_BYTES, lost=40)] * 2, None),
+    "500": ([Answer(b"", 500)], None),
+    "404": ([Answer(b"", 404)], "missing_file"),
+    "away: 503": ([Answer(b"", 503)] * 3, None),
+    "always wrong bytes": ([Answer(OTHER)] * 9, "hash_mismatch"),
+    "always short": ([Answer(TABLE_BYTES[:-1])] * 9, "size_mismatch"),
+    "always 500": ([Answer(b"", 500)] * 9, "missing_file"),
+    "away: no connection": ([Answer(dropped=True)] * 3, None),
 }
 ATTEMPTS = 2  # of files that stay wrong, or of a server that is away more often; elsewhere as many as players make
 
@@ -178,7 +178,7 @@ def faults(package_of, tmp_path_factory):
         made.update({f"/{folder}/{path}": answer for path, answer in answers.items()})
         steps[name] = task, {"url": folder} | arguments
 
-    for name, (answers, *_) in FAULTS.items():
+    for name, (answers, _) in FAULTS.items():
         attempts = {"attempts": ATTEMPTS} if name.startswith(("always", "away")) else {}
         add(name, "fetching", {TABLE: in_turn(*answers)}, paths=[TABLE], **attempts)
     late = in_turn(Answer(TABLE_BYTES, wait_s=20))
@@ -201,12 +201,10 @@ def faults(package_of, tmp_path_factory):
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_faults_are_gone_about_as_the_players_documentation_says(faults, name):
-    _, retries, reason = FAULTS[name]
+    _, reason = FAULTS[name]
     (came,) = faults[name]["came"]
     assert came["whole"] == ([] if reason else [TABLE])
     assert [refused for refused, _ in came["refused"].values()] == ([reason] if reason else [])
-    assert retries is None or len(came["retries"]) == retries
-    assert {retry["path"] for retry in came["retries"]} <= {TABLE}
     assert faults[name]["groups"][0] is not bool(reason)
     assert came["inOrder"] and not came["cached"]
     assert came["progress"] == sorted(came["progress"])

@@ -56,7 +56,7 @@ class Lab:
 @dataclass(frozen=True, slots=True)
 class Output:
     output: Path | None = setting(
-        None, f"folder of the page, its pictures and figures (default: {OUTPUT}/NAME)", short="-o", metavar="FOLDER"
+        None, f"folder of the page, its pictures and figures (default: {OUTPUT}/NAME)", alias="-o", metavar="FOLDER"
     )
     publish: str = setting("", "put the page and its figures into docs/results, as this measurement", metavar="NAME")
 

@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 
 import numpy as np
+from airgs_codec.jobs.job import code_digest, digest
 
 from airgs_codec.encoder.publish import encode
-from airgs_codec.jobs.job import code_digest, digest
 from airgs_codec.package.layout import JSON_NAME
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
 from airgs_codec.scene.formats.ply import write_ply

@@ -1,79 +1,29 @@
-"""The one page of an experiment: question, picture, answer, table; in Markdown with pictures and JSON beside it.
+"""What an experiment gives: sections of words, pictures and tables; in Markdown with pictures and JSON beside it.
 
-A page is a value. `write_page` makes its files, `text_of` what the terminal shows, `update` puts it into a document.
+`write_page` makes its files, `text_of` what the terminal shows, `update` puts it into a document.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
+import sys
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from airgs_codec._report import new_figure, save_figure, table
+from airgs_codec import _report
+from airgs_codec._report import Section, Table
 from airgs_codec.errors import ConfigError
 from airgs_codec.places.whole import write_bytes, write_json
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 WIDTH = 120  # of lines of text
-NOTHING = "-"  # in place of a figure that is not there
 COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#ff7f0e", "#8c564b", "#17becf", "#7f7f7f")
-DPI = 110
 Row = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """Rows, which go whole into the JSON, and the columns that the page shows: some by their headings, or all."""
-
-    name: str
-    rows: Sequence[Mapping[str, Any]]
-    columns: Mapping[str, tuple[str, str]] = field(default_factory=dict)  # key -> heading, format; empty: all keys
-    once: int = 0  # first columns, whose cells are empty where a row has the same as the one above
-
-    @property
-    def keys(self) -> list[str]:
-        return list(self.columns or dict.fromkeys(key for row in self.rows for key in row))
-
-    @property
-    def head(self) -> list[str]:
-        return [self.columns[key][0] if self.columns else key.replace("_", " ") for key in self.keys]
-
-    def cells(self) -> list[list[str]]:
-        forms = {key: form for key, (_, form) in self.columns.items()}
-        lines = [[shown(row.get(key), forms.get(key, "")) for key in self.keys] for row in self.rows]
-        again = [False, *(a[: self.once] == b[: self.once] for a, b in itertools.pairwise(lines))]
-        return [[""] * self.once + line[self.once :] if one else line for one, line in zip(again, lines, strict=True)]
-
-    def numeric(self) -> list[bool]:
-        return [any(_is_number(row.get(key)) for row in self.rows) for key in self.keys]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A picture `name`.png; `draw` fills a figure, which gets the style of all pictures."""
-
-    name: str
-    caption: str
-    draw: Callable[[Figure], None]
-    size: tuple[float, float] = (9.0, 4.5)  # inches
-    grid: bool = True
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Section:
-    """An answer in about two sentences, to a question of its own where a page has several sections."""
-
-    answer: str
-    question: str = ""  # empty: that of the experiment
-    pictures: Sequence[Picture] = ()
-    tables: Sequence[Table] = ()
+listed = partial(_report.listed, most=sys.maxsize)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,25 +61,6 @@ def rows_of(values: Iterable[Any]) -> list[Row]:
     return [dataclasses.asdict(value) for value in values]
 
 
-def shown(value: Any, form: str = "") -> str:
-    """A value as a cell of a table; a number without a format has four digits, or all before its point."""
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return NOTHING
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if not _is_number(value):
-        return str(value)
-    return format(value, form or (",.0f" if isinstance(value, int) or abs(value) >= 1000 else ".4g")).replace("%", " %")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def listed(words: Sequence[str]) -> str:
-    return " and ".join([", ".join(words[:-1]), words[-1]] if len(words) > 1 else words)
-
-
 def wrapped(text: str) -> str:
     """Paragraphs, or items of a list, a line each, in lines of at most WIDTH characters."""
     plain = textwrap.TextWrapper(WIDTH, break_long_words=False, break_on_hyphens=False)
@@ -142,13 +73,9 @@ def text_of(page: Page) -> str:
     for section in page.sections:
         lines += [wrapped(f"{section.question} {section.answer}".strip())]
         for one in (one for one in section.tables if one.rows):
-            lines += ["", *table(one.head, one.cells())]
+            lines += ["", one.to_text()]
         lines.append("")
     return "\n".join(lines).rstrip()
-
-
-def markdown(page: Page, made: Made) -> str:
-    return f"# {made.question}\n\n{body_of(page, made)}\n"
 
 
 def body_of(page: Page, made: Made) -> str:
@@ -169,10 +96,11 @@ def _parts(page: Page, made: Made) -> Iterator[str]:
 
 
 def markdown_table(one: Table) -> str:
-    """A table of a document, without blanks that its reader does not see."""
-    rule = ["---:" if number else "---" for number in one.numeric()]
-    cells = [[cell.replace("|", "\\|") for cell in line] for line in one.cells()]
-    return "\n".join(f"|{'|'.join(line)}|" for line in (one.head, rule, *cells))
+    """A table of a document, without blanks that its reader does not see; columns of numbers are right-aligned."""
+    head, *lines = ([cell.replace("|", "\\|") for cell in line] for line in one.lines())
+    numeric = (any(isinstance(row.get(key), int | float) for row in one.rows) for key in one.shown_columns())
+    rule = ["---:" if number else "---" for number in numeric]
+    return "\n".join(f"|{'|'.join(line)}|" for line in (head, rule, *lines))
 
 
 def write_page(page: Page, made: Made, folder: Path) -> None:
@@ -182,23 +110,10 @@ def write_page(page: Page, made: Made, folder: Path) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     for picture in (picture for section in page.sections for picture in section.pictures):
-        write_picture(picture, folder / f"{picture.name}.png")
+        picture.write(folder / f"{picture.name}.png")
     figures = {one.name: list(one.rows) for one in page.tables()}
     write_json(folder / f"{made.name}.json", dataclasses.asdict(made) | {"figures": figures} | dict(page.more))
-    write_bytes(folder / f"{made.name}.md", markdown(page, made).encode())
-
-
-def write_picture(picture: Picture, path: Path) -> None:
-    """Draw in the style that all pictures have. Raises ConfigError without matplotlib."""
-    figure = new_figure(*picture.size)
-    picture.draw(figure)
-    for axes in figure.axes:
-        if picture.grid:
-            axes.grid(alpha=0.3)
-        if legend := axes.get_legend():
-            for words in legend.get_texts():
-                words.set_fontsize(8)
-    save_figure(figure, path, DPI)
+    write_bytes(folder / f"{made.name}.md", f"# {made.question}\n\n{body_of(page, made)}\n".encode())
 
 
 def update(document: Path, name: str, text: str) -> None:
@@ -209,3 +124,24 @@ def update(document: Path, name: str, text: str) -> None:
     if begin not in whole or end not in whole:
         raise ConfigError(f"{document}: expected the lines {begin!r} and {end!r}")
     write_bytes(document, f"{before}{begin}\n\n{text}\n\n{end}{after}".encode())
+
+
+def plain_log_ticks(axis: Any, most: int = 6) -> None:
+    """Label a logarithmic axis with at most `most` plain numbers, when its limits are final.
+
+    matplotlib labels minor ticks too where an axis spans less than a decade, one over the other.
+    """
+    from matplotlib.ticker import MaxNLocator, NullLocator
+
+    low, high = sorted(axis.get_view_interval())
+    decades = [10.0**power for power in range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)]
+    if high < 4 * low:
+        ticks = [tick for tick in MaxNLocator(most - 1).tick_values(low, high) if low <= tick <= high]
+    else:
+        for steps in ((1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9), (1, 2, 5), (1, 3), (1,)):
+            ticks = [step * decade for decade in decades for step in steps if low <= step * decade <= high]
+            if len(ticks) <= most:
+                break
+    axis.set_ticks(ticks[:: math.ceil(len(ticks) / most)])
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_locator(NullLocator())

@@ -83,7 +83,7 @@ def entry(measurement: Measurement, page: Page, made: Made) -> dict[str, Any]:
 def _columns(table: Table) -> dict[str, Any]:
     """A table with its names once; fractional numbers have six digits."""
     names = list(dict.fromkeys(name for row in table.rows for name in row))
-    heads = dict(zip(table.keys, table.head, strict=True))
+    heads = {key: head for key, (head, _) in table.shown_columns().items()}
     rows = [[_short(row.get(name)) for name in names] for row in table.rows]
     return {"columns": names, "shown as": heads, "rows": rows}
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from airgs_codec.jobs.job import Job, code_digest, digest
+
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import Store, open_store
 from airgs_codec.progress import Progress, silent

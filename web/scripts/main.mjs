@@ -15,6 +15,7 @@ const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const folder = process.argv[2] ?? here("../../airgs_codec/serve/page");
 
 await mkdir(folder, { recursive: true });
-for (const name of ["airgs", "airgs-frames", "airgs-player", "airgs-vr", "airgs-more", "airgs-sound"])
-  await bundleOnce(here(`../src/${name}.ts`), `${folder}/${name}.js`);
+const parts = { "airgs-vr": "play/vr", "airgs-sound": "play/sound" };
+for (const name of ["airgs", "airgs-frames", "airgs-player", "airgs-more", ...Object.keys(parts)])
+  await bundleOnce(here(`../src/${parts[name] ?? name}.ts`), `${folder}/${name}.js`);
 await copyFile(here("../src/player.html"), `${folder}/player.html`);

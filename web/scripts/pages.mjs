@@ -7,5 +7,6 @@ import { bundle } from "./bundle.mjs";
 const here = (path) => fileURLToPath(new URL(path, import.meta.url));
 const files = readdirSync(here("../test/pages")).filter((file) => file.endsWith(".ts"));
 const entries = Object.fromEntries(files.map((file) => [basename(file, ".ts"), here(`../test/pages/${file}`)]));
-for (const part of ["airgs-more", "airgs-sound"]) entries[part] = here(`../src/${part}.ts`);
+entries["airgs-more"] = here("../src/airgs-more.ts");
+entries["airgs-sound"] = here("../src/play/sound.ts");
 await bundle(entries, here("../out/pages"), { sourcemap: "inline" });

@@ -1,4 +1,3 @@
-/** A style sheet: its text. */
 declare module "*.css" {
   const text: string;
   export default text;

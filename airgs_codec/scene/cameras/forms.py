@@ -1,4 +1,4 @@
-"""Cameras as JSON files, .splatv and poses_bounds.npy have them: for each form what tells it and what reads it.
+"""Cameras with their pictures as JSON files, .splatv and poses_bounds.npy have them: what tells a form, what reads it.
 
 - nerfstudio's transforms.json: OpenGL camera-to-world matrices, one entry for each picture; sizes in pixels. What all
   entries share may stand beside `frames`, but for the matrix. Pictures, masks and points may lie anywhere: an absolute
@@ -23,7 +23,8 @@ from __future__ import annotations
 
 import json
 from collections import ChainMap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -31,9 +32,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import Lens
-from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
-from airgs_codec.scene.cameras.posed import Posed, as_path, expect_any, inverse, undistorted
+from airgs_codec.media.image import Lens, fit_lens
+from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera, check_camera
 from airgs_codec.scene.files import Cursor, expecting, read_json, read_object
 
 TRANSFORMS, INRIA, LLFF = "transforms.json", "cameras.json", "poses_bounds.npy"
@@ -43,15 +43,111 @@ NUMPY_MAGIC = b"\x93NUMPY"
 FISHEYE = "OPENCV_FISHEYE"
 # Beginnings of models in transforms.json that no pinhole stands for.
 NO_LENS = ("EQUIRECTANGULAR", "OMNIDIRECTIONAL", "VR180", "ORTHO", "FISHEYE624")
-PLACEHOLDER = [
-    -3.0089893469241797,
-    -0.11086489695181866,
-    -3.7527640949141428,
-]  # its position, to the last bit
+PLACEHOLDER = [-3.0089893469241797, -0.11086489695181866, -3.7527640949141428]  # splaTV's own, to the last bit
 INRIA_NEAR = 0.2  # world units: its rasteriser draws nothing nearer (in_frustum in auxiliary.h), so none was fitted
 MOST_WIDE = 1600  # pixels: wider pictures are trained on at this width by default, though the file has their full size
 # Metres. The cameras hang in the wall of a dome: what lies nearer is the wall that others see, and their own housing.
 PANOPTIC_NEAR = 0.8
+MOST_LETTERS = 255  # of a name in any file system
+
+
+def as_path(text: object) -> str:
+    """A path as a file has it, with the separators of every system as "/"."""
+    return str(text).replace("\\", "/")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """A camera as a file describes it, and the picture that it belongs to.
+
+    Raises ValueError for a camera that is none, of no size, without focal length, at no place, and for a path that can
+    be none of a file.
+    """
+
+    camera: Camera  # of the undistorted picture
+    picture: str = ""  # path of the picture as the file has it; empty: it names none
+    lens: Lens | None = None  # None: the picture is that of a pinhole camera already
+    time: float = 0.0  # of the picture, in any unit: equal within a frame, ascending
+    mask: str | None = None  # path of the picture's mask as the file has it
+    fixed: bool = False  # the camera has one name at all times: its first pose counts
+
+    def __post_init__(self) -> None:
+        check_camera(self.camera)
+        for path in filter(None, (self.picture, self.mask)):
+            parts = Path(path).parts
+            if not (Path(path).name and path.isprintable() and max(map(len, parts)) <= MOST_LETTERS):
+                raise ValueError(f"{path!r} is no name of a picture")
+
+
+Reader = Callable[[Path], list[Posed]]
+
+
+def reader(words: str, least: str) -> Callable[[Callable[[Path], Iterable[Posed]]], Reader]:
+    """Makes a reader of a function that yields the cameras of a file, which is expected to be `words`.
+
+    The reader gives at least one, in the order of the file, and raises SceneError where that has none or is broken.
+    """
+
+    def made(parse: Callable[[Path], Iterable[Posed]]) -> Reader:
+        def read(path: Path) -> list[Posed]:
+            with expecting(path, words):
+                posed = list(parse(path))
+            if not posed:
+                raise SceneError(f"{path}: expected {least}, got none")
+            return posed
+
+        return read
+
+    return made
+
+
+def distinct(posed: Iterable[Posed]) -> list[Camera]:
+    """The cameras, in the order in which they first appear: fixed ones once a name, others once a sight."""
+    found: dict[object, Camera] = {}
+    for p in posed:
+        c = p.camera
+        sight = c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()
+        found.setdefault(c.name if p.fixed else sight, c)
+    return list(found.values())
+
+
+def undistorted(camera: Camera, coefficients: NDArray[np.float64], fisheye: bool = False) -> tuple[Camera, Lens | None]:
+    """The camera of undistorted pictures, and the lens that they are undistorted for; None for a pinhole camera.
+
+    `camera` has the intrinsics of pictures as they were taken, `coefficients` are OpenCV's of the model. Raises
+    ValueError for a camera that is none.
+    """
+    if not fisheye and not coefficients.any():
+        return camera, None
+    check_camera(camera)
+    if not np.isfinite(coefficients).all():
+        raise ValueError(f"camera {camera.name} has a lens that is not finite")
+    matrix = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1]])
+    try:
+        lens = fit_lens((camera.width, camera.height), matrix, coefficients, fisheye)
+    except ValueError as error:
+        numbers = ", ".join(f"{number:g}" for number in (camera.fx, camera.fy, camera.cx, camera.cy, *coefficients))
+        raise ValueError(
+            f"camera {camera.name}: {error}, got {'a fisheye' if fisheye else 'one'} of {numbers}"
+        ) from error
+    (fx, _, cx), (_, fy, cy), _ = lens.pinhole
+    return replace(camera, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy)), lens
+
+
+def told_of_lenses(posed: Iterable[Posed]) -> tuple[str, ...]:
+    """What people should know of the lenses of cameras: a line, or none."""
+    cut = {p.camera.name: p.camera for p in posed if p.lens and p.lens.cut}
+    angles = [np.degrees(2 * np.arctan(max(c.width / 2 / c.fx, c.height / 2 / c.fy))) for c in cut.values()]
+    if not cut:
+        return ()
+    left = f"the middle {min(angles):.0f} degrees of what they see are used, the rest is cut off"
+    return (f"{len(cut)} cameras, such as {next(iter(cut))}, have wide or strongly bending lenses: {left}",)
+
+
+def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.linalg.inv(matrix).astype(np.float64)
+
+
 _Entry = ChainMap[str, Any]  # of a picture in transforms.json, over what all share
 
 
@@ -59,14 +155,12 @@ def is_transforms(data: Any) -> bool:
     return isinstance(data, dict) and "frames" in data
 
 
-def read_transforms(path: Path) -> list[Posed]:
-    """One for each entry, in the order of the file. Raises SceneError."""
+@reader(f"a nerfstudio {TRANSFORMS}", "at least one picture under 'frames'")
+def read_transforms(path: Path) -> Iterator[Posed]:
     data = read_object(path)
-    with expecting(path, f"a nerfstudio {TRANSFORMS}"):
-        entries = [ChainMap(entry, data) for entry in data["frames"]]
-        held_out = {*map(as_path, [*data.get("test_filenames", ()), *data.get("val_filenames", ())])}
-        posed = [_of_entry(name, e, held_out) for name, e in zip(_names(entries), entries, strict=True)]
-    return expect_any(posed, path, "at least one picture under 'frames'")
+    entries = [ChainMap(entry, data) for entry in data["frames"]]
+    held_out = {*map(as_path, [*data.get("test_filenames", ()), *data.get("val_filenames", ())])}
+    yield from (_of_entry(name, e, held_out) for name, e in zip(_names(entries), entries, strict=True))
 
 
 def _names(entries: Sequence[_Entry]) -> list[str]:
@@ -82,8 +176,10 @@ def _of_entry(name: str, entry: _Entry, held_out: set[str]) -> Posed:
     picture = as_path(entry.get("file_path", ""))
     to_world = np.asarray(entry.maps[0]["transform_matrix"], np.float64).reshape(4, 4)
     width, height, fx, fy, cx, cy = (float(entry[key]) for key in ("w", "h", "fl_x", "fl_y", "cx", "cy"))
-    to_camera = inverse(to_world @ OPENGL_TO_OPENCV)
-    split, near = str(entry.get("split", "test" if picture in held_out else "train")), _near(entry)
+    to_camera = _inverse(to_world @ OPENGL_TO_OPENCV)
+    split, near = str(entry.get("split", "test" if picture in held_out else "train")), float(entry.get("near", 0))
+    if near <= 0 and "near" in entry:
+        raise ValueError(f"near: expected a distance above 0, got {near:g}")
     taken = Camera(name, int(width), int(height), fx, fy, cx, cy, to_camera, split, near)
     camera, lens = _without_lens(taken, entry)
     mask = as_path(entry["mask_path"]) if "mask_path" in entry else None
@@ -107,52 +203,37 @@ def _time(entry: _Entry) -> float:
 
 
 def is_inria(data: Any) -> bool:
-    """Return whether JSON data is a list of cameras as cameras.json has them."""
     first = data[0] if isinstance(data, list) and data else None
     return isinstance(first, dict) and {"position", "rotation"} <= {*first}
 
 
-def read_inria(path: Path) -> list[Posed]:
-    """One for each entry, in the order of the file. Raises SceneError."""
-    return _inria_cameras(path, read_json(path))
+@reader("INRIA's cameras.json", "at least one camera")
+def read_inria(path: Path) -> Iterator[Posed]:
+    yield from _inria_cameras(read_json(path))
 
 
-def read_splatv(path: Path) -> list[Posed]:
-    """One for each camera of the header. Raises SceneError."""
-    with expecting(path, "a .splatv header with cameras"):
-        cursor = Cursor.open(path)
-        _, length = cursor.take("II")
-        chunks = json.loads(cursor.piece(length))
-        cameras = [camera for chunk in chunks for camera in chunk.get("cameras", ())]
-        if cameras and all(camera["position"] == PLACEHOLDER for camera in cameras):
-            raise SceneError(f"{path}: expected cameras of this scene, got the one that splaTV writes into every file")
-    return _inria_cameras(path, cameras)
+@reader("a .splatv header with cameras", "at least one camera")
+def read_splatv(path: Path) -> Iterator[Posed]:
+    cursor = Cursor.open(path)
+    _, length = cursor.take("II")
+    chunks = json.loads(cursor.piece(length))
+    cameras = [camera for chunk in chunks for camera in chunk.get("cameras", ())]
+    if cameras and all(camera["position"] == PLACEHOLDER for camera in cameras):
+        raise SceneError(f"{path}: expected cameras of this scene, got the one that splaTV writes into every file")
+    yield from _inria_cameras(cameras)
 
 
-def _inria_cameras(path: Path, data: Any) -> list[Posed]:
-    """The cameras of such a list, which the file at `path` holds. Raises SceneError."""
-    posed: list[Posed] = []
-    with expecting(path, "INRIA's cameras.json"):
-        for number, entry in enumerate(data):
-            picture = as_path(entry.get("img_name", f"view{number:03d}"))
-            width, height = int(entry["width"]), int(entry["height"])
-            shown = min(width, MOST_WIDE)
-            tall = int(height * shown / width)  # cut off, not rounded
-            to_world = np.eye(4)
-            to_world[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
-            to_world[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
-            fx, fy = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height
-            lens = fx, fy, shown / 2, tall / 2
-            posed.append(Posed(Camera(picture, shown, tall, *lens, inverse(to_world), near=INRIA_NEAR), picture))
-    return expect_any(posed, path, "at least one camera")
-
-
-def _near(entry: _Entry) -> float:
-    """The near plane of an entry, 0 where it has none. Raises ValueError for one that is not in front of the camera."""
-    near = float(entry.get("near", 0))
-    if near <= 0 and "near" in entry:
-        raise ValueError(f"near: expected a distance above 0, got {near:g}")
-    return near
+def _inria_cameras(data: Any) -> Iterator[Posed]:
+    for number, entry in enumerate(data):
+        picture = as_path(entry.get("img_name", f"view{number:03d}"))
+        width, height = int(entry["width"]), int(entry["height"])
+        shown = min(width, MOST_WIDE)
+        tall = int(height * shown / width)  # cut off, not rounded
+        to_world = np.eye(4)
+        to_world[:3, :3] = np.asarray(entry["rotation"], np.float64).reshape(3, 3)
+        to_world[:3, 3] = np.asarray(entry["position"], np.float64).reshape(3)
+        lens = float(entry["fx"]) * shown / width, float(entry["fy"]) * tall / height, shown / 2, tall / 2
+        yield Posed(Camera(picture, shown, tall, *lens, _inverse(to_world), near=INRIA_NEAR), picture)
 
 
 def is_panoptic(data: Any) -> bool:
@@ -165,43 +246,35 @@ def read_panoptic(path: Path) -> list[Posed]:
     Cameras of a test_meta.json are held out; that beside a train_meta.json is read with it. Raises SceneError.
     """
     test = path.with_name(PANOPTIC_TEST)
-    if path.name == PANOPTIC_TEST:
-        return _panoptic_cameras(path, "test")
-    return _panoptic_cameras(path, "train") + (_panoptic_cameras(test, "test") if test.is_file() else [])
+    if path == test:
+        return _panoptic_cameras(path)
+    return _panoptic_cameras(path) + (_panoptic_cameras(test) if test.is_file() else [])
 
 
-def _panoptic_cameras(path: Path, split: str) -> list[Posed]:
+@reader("fn, k, w2c and cam_id of frames and cameras", "at least one frame")
+def _panoptic_cameras(path: Path) -> Iterator[Posed]:
     data = read_object(path)
-    posed: list[Posed] = []
-    with expecting(path, "fn, k, w2c and cam_id of frames and cameras"):
-        size = (int(data["w"]), int(data["h"]))
-        moments = zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)
-        if not all(map(len, data["fn"])):
-            raise ValueError("a frame has no pictures")
-        for time, moment in enumerate(moments):
-            for file, k, w2c, number in zip(*moment, strict=True):
-                if not file:
-                    raise ValueError("a picture without a name")
-                m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
-                lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
-                camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
-                posed.append(Posed(camera, as_path(file), time=time, fixed=True))
-    return expect_any(posed, path, "at least one frame")
+    size, split = (int(data["w"]), int(data["h"])), "test" if path.name == PANOPTIC_TEST else "train"
+    if not all(map(len, data["fn"])):
+        raise ValueError("a frame has no pictures")
+    for time, moment in enumerate(zip(data["fn"], data["k"], data["w2c"], data["cam_id"], strict=True)):
+        for file, k, w2c, number in zip(*moment, strict=True):
+            if not file:
+                raise ValueError("a picture without a name")
+            m, view = np.asarray(k, np.float64).reshape(3, 3), np.asarray(w2c, np.float64).reshape(4, 4)
+            lens = m[0, 0], m[1, 1], m[0, 2], m[1, 2]
+            camera = Camera(f"cam{number:02d}", *size, *lens, view, split, PANOPTIC_NEAR)
+            yield Posed(camera, as_path(file), time=time, fixed=True)
 
 
-def read_llff(path: Path) -> list[Posed]:
-    """One for each row. Raises SceneError."""
-    with expecting(path, "rows of 17 numbers"):
-        rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
-        posed = [_of_row(row, number) for number, row in enumerate(rows)]
-    return expect_any(posed, path, "at least one row")
-
-
-def _of_row(row: NDArray[np.float64], number: int) -> Posed:
-    pose = row[:15].reshape(3, 5)
-    height, width, focal = pose[:, 4]
-    down, right, back = pose[:, 0], pose[:, 1], pose[:, 2]
-    view = np.eye(4)
-    view[:3, :3] = np.stack([right, down, -back])
-    view[:3, 3] = -view[:3, :3] @ pose[:, 3]
-    return Posed(Camera(f"view{number:03d}", int(width), int(height), focal, focal, width / 2, height / 2, view))
+@reader("rows of 17 numbers", "at least one row")
+def read_llff(path: Path) -> Iterator[Posed]:
+    rows = np.asarray(np.load(path, allow_pickle=False)).astype(np.float64).reshape(-1, 17)
+    for number, row in enumerate(rows):
+        pose = row[:15].reshape(3, 5)
+        height, width, focal = pose[:, 4]
+        view = np.eye(4)
+        view[:3, :3] = np.stack([pose[:, 1], pose[:, 0], -pose[:, 2]])  # the rows are down, right and backwards
+        view[:3, 3] = -view[:3, :3] @ pose[:, 3]
+        middle = width / 2, height / 2
+        yield Posed(Camera(f"view{number:03d}", int(width), int(height), focal, focal, *middle, view))

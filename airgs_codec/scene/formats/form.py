@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply_elements import Header
 from airgs_codec.scene.frames import repair
 from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
@@ -30,7 +29,6 @@ class FrameHeader:
 
     @property
     def bytes(self) -> int:
-        """Bytes of the frame in memory, in float32."""
         return 4 * self.count * (14 + 3 * SH_REST[self.sh_degree])
 
 
@@ -71,33 +69,30 @@ class Clip:
     note: str  # what was read, and how it became frames, for people
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Format:
-    """A format of files; its functions raise SceneError."""
+@dataclass(frozen=True, slots=True)
+class FrameFormat:
+    """A format of files that hold one frame; its functions raise SceneError."""
 
     name: str
-    suffixes: tuple[str, ...]  # of files that are read
-    fits: Callable[[Header], bool] | None = None  # whether a .ply is of this format; None: any other is
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FrameFormat(Format):
-    """A format of files that hold one frame."""
-
     key: str  # in options; written files end in it, after a dot
-    holds: Holds = Holds()
-    writer: str = ""  # the library that `write` needs
-    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
+    suffixes: tuple[str, ...]  # of files that are read
     read_header: Callable[[Path], FrameHeader]
     read: Callable[[Path], Gaussians]  # its positions may be float64
     write: Callable[[Path, Gaussians], None]  # of Gaussians as `holds` makes them fit
+    holds: Holds = Holds()
+    signs: tuple[str, ...] = ()  # vertex properties of which a .ply of this format has one; none: any other is of it
+    writer: str = ""  # the library that `write` needs
+    axes: Axes | None = None  # as its specification says; None: it does not, or files do not keep to it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClipFormat(Format):
+@dataclass(frozen=True, slots=True)
+class ClipFormat:
     """A format of files that hold many frames, or Gaussians that move by themselves and are baked to frames."""
 
-    open: Callable[[Path, Bake], Clip]
+    name: str
+    suffixes: tuple[str, ...]
+    open: Callable[[Path, Bake], Clip]  # raises SceneError
+    signs: tuple[str, ...] = ()  # as of FrameFormat
 
 
 def check_count(path: Path, header: FrameHeader) -> FrameHeader:
@@ -120,8 +115,7 @@ class Losses:
 
     def __init__(self, holds: Holds, form: str) -> None:
         self._holds, self._form = holds, form
-        self._rows: list[int] = []  # of each frame
-        self._degree = 0
+        self._frames = self._rows = self._degree = 0
         self._beyond: Counter[str] = Counter()
         self._notes: list[str] = []
 
@@ -133,28 +127,26 @@ class Losses:
         repaired = repair([gaussians], where)
         g = repaired.frames[0]
         self._notes += repaired.notes
-        self._rows.append(len(g))
-        self._degree = max(self._degree, g.sh_degree)
+        self._frames, self._rows, self._degree = self._frames + 1, self._rows + len(g), max(self._degree, g.sh_degree)
         g = g.with_degree(min(g.sh_degree, self._holds.sh_degree))
         for name, low, high in self._holds.ranges:
             values = getattr(g, name)
             beyond = ((values < low) | (values > high)).reshape(len(g), -1).any(axis=1)
-            if beyond.any():
-                self._beyond[name] += int(beyond.sum())
-                g = replace(g, **{name: np.clip(values, np.float32(low), np.float32(high))})
+            self._beyond[name] += int(beyond.sum())
+            g = replace(g, **{name: np.clip(values, np.float32(low), np.float32(high))}) if beyond.any() else g
         return g
 
     def lines(self) -> list[str]:
         """Return a line for each kind of loss, none where nothing was lost."""
-        lines = list(self._notes)
-        if self._degree > self._holds.sh_degree:
-            lines.append(f"{self._form} has SH of degree {self._holds.sh_degree} at most, of {self._degree}")
-        if self._holds.rounding:
-            lines.append(f"{self._form} rounds {self._holds.rounding}")
-        if not self._holds.keeps_rows and len(self._rows) > 1:
-            lines.append(f"{self._form} has rows in another order in every frame: which Gaussian is which is lost")
-        for name, low, high in self._holds.ranges:
+        holds, lost = self._holds, list[str]()
+        if self._degree > holds.sh_degree:
+            lost.append(f"has SH of degree {holds.sh_degree} at most, of {self._degree}")
+        if holds.rounding:
+            lost.append(f"rounds {holds.rounding}")
+        if not holds.keeps_rows and self._frames > 1:
+            lost.append("has rows in another order in every frame: which Gaussian is which is lost")
+        for name, low, high in holds.ranges:
             if count := self._beyond[name]:
-                share = f"{count} of {sum(self._rows)} Gaussians"
-                lines.append(f"{self._form} has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
-        return lines
+                share = f"{count} of {self._rows} Gaussians"
+                lost.append(f"has {_WORDS[name]} from {low:.4g} to {high:.4g}: cut off in {share}")
+        return self._notes + [f"{self._form} {line}" for line in lost]

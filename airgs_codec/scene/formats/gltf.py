@@ -11,9 +11,8 @@ import json
 import math
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.parse import unquote
 
 import numpy as np
@@ -23,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from airgs_codec.errors import SceneError
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import SIZES, Axes, FrameFormat, FrameHeader, Holds
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, logits_of, logs_of, multiply
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, logits_of, logs_of, multiply
 
 EXTENSION = "KHR_gaussian_splatting"
 _COLOURS = ("srgb_rec709_display", "BT.709")  # the second is of drafts
@@ -33,21 +32,11 @@ _MOST_JSON = 1 << 24  # bytes
 _MOST_BYTES = 1 << 32  # of a .glb, whose length is a word of 32 bits
 _MOST_NODES = 10_000  # that are walked through, and primitives of splats in them
 _TOLERANCE = 1e-3  # of a matrix that turns and scales alike, relative
-_POINTS = 0
 _WORDS = f"glTF with {EXTENSION}"
+Document = dict[str, Any]
 
 
-@dataclass(frozen=True, slots=True)
-class _Document:
-    """The JSON of a file, and its binary chunk; the chunk is empty where only the header was read."""
-
-    path: Path
-    json: dict[str, Any]
-    chunk: bytes
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Placed:
+class _Placed(NamedTuple):
     """A primitive of splats with the transform of its node: x -> matrix x + translation."""
 
     attributes: dict[str, int]  # numbers of accessors
@@ -59,10 +48,9 @@ class _Placed:
 
 
 def read_gltf_header(path: Path) -> FrameHeader:
-    """Count and SH degree of all splats together. Raises SceneError."""
     with expecting(path, _WORDS):
-        document = _open(path, only_json=True)
-        return _header(document, list(_splats(document.json)))
+        document, _ = _open(path, only_json=True)
+        return _header(document, list(_splats(document)))
 
 
 def read_gltf(path: Path) -> Gaussians:
@@ -71,15 +59,15 @@ def read_gltf(path: Path) -> Gaussians:
     Raises SceneError.
     """
     with expecting(path, _WORDS):
-        document = _open(path)
-        primitives = list(_splats(document.json))
+        document, chunk = _open(path)
+        primitives = list(_splats(document))
         degree = _header(document, primitives).sh_degree
-        buffers = _buffers(document)
-        return join_rows([_read(document.json, buffers, p, degree) for p in primitives])
+        buffers = _buffers(path, document, chunk)
+        return Gaussians.join([_read(document, buffers, p, degree) for p in primitives])
 
 
-def _open(path: Path, *, only_json: bool = False) -> _Document:
-    """Read the JSON and, unless only that is asked for, the binary chunk. Raises OSError, ValueError."""
+def _open(path: Path, *, only_json: bool = False) -> tuple[Document, bytes]:
+    """The JSON and, unless only that is asked for, the binary chunk. Raises OSError, ValueError."""
     with path.open("rb") as file:
         head = file.read(20)
         if head[:4] != b"glTF":
@@ -92,67 +80,54 @@ def _open(path: Path, *, only_json: bool = False) -> _Document:
                 raise ValueError(f"a header of GLB 2, got {head!r}")
             text = file.read(length)
             chunk = b"" if only_json else file.read()[8:]
-    return _Document(path, json.loads(text), chunk)
+    return json.loads(text), chunk
 
 
-def _header(document: _Document, primitives: list[_Placed]) -> FrameHeader:
-    """Return what the JSON promises. Raises SceneError, or what `expecting` knows."""
+def _header(document: Document, primitives: list[_Placed]) -> FrameHeader:
+    """Return what the JSON promises. Raises what `expecting` knows."""
     if not primitives:
         raise ValueError("no node of its scene has splats")
-    degrees = set()
-    count = 0
-    for primitive in primitives:
-        names, extension = primitive.attributes, primitive.extension
+    degrees, count = set(), 0
+    for names, extension, *_ in primitives:
         if extension.get("extensions"):
             raise ValueError(f"splats compressed by {', '.join(extension['extensions'])} are not read")
         if extension.get("kernel", "ellipse") != "ellipse" or extension.get("colorSpace", _COLOURS[0]) not in _COLOURS:
             raise ValueError(f"kernel ellipse in {_COLOURS[0]}, got {json.dumps(extension)[:120]}")
         degrees.add(max(d for d in range(4) if all(name in names for name in _harmonics(d))))
         beyond = max(degrees) + 1
-        if any(f"{EXTENSION}:SH_DEGREE_{beyond}_COEF_{i}" in names for i in range(2 * beyond + 1)):
+        if any(name in names for name in _band(beyond)):
             raise ValueError(f"some coefficients of SH degree {beyond}")
-        count += _whole(document.json["accessors"][names["POSITION"]]["count"])
+        count += _whole(document["accessors"][names["POSITION"]]["count"])
     if len(degrees) > 1:
         raise ValueError(f"one SH degree, got {sorted(degrees)}")
     if max(degrees) and any(abs(primitive.rotation[0]) < 1 - 1e-6 for primitive in primitives):
         raise ValueError("splats with SH in a node that turns them")
-    if count > (most := sum(_whole(buffer["byteLength"]) for buffer in document.json["buffers"])):
+    if count > (most := sum(_whole(buffer["byteLength"]) for buffer in document["buffers"])):
         raise ValueError(f"as many Gaussians as {most} bytes can hold, got {count}")
     return FrameHeader(count, degrees.pop())
 
 
-def _splats(document: dict[str, Any]) -> Iterator[_Placed]:
-    """The primitives of splats of all nodes of the scene, in their order.
-
-    Raises ValueError for nodes that are too many, or scale splats differently in different directions; KeyError,
-    IndexError and TypeError where the document is broken.
-    """
+def _splats(document: Document) -> Iterator[_Placed]:
+    """The primitives of splats of all nodes of the scene, in their order. Raises what `expecting` knows."""
     nodes = document["nodes"]
     roots = document["scenes"][document.get("scene", 0)]["nodes"] if document.get("scenes") else range(len(nodes))
-    waiting: list[tuple[int, NDArray[np.float64]]] = []
-    seen = _put(waiting, roots, np.eye(4))
+    waiting: list[tuple[dict[str, Any], NDArray[np.float64]]] = [({"children": roots}, np.eye(4))]  # the last is next
+    seen = 0
     while waiting:
-        number, above = waiting.pop()
-        node = nodes[number]
-        matrix = above @ _local(node)
+        node, above = waiting.pop()
+        matrix, below = above @ _local(node), node.get("children", ())
         primitives = document["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ()
-        if (seen := seen + _put(waiting, node.get("children", ()), matrix) + len(primitives)) > _MOST_NODES:
+        if (seen := seen + len(below) + len(primitives)) > _MOST_NODES:
             raise ValueError(f"at most {_MOST_NODES} nodes and primitives")
+        waiting += [(nodes[number], matrix) for number in reversed(below)]
         for primitive in primitives:
             if (found := primitive.get("extensions", {}).get(EXTENSION)) is not None:
-                if primitive.get("mode", 4) != _POINTS:
+                if primitive.get("mode", 4) != 0:
                     raise ValueError(f"splats as points, got mode {primitive.get('mode', 4)}")
                 yield _placed(primitive["attributes"], found, matrix)
 
 
-def _put(waiting: list[tuple[int, NDArray[np.float64]]], numbers: Any, matrix: NDArray[np.float64]) -> int:
-    """Append nodes below a matrix, so that the first is the next to be taken; how many they are."""
-    waiting += [(number, matrix) for number in reversed(numbers[: _MOST_NODES + 1])]
-    return len(numbers)
-
-
 def _local(node: dict[str, Any]) -> NDArray[np.float64]:
-    """(4, 4) the transform of a node."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
     out = np.eye(4)
@@ -172,10 +147,12 @@ def _placed(attributes: dict[str, int], extension: dict[str, Any], matrix: NDArr
     return _Placed(attributes, extension, turn, matrix[:3, 3], scale, rotation)
 
 
-def _harmonics(degree: int) -> Iterator[str]:
-    """The attributes of all bands up to a degree, in their order."""
-    for band in range(degree + 1):
-        yield from (f"{EXTENSION}:SH_DEGREE_{band}_COEF_{i}" for i in range(2 * band + 1))
+def _band(degree: int) -> list[str]:
+    return [f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{i}" for i in range(2 * degree + 1)]
+
+
+def _harmonics(degree: int) -> list[str]:
+    return [name for band in range(degree + 1) for name in _band(band)]
 
 
 def _whole(value: Any) -> int:
@@ -184,34 +161,32 @@ def _whole(value: Any) -> int:
     return value
 
 
-def _buffers(document: _Document) -> list[bytes]:
+def _buffers(path: Path, document: Document, chunk: bytes) -> list[bytes]:
     """The bytes of all buffers, none of them twice and each as long as it says."""
-    uris = [buffer.get("uri") for buffer in document.json["buffers"]]
+    uris = [buffer.get("uri") for buffer in document["buffers"]]
     if len(set(uris)) < len(uris):
         raise ValueError(f"every buffer once, got {len(uris)} of {len(set(uris))} places")
-    buffers = [_buffer(document, uri) for uri in uris]
-    for data, buffer in zip(buffers, document.json["buffers"], strict=True):
+    buffers = [chunk if uri is None else _buffer(path, uri) for uri in uris]
+    for data, buffer in zip(buffers, document["buffers"], strict=True):
         if len(data) < _whole(buffer["byteLength"]):
             raise ValueError(f"a buffer of {buffer['byteLength']} bytes, got {len(data)}")
     return buffers
 
 
-def _buffer(document: _Document, uri: str | None) -> bytes:
-    """The bytes of a buffer: the binary chunk, base64 in the JSON, or a file beside it."""
-    if uri is None:
-        return document.chunk
+def _buffer(path: Path, uri: str) -> bytes:
+    """The bytes of a buffer: base64 in the JSON, or a file beside it."""
     if uri.startswith("data:"):
         return base64.b64decode(uri.partition(",")[2], validate=True)
     name = unquote(uri)
     if Path(name).name != name or "\0" in name:
         raise ValueError(f"a buffer beside it, got {uri[:80]!r}")
     try:
-        return (document.path.parent / name).read_bytes()
+        return (path.parent / name).read_bytes()
     except OSError as error:
-        raise SceneError(f"{document.path}: expected its buffer {name[:80]} beside it: {error.strerror}") from error
+        raise SceneError(f"{path}: expected its buffer {name[:80]} beside it: {error.strerror}") from error
 
 
-def _column(document: dict[str, Any], buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:
+def _column(document: Document, buffers: list[bytes], accessor: int, width: int) -> NDArray[np.float32]:
     """(N, width) of an accessor; integers are divided by their largest where they are normalised."""
     a = document["accessors"][accessor]
     if "sparse" in a or _WIDTHS.get(a["type"]) != width:
@@ -231,33 +206,29 @@ def _column(document: dict[str, Any], buffers: list[bytes], accessor: int, width
     return values
 
 
-def _read(document: dict[str, Any], buffers: list[bytes], primitive: _Placed, degree: int) -> Gaussians:
-    names = primitive.attributes
-
-    def column(name: str, width: int) -> NDArray[np.float32]:
-        return _column(document, buffers, _whole(names[name]), width)
-
-    means = column("POSITION", 3)
-    rotations = column(f"{EXTENSION}:ROTATION", 4)[:, [3, 0, 1, 2]]
-    scales = column(f"{EXTENSION}:SCALE", 3)
-    alpha = column(f"{EXTENSION}:OPACITY", 1)[:, 0]
-    dc, *rest = (column(name, 3) for name in _harmonics(degree))
-    lengths = {len(rotations), len(scales), len(alpha), *map(len, (dc, *rest))}
-    if lengths != {len(means)}:
+def _read(document: Document, buffers: list[bytes], primitive: _Placed, degree: int) -> Gaussians:
+    wanted = {"POSITION": 3, "ROTATION": 4, "SCALE": 3, "OPACITY": 1}
+    widths = {name if name == "POSITION" else f"{EXTENSION}:{name}": width for name, width in wanted.items()}
+    widths |= dict.fromkeys(_harmonics(degree), 3)
+    accessors = primitive.attributes
+    columns = [_column(document, buffers, _whole(accessors[name]), width) for name, width in widths.items()]
+    means, rotations, scales, alpha, dc, *rest = columns
+    if {*map(len, columns)} != {len(means)}:
         raise ValueError(f"{len(means)} rows of every attribute")
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         log_scales = logs_of(scales) + math.log(primitive.scale)
         placed_means: NDArray[Any] = means @ primitive.matrix.T + primitive.translation
         if not primitive.translation.any():
             placed_means = placed_means.astype(np.float32)
+    rotations = rotations[:, [3, 0, 1, 2]]
     quaternions = multiply(np.broadcast_to(primitive.rotation, rotations.shape), rotations)
     sh = np.stack(rest, axis=1) if rest else np.zeros((len(means), SH_REST[0], 3))
-    columns = (quaternions, log_scales, logits_of(alpha), dc, sh)
-    return Gaussians(placed_means, *(np.asarray(part, np.float32) for part in columns))
+    others = (quaternions, log_scales, logits_of(alpha[:, 0]), dc, sh)
+    return Gaussians(placed_means, *(np.asarray(part, np.float32) for part in others))
 
 
 def write_glb(path: Path, gaussians: Gaussians) -> None:
-    """Write one frame of unit quaternions as a .glb of one node, all values as floats.
+    """Writes one frame of unit quaternions as a .glb of one node, all values as floats.
 
     Raises SceneError for more rows than a .glb can hold.
     """
@@ -283,7 +254,7 @@ def write_glb(path: Path, gaussians: Gaussians) -> None:
             file.write(np.ascontiguousarray(column, "<f4").tobytes())
 
 
-def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> dict[str, Any]:
+def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> Document:
     """The JSON of one node whose attributes are (N,) or (N, 3 or 4) columns, one after another in the chunk."""
     types = {width: name for name, width in _WIDTHS.items()}
     accessors, views, start = [], [], 0
@@ -292,33 +263,18 @@ def _document_of(columns: dict[str, NDArray[np.float32]], size: int) -> dict[str
         accessors.append({"bufferView": i, "componentType": 5126, "count": len(column), "type": types[width]})
         views.append({"buffer": 0, "byteOffset": start, "byteLength": column.nbytes, "target": 34962})
         start += column.nbytes
-    ends = (columns["POSITION"].min(axis=0), columns["POSITION"].max(axis=0))
-    accessors[0] |= {"min": ends[0].tolist(), "max": ends[1].tolist()}
-    primitive = {
-        "mode": 0,
-        "attributes": {name: i for i, name in enumerate(columns)},
-        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOURS[0]}},
-    }
+    means = columns["POSITION"]
+    accessors[0] |= {"min": means.min(axis=0).tolist(), "max": means.max(axis=0).tolist()}
+    extension = {EXTENSION: {"kernel": "ellipse", "colorSpace": _COLOURS[0]}}
+    primitive = {"mode": 0, "attributes": {name: i for i, name in enumerate(columns)}, "extensions": extension}
     return {
-        "asset": {"version": "2.0", "generator": "airgs-codec"},
-        "extensionsUsed": [EXTENSION],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "buffers": [{"byteLength": size}],
-        "bufferViews": views,
-        "accessors": accessors,
-    }
+        "asset": {"version": "2.0", "generator": "airgs-codec"}, "extensionsUsed": [EXTENSION],
+        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}], "meshes": [{"primitives": [primitive]}],
+        "buffers": [{"byteLength": size}], "bufferViews": views, "accessors": accessors,
+    }  # fmt: skip
 
 
+_UP = Axes((0, 1, 0), metres=1.0)
 GLTF = FrameFormat(
-    name="glTF",
-    key="glb",
-    suffixes=(".glb", ".gltf"),
-    read_header=read_gltf_header,
-    read=read_gltf,
-    write=write_glb,
-    holds=Holds(ranges=(SIZES,)),
-    axes=Axes((0, 1, 0), metres=1.0),
+    "glTF", "glb", (".glb", ".gltf"), read_gltf_header, read_gltf, write_glb, Holds(ranges=(SIZES,)), axes=_UP
 )

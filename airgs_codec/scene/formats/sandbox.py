@@ -61,7 +61,6 @@ def main(limit: str, program: str, *arguments: str) -> None:
 
 
 def _convert(source_form: str, target_form: str, target: str) -> None:
-    """Convert a splat file on standard input to another format with gaussforge."""
     from gaussforge import GaussForge
 
     answer = GaussForge().convert(sys.stdin.buffer.read(), source_form, target_form)
@@ -70,12 +69,12 @@ def _convert(source_form: str, target_form: str, target: str) -> None:
     Path(target).write_bytes(answer["data"])
 
 
-def _bake_4dgs(fps: str, target: str) -> None:
+def _bake_4dgs(fps: str, folder: str) -> None:
     """Bake a .4dgs on standard input with fourdgs; FPS 0 stands for as many frames as the file has states.
 
-    TARGET gets the rows of all frames as float32: a mean, a quaternion w, x, y, z, sizes, alpha, RGB and SH, red first;
-    TARGET.json how many rows each frame has, how many columns a row, and the frame rate. Frame i is the scene at
-    (i + 1/2) / fps seconds, in the middle of its time: what lasts for one frame is whole there.
+    FOLDER gets 000000.npy and on, a frame's rows as float32: a mean, a quaternion w, x, y, z, sizes, alpha, RGB and SH,
+    red first; and said.json, the frame rate and the kind of model. Frame i is the scene at (i + 1/2) / fps seconds, in
+    the middle of its time: what lasts for one frame is whole there.
     """
     import fourdgs
     import numpy as np
@@ -89,7 +88,7 @@ def _bake_4dgs(fps: str, target: str) -> None:
     header = next(records.Header.parse(record.content) for record in found if record.opcode == opcode.HEADER)
     if header.temporal_model == "keyframe-delta":
         sequence = decode_streamed(data)
-        pieces, width = len(sequence.chunks), 14
+        pieces = len(sequence.chunks)
 
         def columns(t: float) -> tuple[np.ndarray, ...]:
             g = render_at(sequence, t)
@@ -99,7 +98,7 @@ def _bake_4dgs(fps: str, target: str) -> None:
         scene = fourdgs.read(data)
         rows = scene.gaussians
         codes = np.zeros((rows.count, 0)) if rows.sh is None else np.reshape(rows.sh, (rows.count, -1))
-        pieces, width = len(np.unique(rows.win_lo)), 14 + codes.shape[1]
+        pieces = len(np.unique(rows.win_lo))
 
         def columns(t: float) -> tuple[np.ndarray, ...]:
             shown = scene.state_at(t)
@@ -111,15 +110,11 @@ def _bake_4dgs(fps: str, target: str) -> None:
     rate = Fraction(fps) or (stated if stated >= FEWEST_FPS else Fraction(DEFAULT_FPS))
     if not 0 < header.duration_sec * rate <= MOST_FRAMES:
         sys.exit(f"expected 1 to {MOST_FRAMES} frames, got {header.duration_sec:g} s at {rate} fps")
-    counts = []
-    with Path(target).open("wb") as file:
-        for frame in range(max(1, round(header.duration_sec * rate))):
-            means, turns, sizes, alpha, rgb, sh = columns((frame + 0.5) / float(rate))
-            parts = (means, np.asarray(turns)[:, [3, 0, 1, 2]], sizes, np.reshape(alpha, (-1, 1)), rgb, sh)
-            file.write(np.concatenate(parts, axis=1).astype("<f4").tobytes())
-            counts.append(len(means))
-    said = {"counts": counts, "width": width, "fps": str(rate), "model": header.temporal_model}
-    Path(f"{target}.json").write_text(json.dumps(said))
+    for frame in range(max(1, round(header.duration_sec * rate))):
+        means, turns, sizes, alpha, rgb, sh = columns((frame + 0.5) / float(rate))
+        parts = (means, np.asarray(turns)[:, [3, 0, 1, 2]], sizes, np.reshape(alpha, (-1, 1)), rgb, sh)
+        np.save(Path(folder, f"{frame:06d}.npy"), np.concatenate(parts, axis=1).astype("<f4"))
+    Path(folder, "said.json").write_text(json.dumps([str(rate), header.temporal_model]))
 
 
 PROGRAMS: dict[str, Callable[..., None]] = {"gaussforge": _convert, "fourdgs": _bake_4dgs}

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.media.image import decode_webp
+from airgs_codec.media.image import decode_rgba
 from airgs_codec.scene.files import expecting
 from airgs_codec.scene.formats.form import FrameFormat, FrameHeader, Holds, check_count
-from airgs_codec.scene.formats.library import LIBRARY, write_with_library
+from airgs_codec.scene.formats.packed import LIBRARY, write_with_library
 from airgs_codec.scene.gaussians import SH_REST, Gaussians, logits_of
 
 META_NAME = "meta.json"
@@ -34,7 +34,8 @@ _MOST_FILES = 1024
 _PACKED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # zipfile unpacks others past the size that an entry states
 _MOST_CHUNKS = 16  # before the pixels of a picture
 _LEVELS = 256  # of a codebook
-_PICTURES = {"means": 2, "quats": 1, "scales": 1, "sh0": 1, "shN": 2}
+_ROWS = ("quats", "scales", "sh0")  # parts of one picture each, a pixel a Gaussian
+_PICTURES = {"means": 2, **dict.fromkeys(_ROWS, 1), "shN": 2}
 Meta = dict[str, Any]
 Pixels = NDArray[np.uint8]  # (H W, 4) of a picture
 
@@ -53,19 +54,18 @@ def read_sog_header(path: Path) -> FrameHeader:
 
 
 def read_sog(path: Path) -> Gaussians:
-    """One frame. Raises SceneError; pictures larger than the rows need are not unpacked."""
+    """Reads one frame. Raises SceneError; pictures larger than the rows need are not unpacked."""
     meta, header, files = _open(path, rows=True)
     with expecting(path, "SOG"):
         return decode_rows(meta, {name: unpack(name, data, header.count) for name, data in files.items()}, header)
 
 
 def write_sog(path: Path, gaussians: Gaussians) -> None:
-    """Write one frame of unit quaternions as one archive. Raises SceneError."""
     write_with_library(path, "sog", gaussians)
 
 
 def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
-    """Write one frame of unit quaternions as meta.json and pictures in an existing folder. Raises SceneError."""
+    """Writes one frame of unit quaternions as meta.json and pictures in an existing folder. Raises SceneError."""
     archive = folder / "frame.sog"
     write_sog(archive, gaussians)
     with zipfile.ZipFile(archive) as opened:
@@ -76,41 +76,37 @@ def write_sog_folder(folder: Path, gaussians: Gaussians) -> None:
 def _open(path: Path, *, rows: bool) -> tuple[Meta, FrameHeader, dict[str, bytes]]:
     """What meta.json says, and the pictures that it names, or those that the header needs. Raises SceneError."""
     with expecting(path, f"SOG, a {META_NAME} with WebP pictures"):
-        meta = json.loads(_files(path, [META_NAME])[META_NAME])
-    names = _check_meta(path, meta)
+        meta = json.loads(_read_files(path, [META_NAME])[META_NAME])
+    with expecting(path, f"{META_NAME} of a SOG file"):
+        if meta.get("version") not in (None, 1, 2) or "means" not in meta:
+            raise SceneError(f"{path}: expected SOG of version 1 or 2, got {meta.get('version', 'none')!r}"[:300])
+        names = _check_meta(meta)
     with expecting(path, f"pictures of SOG beside {META_NAME}"):
-        files = _files(path, names if rows else [] if _coded(meta) or "shN" not in meta else meta["shN"]["files"][:1])
+        sizing = meta["shN"]["files"][:1] if "shN" in meta and not _coded(meta) else []
+        files = _read_files(path, names if rows else sizing)
         header = FrameHeader(_count(meta), _bands(meta, files))
     return meta, check_count(path / names[0] if path.is_dir() else path, header), files
 
 
-def _files(path: Path, names: list[str]) -> dict[str, bytes]:
-    """Files of a folder or an archive, by name. Raises ValueError, OSError."""
-    if not path.is_dir():
-        return _read_entries(path, names)
-    if missing := [name for name in names if not (path / name).is_file()]:
-        raise ValueError(f"no {missing[0]}")
-    return {name: _read_at_most(path / name, _MOST_META if name == META_NAME else _MOST_PICTURE) for name in names}
-
-
-def _check_meta(path: Path, meta: Meta) -> list[str]:
-    """The pictures that meta.json names. Raises SceneError."""
-    with expecting(path, f"{META_NAME} of a SOG file"):
-        if meta.get("version") not in (None, 1, 2) or "means" not in meta:
-            raise SceneError(f"{path}: expected SOG of version 1 or 2, got {meta.get('version', 'none')!r}"[:300])
-        names = [name for part, number in _PICTURES.items() if part in meta for name in _names(meta, part, number)]
-        coded = [meta[part] for part in ("scales", "sh0", "shN") if part in meta]
-        whole = len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5 and _count(meta) >= 0
-        if _coded(meta):
-            books = [part["codebook"] for part in coded]
-            whole &= all(len(book) == _LEVELS and all(isinstance(v, int | float) for v in book) for book in books)
-        if not whole:
-            raise ValueError("counts, bounds or codebooks that are not SOG's")
+def _check_meta(meta: Meta) -> list[str]:
+    """The pictures that meta.json names. Raises what `expecting` knows."""
+    names: list[str] = []
+    for part, number in _PICTURES.items():
+        files = meta[part]["files"] if part in meta else []
+        plain = all(isinstance(name, str) and name and Path(name).name == name for name in files)
+        if len(files) != number * (part in meta) or not plain:
+            raise ValueError(f"{part}: expected {number} plain names of files")
+        names += files
+    whole = len(meta["means"]["mins"]) == len(meta["means"]["maxs"]) == 3 and len(names) >= 5 and _count(meta) >= 0
+    for part in {"scales", "sh0", "shN"} & {*meta} if _coded(meta) else ():
+        book = meta[part]["codebook"]
+        whole &= len(book) == _LEVELS and all(isinstance(value, int | float) for value in book)
+    if not whole:
+        raise ValueError("counts, bounds or codebooks that are not SOG's")
     return names
 
 
 def _coded(meta: Meta) -> bool:
-    """Whether bytes are places in codebooks, as from version 2 on."""
     return meta.get("version") not in (None, 1)
 
 
@@ -119,32 +115,31 @@ def _count(meta: Meta) -> int:
 
 
 def _bands(meta: Meta, files: Mapping[str, bytes]) -> int:
-    """The SH degree, which of version 1 the width of the palette tells. Raises ValueError."""
     if "shN" not in meta:
         return 0
     if _coded(meta):
         bands = int(meta["shN"]["bands"])
     else:
         name = meta["shN"]["files"][0]
-        width, _ = _picture_size(name, files[name])
-        bands = [LABELS_A_LINE * k for k in SH_REST].index(width)
+        bands = [LABELS_A_LINE * k for k in SH_REST].index(_picture_size(name, files[name])[0])
     if not 0 <= bands < len(SH_REST):
         raise ValueError(f"{bands} bands of SH")
     return bands
 
 
-def _names(meta: Meta, part: str, number: int) -> list[str]:
-    names = meta[part]["files"]
-    if len(names) != number or not all(isinstance(n, str) and n and Path(n).name == n for n in names):
-        raise ValueError(f"{part}: expected {number} plain names of files")
-    return list(names)
+def _read_files(path: Path, names: list[str]) -> dict[str, bytes]:
+    """Files of a folder or an archive, by name. Raises ValueError, OSError."""
+    if not path.is_dir():
+        return _read_entries(path, names)
+    if missing := [name for name in names if not (path / name).is_file()]:
+        raise ValueError(f"no {missing[0]}")
+    return {name: _read_at_most(path / name, _MOST_META if name == META_NAME else _MOST_PICTURE) for name in names}
 
 
-def _read_entries(path: Path, names: Iterable[str]) -> dict[str, bytes]:
+def _read_entries(path: Path, names: list[str]) -> dict[str, bytes]:
     """Files of an archive with a meta.json, by name without folders.
 
-    No more than the archive can hold is unpacked. Raises ValueError for an archive that would unpack to far more than
-    it is, lacks a name, or packs files in other ways than most do.
+    Raises ValueError, before memory is taken, for one that would unpack to far more than it is or lacks a name.
     """
     with zipfile.ZipFile(path) as archive:
         listed = archive.infolist()
@@ -194,7 +189,7 @@ def unpack(name: str, data: bytes, count: int) -> Pixels:
     width, height = _picture_size(name, data)
     if width * height > 2 * count + _MOST_SPARE:
         raise ValueError(f"{name} for {count} Gaussians, got {width} x {height} pixels")
-    samples = decode_webp(data)
+    samples = decode_rgba(data, "WEBP")
     if samples.shape[:2] != (height, width):
         raise ValueError(f"{name} of {width} x {height} pixels, got {samples.shape[1]} x {samples.shape[0]}")
     return samples.reshape(-1, 4)
@@ -202,22 +197,25 @@ def unpack(name: str, data: bytes, count: int) -> Pixels:
 
 def decode_rows(meta: Meta, pixels: Mapping[str, Pixels], header: FrameHeader) -> Gaussians:
     """The Gaussians of all pictures. Raises LookupError and ValueError for what the pictures do not hold."""
-    count = header.count
-    parts = ("means", "quats", "scales", "sh0")
-    rows = {part: [_rows(pixels[name], count) for name in meta[part]["files"]] for part in parts}
-    [quats], [sizes], [colours] = rows["quats"], rows["scales"], rows["sh0"]
-    alpha = colours[:, 3]
+    rows = {part: [_rows(pixels[n], header.count) for n in meta[part]["files"]] for part in ("means", *_ROWS)}
+    [quats], [sizes], [colours] = (rows[part] for part in _ROWS)
+    log_scales = _values(meta, "scales", sizes[:, :3])
     if _coded(meta):
-        log_scales, dc = _book(meta["scales"])[sizes[:, :3]], _book(meta["sh0"])[colours[:, :3]]
-        logits: NDArray[Any] = logits_of(alpha / 255)
+        dc = _values(meta, "sh0", colours[:, :3])
+        logits: NDArray[Any] = logits_of(colours[:, 3] / 255)
     else:
-        log_scales = _between(meta["scales"], sizes[:, :3], 255)
-        coloured = _between(meta["sh0"], colours, 255)
+        coloured = _values(meta, "sh0", colours)
         dc, logits = coloured[:, :3], coloured[:, 3]
     low, high = (part[:, :3].astype(np.int64) for part in rows["means"])
     logs = _between(meta["means"], low + 256 * high, 65535)
     columns = (np.sign(logs) * np.expm1(np.abs(logs)), _rotations(quats), log_scales, logits, dc)
-    rest = _harmonics(meta["shN"], _coded(meta), pixels, header) if header.sh_degree else np.zeros((count, 0, 3))
+    rest = np.zeros((header.count, 0, 3))
+    if header.sh_degree:
+        palette, labels = (pixels[name] for name in meta["shN"]["files"])
+        entries = palette[:, :3].reshape(-1, SH_REST[header.sh_degree], 3)
+        entries = entries[: meta["shN"]["count"]] if _coded(meta) and "count" in meta["shN"] else entries
+        labels = _rows(labels, header.count)
+        rest = _values(meta, "shN", entries)[labels[:, 0] + 256 * labels[:, 1].astype(np.int64)]
     return Gaussians(*(np.ascontiguousarray(column, np.float32) for column in (*columns, rest)))
 
 
@@ -227,14 +225,15 @@ def _rows(pixels: Pixels, count: int) -> Pixels:
     return pixels[:count]
 
 
+def _values(meta: Meta, part: str, codes: Pixels) -> NDArray[np.float64]:
+    """What bytes of a part stand for: places in its codebook or, in version 1, between its bounds."""
+    return np.asarray(meta[part]["codebook"], np.float64)[codes] if _coded(meta) else _between(meta[part], codes, 255)
+
+
 def _between(bounds: Meta, codes: NDArray[Any], most: int) -> NDArray[np.float64]:
     """(N, C) codes of 0 to `most` as values between `mins` and `maxs` of C channels."""
     low, high = (np.asarray(bounds[name], np.float64) for name in ("mins", "maxs"))
     return low + (high - low) * (codes / most)
-
-
-def _book(part: Meta) -> NDArray[np.float64]:
-    return np.asarray(part["codebook"], np.float64)
 
 
 def _rotations(pixels: Pixels) -> NDArray[np.float64]:
@@ -251,26 +250,8 @@ def _rotations(pixels: Pixels) -> NDArray[np.float64]:
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
 
 
-def _harmonics(part: Meta, coded: bool, pixels: Mapping[str, Pixels], header: FrameHeader) -> NDArray[np.float64]:
-    """(N, K, 3) SH of its palette."""
-    palette, labels = (pixels[name] for name in part["files"])
-    entries = palette[:, :3].reshape(-1, SH_REST[header.sh_degree], 3)
-    entries = entries[: part["count"]] if coded and "count" in part else entries
-    values = _book(part)[entries] if coded else _between(part, entries, 255)
-    rows = _rows(labels, header.count)
-    return values[rows[:, 0] + 256 * rows[:, 1].astype(np.int64)]
-
-
-SOG = FrameFormat(
-    name="SOG",
-    key="sog",
-    suffixes=(".sog", ".zip"),
-    read_header=read_sog_header,
-    read=read_sog,
-    write=write_sog,
-    holds=Holds(
-        rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
-        keeps_rows=False,
-    ),
-    writer=LIBRARY,
+_HOLDS = Holds(
+    rounding="positions to 16 bits, rotations and opacities to 8, sizes and colours to 256 levels, SH to a palette",
+    keeps_rows=False,
 )
+SOG = FrameFormat("SOG", "sog", (".sog", ".zip"), read_sog_header, read_sog, write_sog, _HOLDS, writer=LIBRARY)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -21,28 +22,23 @@ import numpy as np
 from airgs_codec._arguments import path_argument
 from airgs_codec.errors import ConfigError, SceneError
 from airgs_codec.places.whole import atomic_path, staged_files
-from airgs_codec.scene.arrays import as_gaussians
 from airgs_codec.scene.beside import DEFAULT_FPS, SETTINGS_NAME, Settings, write_settings
 from airgs_codec.scene.camera import BLACK, Background
 from airgs_codec.scene.files import reading
-from airgs_codec.scene.formats.compressed_ply import COMPRESSED
+from airgs_codec.scene.formats.clips import FOUR_DGS, SPACETIME_PLY, SPLAT4D, SPLATV, as_gaussians
 from airgs_codec.scene.formats.form import ClipFormat, FrameFormat, FrameHeader, Losses
 from airgs_codec.scene.formats.gltf import GLTF
-from airgs_codec.scene.formats.library import FOUR_DGS, SPLAT4D
-from airgs_codec.scene.formats.ply import INRIA
-from airgs_codec.scene.formats.ply_elements import read_header
+from airgs_codec.scene.formats.packed import COMPRESSED, SPLAT, SPZ
+from airgs_codec.scene.formats.ply import INRIA, read_header
 from airgs_codec.scene.formats.sog import META_NAME, SOG, is_sog_folder, write_sog_folder
-from airgs_codec.scene.formats.spacetime import SPACETIME_PLY, SPLATV
-from airgs_codec.scene.formats.splat import SPLAT
-from airgs_codec.scene.formats.spz import SPZ
+from airgs_codec.scene.frames import ZERO, Origin, choose_origin, in_world, narrowed
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.scene.origin import ZERO, Origin, choose_origin, in_world, narrowed
 
 FRAMES = (INRIA, COMPRESSED, SPZ, SOG, SPLAT, GLTF)
 CLIPS = (SPLATV, FOUR_DGS, SPLAT4D, SPACETIME_PLY)
 FRAME_SUFFIXES = tuple(dict.fromkeys(suffix for form in FRAMES for suffix in form.suffixes))
 CLIP_SUFFIXES = tuple(suffix for form in CLIPS for suffix in form.suffixes if suffix not in FRAME_SUFFIXES)
-POINT_CLOUD = "point_cloud"  # of an INRIA model: point_cloud/iteration_7000/point_cloud.ply
+POINT_CLOUD, ITERATION = "point_cloud", "iteration_*/point_cloud.ply"  # of an INRIA model: the second in the first
 LEVELS = "lod-meta.json"  # of a scene whose folders are pieces of it in levels of detail
 INPUT = "input.ply"  # the points that such a model began with
 MOST_WORDS = 120  # characters on names
@@ -63,7 +59,7 @@ class Found:
 
 def clip_format(path: Path) -> ClipFormat | None:
     """The format of a file that is a clip, None for a frame. Raises SceneError where a .ply has no header."""
-    form = _told(path)
+    form = _find_format(path)
     return form if isinstance(form, ClipFormat) else None
 
 
@@ -74,7 +70,7 @@ def is_clip(path: Path) -> bool:
 
 def format_of(path: Path) -> FrameFormat:
     """The format of a file or folder that is a frame. Raises SceneError when it is none of the table's."""
-    form = _told(path)
+    form = _find_format(path)
     if isinstance(form, ClipFormat):
         raise SceneError(f"{path}: expected one frame, got {form.name}, which holds many: give it by its own name")
     if form is None:
@@ -83,16 +79,16 @@ def format_of(path: Path) -> FrameFormat:
     return form
 
 
-def _told(path: Path) -> FrameFormat | ClipFormat | None:
-    """The format that the name of a file and, of a .ply, its header tell; None for a name that no format has."""
+def _find_format(path: Path) -> FrameFormat | ClipFormat | None:
+    """The format by the name of a file and, of a .ply, its header; None for a name that no format has."""
     if path.is_dir():
         return SOG
     named = [form for form in (*FRAMES, *CLIPS) if path.suffix.lower() in form.suffixes]
     if len(named) < 2:
         return named[0] if named else None
-    header = read_header(path)
-    told = (form for form in named if form.fits and form.fits(header))
-    return next(told, next(form for form in named if form.fits is None))
+    vertex = read_header(path).vertex
+    signed = [form for form in named if vertex and any(sign in vertex.properties for sign in form.signs)]
+    return next(iter(signed), next(form for form in named if not form.signs))
 
 
 def read_frame_header(path: Path) -> FrameHeader:
@@ -144,13 +140,16 @@ def find_frames(place: Path) -> Found:
         raise SceneError(f"{place}: expected frames, got levels of detail ({LEVELS}): splat-transform converts them")
     paths = sorted(filter(is_frame, place.iterdir()), key=lambda path: (natural_key(path), path.name))
     paths = [path for path in paths if path.suffix.lower() in INRIA.suffixes] or paths
-    if {path.name for path in paths} <= {INPUT} and (newest := _newest_iteration(place)):
-        return Found(newest.parent, (newest,), False)
+    if {path.name for path in paths} <= {INPUT}:
+        models = [*place.glob(f"{POINT_CLOUD}/{ITERATION}"), *place.glob(ITERATION)]
+        if models:
+            newest = max(models, key=lambda path: natural_key(path.parent))
+            return Found(newest.parent, (newest,), False)
     if not paths:
         if clip := next((path for path in sorted(place.iterdir()) if path.suffix.lower() in CLIP_SUFFIXES), None):
             raise SceneError(f"{place}: expected frames, got a clip: give {clip} by its own name")
         raise SceneError(f"{place}: expected at least one .ply frame, or one of another format, got none")
-    if len(suffixes := sorted({_kind(path) for path in paths})) > 1:
+    if len(suffixes := sorted({"folders" if path.is_dir() else path.suffix.lower() for path in paths})) > 1:
         raise SceneError(f"{place}: expected frames of one format, got {', '.join(suffixes)}")
     return Found(place, tuple(paths), False)
 
@@ -162,18 +161,7 @@ def has_frames(folder: Path, *, apart_from: Collection[str]) -> bool:
     )
 
 
-def _kind(path: Path) -> str:
-    return "folders" if path.is_dir() else path.suffix.lower()
-
-
-def _newest_iteration(place: Path) -> Path | None:
-    """The .ply of the largest iteration of an INRIA model, which is named itself or by its point_cloud/."""
-    found = [*place.glob(f"{POINT_CLOUD}/iteration_*/point_cloud.ply"), *place.glob("iteration_*/point_cloud.ply")]
-    return max(found, key=lambda path: natural_key(path.parent), default=None)
-
-
 def natural_key(path: Path) -> list[tuple[int, str]]:
-    """Sort key that puts frame2 before frame10."""
     return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", path.stem) if part]
 
 
@@ -182,17 +170,17 @@ def oddities_of(paths: Sequence[Path]) -> Iterator[str]:
 
     Names are of a kind that differ in one number alone; of several numbers the last one that varies counts frames.
     """
-    alike: dict[tuple[str, ...], list[list[str]]] = {}
+    alike: dict[tuple[str, ...], list[list[str]]] = defaultdict(list)
     for path in paths:
         parts = re.split(r"(\d+)", path.stem)
-        alike.setdefault(tuple(parts[::2]), []).append(parts)
-    kinds: dict[str, list[int]] = {}
+        alike[tuple(parts[::2])].append(parts)
+    kinds: dict[str, list[int]] = defaultdict(list)
     for same in alike.values():
         varying = [at for at in range(1, len(same[0]), 2) if len({parts[at] for parts in same}) > 1]
         counter = max(varying, default=len(same[0]) - 2)
         for parts in same:
             kind = "".join("#" if at == counter else part for at, part in enumerate(parts))
-            kinds.setdefault(kind, []).append(int(parts[counter]) if counter > 0 else 0)
+            kinds[kind].append(int(parts[counter]) if counter > 0 else 0)
     if len(kinds) > 1 and any("#" in kind for kind in kinds):
         named = ", ".join(f"{kind} ({len(numbers)})" for kind, numbers in kinds.items())
         short = named if len(named) < MOST_WORDS else f"{named[:MOST_WORDS]}…"
@@ -214,6 +202,11 @@ class Target:
     path: Path
     form: FrameFormat
     folder: bool
+
+    @property
+    def many(self) -> bool:
+        """Whether it takes any number of frames, each in a file of its own."""
+        return self.folder and self.form is not SOG_FOLDER
 
 
 def choose_target(place: str, key: str | None, frames: int) -> Target:
@@ -242,21 +235,16 @@ def choose_target(place: str, key: str | None, frames: int) -> Target:
         )
     else:
         target = Target(path, ending, False)
-    _check(place, target, frames)
-    return target
-
-
-def _check(place: str, target: Target, frames: int) -> None:
-    """Raise ConfigError when frames cannot be written there."""
     if target.folder and target.path.exists() and not target.path.is_dir():
         raise ConfigError(f"{target.path}: expected a folder, got a file")
     if not target.folder and target.path.is_dir():
         raise ConfigError(f"{place}: expected a file, got a folder: end it in / to write frames into it")
-    if frames != 1 and (not target.folder or target.form is SOG_FOLDER):
+    if frames != 1 and not target.many:
         hint = f"for more, name a folder and --format {target.form.key.removesuffix('-folder')}"
         raise ConfigError(f"{place}: expected one frame, got {frames} (--frames N; {hint})")
     if (need := target.form.writer) and importlib.util.find_spec(need) is None:
         raise ConfigError(f"{place}: {target.form.name} needs {need}: pip install 'airgs-codec[formats]'")
+    return target
 
 
 def write_frames(
@@ -279,19 +267,17 @@ def write_frames(
     if doubles and origin != ZERO:
         fitted = ((number, in_world(g, origin)) for number, g in fitted)
     beside = Settings(fps, background=background, origin=ZERO if doubles else origin)
-    told = target.folder and target.form is not SOG_FOLDER and not (target.path / SETTINGS_NAME).exists()
+    settled = target.many and not (target.path / SETTINGS_NAME).exists()
     with _made_folders(target.path), (staged_files if target.folder else atomic_path)(target.path) as temporary:
         try:
-            if target.folder and target.form is not SOG_FOLDER:
-                for number, gaussians in fitted:
-                    target.form.write(temporary / f"{number:06d}.{target.form.key}", gaussians)
-                if told:
-                    write_settings(temporary, beside)
-            else:
-                target.form.write(temporary, *(g for _, g in fitted))
+            for number, gaussians in fitted:
+                name = f"{number:06d}.{target.form.key}"
+                target.form.write(temporary / name if target.many else temporary, gaussians)
         except SceneError as error:  # of a name that nobody has given
             raise SceneError(str(error).replace(str(temporary), str(target.path))) from error
-    way = f"{SETTINGS_NAME} says it" if told else "add that"
+        if settled:
+            write_settings(temporary, beside)
+    way = f"{SETTINGS_NAME} says it" if settled else "add that"
     return losses.lines() + [f"{target.form.name} has positions from {origin}: {way}"] * (beside.origin != ZERO)
 
 

@@ -1,33 +1,27 @@
 """A multi-view video: which camera saw which picture at each frame. Pictures are named here and read by `pictures`.
 
-A picture's content is named by the bytes of its file; that of a frame of a video by those of the whole video and its
-number, since decoding all frames takes far longer than reading the file: where a video changes, all its frames do.
-
 P points. Cameras are `scene.camera.Camera`: OpenCV convention, x right, y down, z forward, pixel centres at +0.5;
 lengths are in the units of the scene.
 """
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.jobs.work import Work
 from airgs_codec.media.image import Lens, check_picture, read_picture, to_bytes
 from airgs_codec.media.movie import VideoReader
 from airgs_codec.scene.camera import BLACK, Background, Camera, at_scale, cameras_from, rig_scale
-from airgs_codec.scene.cameras.posed import Posed
-from airgs_codec.scene.files import expecting
-from airgs_codec.scene.origin import MOVED, ZERO, Origin, rounded_middle
+from airgs_codec.scene.cameras.forms import Posed
+from airgs_codec.scene.frames import MOVED, ZERO, Origin, rounded_middle
 from airgs_codec.scene.sequence import GaussianSequence
 
 if TYPE_CHECKING:
@@ -36,49 +30,19 @@ if TYPE_CHECKING:
 HELD_OUT_SHARE = 8  # one camera in so many is held out where a scene names none
 
 
-class Readable(Protocol):
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The files whose bytes name what the picture shows, together with `content`."""
-
-    @property
-    def content(self) -> str | int | None:
-        """What else names it."""
-
-    def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read the picture, as `Source` does."""
-
-    def check(self, size: tuple[int, int]) -> None:
-        """Check that there is one, as `Source` does."""
-
-
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file that is a picture, or a frame of a video."""
-
     path: Path
     frame: int | None = None  # its number in a video; None: the file is the picture
 
-    @property
-    def files(self) -> tuple[Path, ...]:
-        return (self.path,)
-
-    @property
-    def content(self) -> int | None:
-        return self.frame
-
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha; nothing is decoded of one of another size.
-
-        `size`: width, height. Raises SceneError.
-        """
+        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha, of a `size` (width, height). Raises SceneError."""
         if self.frame is None:
             return read_picture(self.path, size)
         self.check(size)
         return open_video(self.path).read(self.frame)
 
     def check(self, size: tuple[int, int]) -> None:
-        """Check that there is a picture of a size, as far as the header of its file tells. Raises SceneError."""
         if self.frame is None:
             check_picture(self.path, size)
         else:
@@ -90,38 +54,31 @@ class Source:
 
 @cache
 def open_video(path: Path) -> VideoReader:
-    """Open one decoder for each video: frames are asked for in order. Raises SceneError."""
+    """The decoder of a video, one for each: frames are asked for in order. Raises SceneError."""
     return VideoReader(path)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """The picture that one camera took at one frame."""
-
     camera: Camera  # of the undistorted picture at full size
-    source: Readable
+    source: Source | Drawn
     lens: Lens | None = None  # None: the picture is that of a pinhole camera already
     mask: Path | None = None  # picture that is not 0 where the foreground is
     after: float = 0.0  # frames that it was taken after the time of its frame, -0.5 to 0.5
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height of the picture as it is read."""
         return self.lens.size if self.lens else (self.camera.width, self.camera.height)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """A cloud of points to start the first frame from."""
-
     positions: NDArray[np.floating]  # (P, 3) world units
     colours: NDArray[np.float32] | None  # (P, 3) RGB, 0..1; None: not known
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MultiviewScene:
-    """A multi-view scene of one or more frames."""
-
     path: Path
     fps: Fraction  # frames a second
     frames: tuple[tuple[Shot, ...], ...]  # the shots of each frame; a camera whose picture is missing has none
@@ -146,7 +103,6 @@ class MultiviewScene:
 
 
 def in_frames(posed: Sequence[Posed], shot: Callable[[Posed], Shot]) -> tuple[tuple[Shot, ...], ...]:
-    """The shots of each frame; frames are the distinct times, ascending."""
     frames: dict[float, list[Shot]] = {time: [] for time in sorted({p.time for p in posed})}
     for p in posed:
         frames[p.time].append(shot(p))
@@ -167,10 +123,7 @@ def seen_until(scene: MultiviewScene, stop: int) -> int:
 
 
 def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
-    """The scene from an origin at which float32 moves no Gaussian of a pixel by more than MOVED of its size.
-
-    That is zero where it may be.
-    """
+    """The scene from an origin at which float32 is fine enough (MOVED), with near planes by what its cameras see."""
     places = scene.points.positions if scene.points else np.stack([camera.position for camera in scene.cameras])
     origin = rounded_middle(places)
     cameras = cameras_from(origin, scene.cameras)
@@ -179,13 +132,8 @@ def from_own_origin(scene: MultiviewScene) -> MultiviewScene:
         shifted = scene.points and replace(scene.points, positions=scene.points.positions - origin)
         scene = _with_cameras(replace(scene, points=shifted, origin=origin), lambda c: cameras_from(origin, [c])[0])
     points = scene.points and replace(scene.points, positions=scene.points.positions.astype(np.float32))
-    return replace(scene, points=points)
-
-
-def with_near_planes(scene: MultiviewScene) -> MultiviewScene:
-    """The scene whose cameras have near planes in proportion to what they see, as `scene.camera` has it."""
-    scale = rig_scale(scene.cameras, scene.points.positions if scene.points else None)
-    return _with_cameras(scene, lambda camera: at_scale([camera], scale)[0])
+    scale = rig_scale(scene.cameras, points.positions if points else None)
+    return _with_cameras(replace(scene, points=points), lambda camera: at_scale([camera], scale)[0])
 
 
 def with_near(scene: MultiviewScene, near: float) -> MultiviewScene:
@@ -219,39 +167,6 @@ def _with_cameras(scene: MultiviewScene, change: Callable[[Camera], Camera]) -> 
     return replace(scene, frames=frames)
 
 
-CHUNK = 32  # files that are read by one call
-
-Contents = Mapping[Path, str]  # SHA-256 of each file, hexadecimal
-
-
-def read_contents(scene: MultiviewScene, work: Work) -> Contents:
-    """Read the files of all pictures and masks of a scene once. Raises SceneError for one that cannot be read."""
-    files = sorted({file for shots in scene.frames for shot in shots for file in _files(shot)})
-    parts = [files[at : at + CHUNK] for at in range(0, len(files), CHUNK)]
-    digests = work.map("pictures", hash_files, [(part,) for part in parts])
-    return dict(zip(files, (digest for part in digests for digest in part), strict=True))
-
-
-def hash_files(paths: Sequence[Path]) -> list[str]:
-    """SHA-256 of each file. Raises SceneError."""
-    digests = []
-    for path in paths:
-        with expecting(path, "a picture or a video"):
-            if not path.is_file():  # a device has no end
-                raise ValueError("No such file")
-            with path.open("rb") as file:
-                digests.append(hashlib.file_digest(file, "sha256").hexdigest())
-    return digests
-
-
-def content_of(scene: MultiviewScene, contents: Contents) -> list[Any]:
-    """Return what a job that reads a scene is named by."""
-    frames = [
-        (number, [_content(shot, contents) for shot in shots]) for number, shots in enumerate(scene.frames) if shots
-    ]
-    return [scene.background, scene.points, frames]
-
-
 def with_frames(scene: MultiviewScene, frames: Iterable[int]) -> MultiviewScene:
     """The scene without the pictures of all other frames, which have their numbers still."""
     wanted = set(frames)
@@ -259,19 +174,7 @@ def with_frames(scene: MultiviewScene, frames: Iterable[int]) -> MultiviewScene:
 
 
 def without_masks(scene: MultiviewScene) -> MultiviewScene:
-    """The scene of which all is trained."""
     return replace(scene, frames=tuple(tuple(replace(s, mask=None) for s in shots) for shots in scene.frames))
-
-
-def _content(shot: Shot, contents: Contents) -> tuple[Any, ...]:
-    source = shot.source
-    files = [contents[file] for file in source.files]
-    shown = (shot.camera, shot.lens, *files, source.content, shot.mask and contents[shot.mask])
-    return (*shown, shot.after) if shot.after else shown
-
-
-def _files(shot: Shot) -> list[Path]:
-    return [*shot.source.files, *([shot.mask] if shot.mask else [])]
 
 
 class Drawing:
@@ -285,7 +188,6 @@ class Drawing:
         return Drawing, (self.sequence, self.renderer)
 
     def draw(self, frame: int, camera: Camera) -> NDArray[np.uint8]:
-        """(H, W, 3) what a camera sees of a frame. Raises SceneError for a broken one."""
         if self._loaded is None or self._loaded[0] != frame:
             self._loaded = frame, self.renderer.load(self.sequence.load([frame]).frames[0])
         return to_bytes(self._loaded[1].draw(camera).rgb)
@@ -293,19 +195,13 @@ class Drawing:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A picture of a frame, in place of a `Source`."""
-
     frame: int
-    content: str  # names what is in the frame; the camera that sees it is named by the shot
     camera: Camera
     drawing: Drawing
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        return ()
+    path: None = None  # it is in no file
 
     def read(self, size: tuple[int, int]) -> NDArray[np.uint8]:
-        """(H, W, 3) the picture, which has the size of its camera. Raises SceneError for a broken frame."""
+        """Read the picture, (H, W, 3) RGB or (H, W, 4) with alpha, of a `size` (width, height). Raises SceneError."""
         return self.drawing.draw(self.frame, self.camera)
 
     def check(self, size: tuple[int, int]) -> None:
@@ -315,13 +211,10 @@ class Drawn:
         return f"{self.drawing.sequence.paths[self.frame]} frame {self.frame}"
 
 
-def drawn_scene(
-    sequence: GaussianSequence, names: Sequence[str], cameras: Sequence[Camera], renderer: Renderer
-) -> MultiviewScene:
-    """The scene that cameras see of a sequence; `names` are those of the contents of its frames."""
+def drawn_scene(sequence: GaussianSequence, cameras: Sequence[Camera], renderer: Renderer) -> MultiviewScene:
     drawing = Drawing(sequence, renderer)
-    frames = (
-        tuple(Shot(camera, Drawn(frame, name, camera, drawing)) for camera in cameras)
-        for frame, name in enumerate(names)
+    frames = tuple(
+        tuple(Shot(camera, Drawn(frame, camera, drawing)) for camera in cameras) for frame in range(len(sequence))
     )
-    return MultiviewScene(sequence.folder, sequence.fps, tuple(frames), None, sequence.background, sequence)
+    background, origin = sequence.background, sequence.origin
+    return MultiviewScene(sequence.folder, sequence.fps, frames, None, background, sequence, origin=origin)

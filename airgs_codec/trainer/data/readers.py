@@ -17,7 +17,7 @@ cam20.mp4 with gaps where a camera was not in time; cam00 is the one it holds ou
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from fractions import Fraction
 from functools import partial
 from pathlib import Path
@@ -26,13 +26,14 @@ import numpy as np
 
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import is_turned
+from airgs_codec.places.place import is_address
 from airgs_codec.scene.beside import DEFAULT_FPS, exact_number, frame_rate
 from airgs_codec.scene.camera import Camera, with_pixels
 from airgs_codec.scene.cameras import colmap, forms
-from airgs_codec.scene.cameras.posed import Posed, as_path
+from airgs_codec.scene.cameras.forms import Posed, as_path
 from airgs_codec.scene.files import Cursor, expecting, read_object
 from airgs_codec.scene.formats.ply import read_points
-from airgs_codec.scene.formats.table import has_frames, natural_key
+from airgs_codec.scene.formats.table import has_frames, is_frame, natural_key
 from airgs_codec.trainer.data.multiview import (
     MultiviewScene,
     Points,
@@ -42,7 +43,6 @@ from airgs_codec.trainer.data.multiview import (
     from_own_origin,
     in_frames,
     open_video,
-    with_near_planes,
 )
 
 POINT_FILES = (
@@ -56,13 +56,7 @@ HELD_OUT = "cam00"  # of N3DV
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".bmp")
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """A kind of multi-view scene on disk."""
-
-    sign: str  # what a folder of this format has, for messages
-    recognise: Callable[[Path], bool]
-    read: Callable[[Path], MultiviewScene]  # reads no pictures; raises SceneError
+Film = tuple[Shot, Path]  # a camera that stands still, and what it filmed: a video, or a folder of pictures by name
 
 
 def read_transforms(folder: Path) -> MultiviewScene:
@@ -75,14 +69,13 @@ def read_transforms(folder: Path) -> MultiviewScene:
     path = folder / forms.TRANSFORMS
     posed = forms.read_transforms(path)
     fps, points = _frame_rate(path), _named_points(folder, read_object(path).get("ply_file_path"))
-    films = {p.camera.name: CameraFilm(_picture_shot(folder, p), folder / p.picture) for p in posed}
-    if all(film.path.suffix.lower() in VIDEO_SUFFIXES for film in films.values()):
+    films = {p.camera.name: (_picture_shot(folder, p), folder / p.picture) for p in posed}
+    if all(path.suffix.lower() in VIDEO_SUFFIXES for _, path in films.values()):
         return replace(scene_from_films(folder, list(films.values())), points=points)
     return MultiviewScene(folder, fps, in_frames(posed, partial(_picture_shot, folder)), points)
 
 
 def _named_points(folder: Path, name: object) -> Points | None:
-    """The cloud that the file names, in the axes of its cameras; None where it names none. Raises SceneError."""
     if name is None:
         return None
     with expecting(folder / forms.TRANSFORMS, "the points of ply_file_path"):
@@ -98,7 +91,6 @@ def _picture_shot(folder: Path, posed: Posed) -> Shot:
 
 
 def read_panoptic(folder: Path) -> MultiviewScene:
-    """The scene of a train_meta.json, and of the test_meta.json beside it. Raises SceneError."""
     path = folder / forms.PANOPTIC
     posed = forms.read_panoptic(path)
     return MultiviewScene(folder, _frame_rate(path), in_frames(posed, partial(_masked_shot, folder)))
@@ -114,40 +106,26 @@ def _masked_shot(folder: Path, posed: Posed) -> Shot:
     return Shot(posed.camera, Source(folder / "ims" / posed.picture), None, mask if mask.is_file() else None)
 
 
-@dataclass(frozen=True, slots=True)
-class CameraFilm:
-    """A camera that stands still, and what it filmed."""
-
-    shot: Shot  # its camera, lens and mask; its source is replaced frame by frame
-    path: Path  # a video, or a folder of pictures in the order of their names
-
-
-def scene_from_films(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
-    """The scene that these cameras filmed: all of them videos, or all of them folders of pictures.
-
-    Raises SceneError where frame rates of videos or counts of pictures differ, or a video cannot be read.
-    """
-    if not any(film.path.is_dir() for film in films):
+def scene_from_films(folder: Path, films: Sequence[Film]) -> MultiviewScene:
+    """The scene of cameras that filmed videos, or folders of pictures. Raises SceneError where they do not fit."""
+    if not any(path.is_dir() for _, path in films):
         return _joined_by_time(folder, films)
-    sources = [[Source(path) for path in find_pictures(film.path)] for film in films]
+    sources = [[Source(path) for path in find_files(place, PICTURE_SUFFIXES)] for _, place in films]
     counts = sorted({len(pictures) for pictures in sources})
     if len(counts) > 1:
         raise SceneError(f"{folder}: expected as many frames of every camera, got {counts[0]} to {counts[-1]}")
     frames = tuple(
-        tuple(replace(film.shot, source=source) for film, source in zip(films, moment, strict=True))
+        tuple(replace(shot, source=source) for (shot, _), source in zip(films, moment, strict=True))
         for moment in zip(*sources, strict=True)
     )
     return MultiviewScene(folder, DEFAULT_FPS, frames)
 
 
-def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene:
-    """The scene of videos, from the first to the last moment of which all cameras have pictures.
-
-    Where a camera dropped a frame it has no shot. Raises what `scene_from_films` does.
-    """
-    for film in films:
-        open_video(film.path).check(film.shot.size)
-    clocks = [open_video(film.path).clock for film in films]
+def _joined_by_time(folder: Path, films: Sequence[Film]) -> MultiviewScene:
+    """The scene of videos while all cameras have pictures; where one dropped a frame it has no shot."""
+    for shot, path in films:
+        open_video(path).check(shot.size)
+    clocks = [open_video(path).clock for _, path in films]
     rates = sorted({clock.fps for clock in clocks if clock.fps})
     apart = [max(c.pictures) * (c.fps / rates[0] - 1) for c in clocks if c.fps and c.fps > SAME_RATE * rates[0]]
     if apart and max(apart) > 0.5:  # frames, at the end
@@ -163,15 +141,15 @@ def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene
     every = sorted(set().union(*shown))
     moments = [frame for frame in every if min(common) <= frame <= max(common)]
     frames = tuple(
-        tuple(replace(f.shot, source=Source(f.path, of[m])) for f, of in zip(films, shown, strict=True) if m in of)
+        tuple(replace(s, source=Source(path, of[m])) for (s, path), of in zip(films, shown, strict=True) if m in of)
         for m in moments
     )
     told: dict[str, list[str]] = {}
-    for film, clock, at, of in zip(films, clocks, late, shown, strict=True):
+    for (shot, _), clock, at, of in zip(films, clocks, late, shown, strict=True):
         dropped = sum(moment not in of for moment in moments)
         counts = {f"begins {float(at / fps):.3g} s late": at, f"{dropped} of {len(moments)} frames dropped": dropped}
         for remark in (*clock.remarks, *(words for words, count in counts.items() if count)):
-            told.setdefault(remark, []).append(film.shot.camera.name)
+            told.setdefault(remark, []).append(shot.camera.name)
     words = [f"{remark}: {shortened(names)}" for remark, names in told.items()]
     if cut := max(every) + 1 - len(moments):
         words.append(f"left out are {cut} of {max(every) + 1} frames, which no camera has, or at the ends not all have")
@@ -180,30 +158,25 @@ def _joined_by_time(folder: Path, films: Sequence[CameraFilm]) -> MultiviewScene
 
 
 def shortened(names: Sequence[str]) -> str:
-    """Names in a line, the first SHOWN of them."""
     return ", ".join(names[:SHOWN]) + (f" and {len(names) - SHOWN} more" if len(names) > SHOWN else "")
 
 
-def find_videos(folder: Path) -> list[Path]:
-    """The videos in a folder by name; a folder that is not there has none."""
-    return _with_suffix(folder, VIDEO_SUFFIXES)
-
-
-def find_pictures(folder: Path) -> list[Path]:
-    """The pictures in a folder by name; a folder that is not there has none."""
-    return _with_suffix(folder, PICTURE_SUFFIXES)
+def find_files(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    """The files in a folder with some suffixes, by name; a folder that is not there has none."""
+    if not folder.is_dir():
+        return []
+    return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
 
 
 def read_poses_bounds(folder: Path) -> MultiviewScene:
-    """The scene of a poses_bounds.npy; videos lie beside it or in videos/. Raises SceneError."""
     path = folder / forms.LLFF
-    videos = sorted(find_videos(folder) + find_videos(folder / "videos"), key=natural_key)
+    videos = sorted(find_files(folder, VIDEO_SUFFIXES) + find_files(folder / "videos", VIDEO_SUFFIXES), key=natural_key)
     cameras = [p.camera for p in forms.read_llff(path)]
     if len(cameras) != len(videos):
         raise SceneError(f"{path}: expected a row for each of {len(videos)} videos, got {len(cameras)}")
     if twice := sorted({v.stem for v in videos if [w.stem for w in videos].count(v.stem) > 1}):
         raise SceneError(f"{folder}: expected one video for each camera, got several of {', '.join(twice)}")
-    return scene_from_films(folder, [CameraFilm(_filmed(c, v), v) for c, v in zip(cameras, videos, strict=True)])
+    return scene_from_films(folder, [(_filmed(c, v), v) for c, v in zip(cameras, videos, strict=True)])
 
 
 def _filmed(camera: Camera, video: Path) -> Shot:
@@ -211,12 +184,6 @@ def _filmed(camera: Camera, video: Path) -> Shot:
     split = "test" if video.stem == HELD_OUT else "train"
     filmed = replace(with_pixels(camera, width, height), name=video.stem, split=split)
     return Shot(filmed, Source(video))
-
-
-def _with_suffix(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    if not folder.is_dir():
-        return []
-    return sorted((path for path in folder.iterdir() if path.suffix.lower() in suffixes), key=natural_key)
 
 
 def has_colmap(folder: Path) -> bool:
@@ -242,12 +209,11 @@ def read_colmap(folder: Path) -> MultiviewScene:
         return MultiviewScene(folder, DEFAULT_FPS, (frame,), points)
     if missing := [name for name, film in films.items() if film is None]:
         raise SceneError(f"{folder}: expected a video or a folder of frames of {', '.join(missing)}")
-    scene = scene_from_films(folder, [CameraFilm(shots[name], film) for name, film in films.items() if film])
+    scene = scene_from_films(folder, [(shots[name], film) for name, film in films.items() if film])
     return replace(scene, points=points)
 
 
 def _first_shots(folder: Path, posed: Sequence[Posed]) -> dict[str, Shot]:
-    """The first image of every camera, by the camera's name: cameras stand still."""
     shots: dict[str, Shot] = {}
     for image in posed:
         relative = Path(image.picture)
@@ -262,12 +228,11 @@ def _shot(folder: Path, image: Posed, name: str) -> Shot:
 
 
 def _film(folder: Path, name: str) -> Path | None:
-    """A camera's pictures over time: a video, or a folder of more than one picture."""
-    for video in (*find_videos(folder / "videos"), *find_videos(folder)):
+    for video in (*find_files(folder / "videos", VIDEO_SUFFIXES), *find_files(folder, VIDEO_SUFFIXES)):
         if video.stem == name:
             return video
     for place in (folder / "frames" / name, folder / "images" / name):
-        if len(find_pictures(place)) > 1:
+        if len(find_files(place, PICTURE_SUFFIXES)) > 1:
             return place
     return None
 
@@ -287,7 +252,6 @@ def read_points3d(model: Path) -> Points | None:
 
 
 def _rows_of_binary(path: Path) -> Iterator[tuple[float, ...]]:
-    """Position and colour of each point, colours 0..255."""
     cursor = Cursor.open(path)
     for _ in range(*cursor.take("Q")):
         _, x, y, z, red, green, blue, _, track = cursor.take("Q3d3BdQ")
@@ -308,12 +272,10 @@ PICTURES = "image_white_undistortion"
 
 
 def has_hifi4g(folder: Path) -> bool:
-    """Whether the folder has the undistorted pictures of such a scene, or is the folder of them."""
     return (folder / PICTURES).is_dir() or (folder.name == PICTURES and _hifi4g_model(folder) is not None)
 
 
 def read_hifi4g(folder: Path) -> MultiviewScene:
-    """The scene; cameras are named by their pictures. Raises SceneError."""
     pictures = folder / PICTURES if (folder / PICTURES).is_dir() else folder
     model = _hifi4g_model(folder) or _hifi4g_model(pictures)
     if model is None:
@@ -331,8 +293,7 @@ def _hifi4g_model(folder: Path) -> Path | None:
 
 
 def _hifi4g_frame(folder: Path, posed: list[Posed]) -> tuple[Shot, ...]:
-    """The shots of one frame, in the order of the cameras. Raises SceneError where one has no picture."""
-    by_stem = {path.stem: path for path in find_pictures(folder)}
+    by_stem = {path.stem: path for path in find_files(folder, PICTURE_SUFFIXES)}
     names = [Path(image.picture).stem for image in posed]
     if missing := [name for name in names if name not in by_stem]:
         raise SceneError(f"{folder}: expected pictures of {len(names)} cameras, got none of {', '.join(missing[:8])}")
@@ -346,20 +307,31 @@ def _has(name: str) -> Callable[[Path], bool]:
     return lambda folder: (folder / name).is_file()
 
 
-FORMATS = (  # the first that recognises a folder reads it
-    Format(forms.PANOPTIC, _has(forms.PANOPTIC), read_panoptic),
-    Format(forms.TRANSFORMS, _has(forms.TRANSFORMS), read_transforms),
-    Format("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
-    Format("COLMAP's sparse/", has_colmap, read_colmap),
-    Format(forms.LLFF, _has(forms.LLFF), read_poses_bounds),
+FORMATS = (  # what a folder has, how it is recognised and read; the first that recognises a folder reads it
+    (forms.PANOPTIC, _has(forms.PANOPTIC), read_panoptic),
+    (forms.TRANSFORMS, _has(forms.TRANSFORMS), read_transforms),
+    ("image_white_undistortion/ (HiFi4G)", has_hifi4g, read_hifi4g),
+    ("COLMAP's sparse/", has_colmap, read_colmap),
+    (forms.LLFF, _has(forms.LLFF), read_poses_bounds),
 )
+
+
+def _reader(folder: Path) -> Callable[[Path], MultiviewScene] | None:
+    return next((read for _, recognise, read in FORMATS if recognise(folder)), None)
 
 
 def is_multiview(folder: Path) -> bool:
     """Whether a folder looks like multi-view video rather than a Gaussian sequence."""
-    if not folder.is_dir() or has_frames(folder, apart_from=POINT_FILES):
-        return False
-    return any(entry.recognise(folder) for entry in FORMATS)
+    return folder.is_dir() and not has_frames(folder, apart_from=POINT_FILES) and _reader(folder) is not None
+
+
+def has_gaussians(place: str | Path) -> bool:
+    """Whether a file or frames of Gaussians are at a place, rather than multi-view pictures and a cloud of points."""
+    path = Path(place)
+    if not path.is_dir():
+        return is_address(place) or path.is_file()
+    frames = sum(is_frame(one) and one.name not in POINT_FILES for one in path.iterdir())
+    return frames > 1 or (frames == 1 and _reader(path) is None)
 
 
 def open_scene(
@@ -371,7 +343,10 @@ def open_scene(
 
     Raises SceneError when no format fits, a file is broken or missing, or the frames are not there.
     """
-    scene = _read(folder)
+    if (read := _reader(folder)) is None:
+        *others, last = [sign for sign, *_ in FORMATS]
+        raise SceneError(f"{folder}: expected multi-view pictures with {', '.join(others)} or {last}")
+    scene = read(folder)
     for number, shots in enumerate(scene.frames):
         if not shots:
             raise SceneError(f"{folder}: expected pictures of frame {number}, got none")
@@ -381,15 +356,7 @@ def open_scene(
         note = f"pictures are taken as they are stored, not as their EXIF orientation has it: {shortened(turned)}"
         scene = replace(scene, notes=(*scene.notes, note))
     found = replace(scene, frames=scene.frames[start:stop], fps=fps or scene.fps, points=points)
-    return with_near_planes(from_own_origin(found))
-
-
-def _read(folder: Path) -> MultiviewScene:
-    for entry in FORMATS:
-        if entry.recognise(folder):
-            return entry.read(folder)
-    *others, last = [entry.sign for entry in FORMATS]
-    raise SceneError(f"{folder}: expected multi-view pictures with {', '.join(others)} or {last}")
+    return from_own_origin(found)
 
 
 def _read_points(folder: Path) -> Points | None:

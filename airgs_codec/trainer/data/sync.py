@@ -29,8 +29,7 @@ from airgs_codec.progress import Progress, silent
 from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.files import expecting, read_object
 from airgs_codec.trainer.data.multiview import MultiviewScene, Shot, frames_of
-from airgs_codec.trainer.data.pictures import Pictures
-from airgs_codec.trainer.data.plates import stands_still
+from airgs_codec.trainer.data.pictures import Pictures, stands_still
 from airgs_codec.trainer.fit.points import neighbours
 
 REACH = 5  # frames that a camera may be early or late
@@ -83,7 +82,6 @@ def find_offsets(
 
 
 def around(scene: MultiviewScene, span: tuple[int, int | None]) -> range:
-    """The frames that tell how cameras are out of step at the frames [A, B)."""
     start, stop = frames_of(scene, span)
     first = max(0, start - REACH)
     return range(first, min(len(scene), max(stop, start + 2 * FEWEST) + REACH, first + MOST))
@@ -106,10 +104,7 @@ def compare(scene: MultiviewScene, frames: range, progress: Progress = silent) -
 
 
 def _shared_bins(a: Camera, b: Camera) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-    """(H * W,) the bin of each pixel of two cameras, BINS for those that the other one cannot see; None: no such pair.
-
-    The angle is that of a pixel's ray around the line from one camera to the other.
-    """
+    """(H * W,) bins of pixels' angles around the line between two cameras, BINS where the other sees none; or None."""
     line = b.position - a.position
     if not (length := np.linalg.norm(line)):
         return None
@@ -172,7 +167,6 @@ def correlate(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArra
 
 
 def _levelled(signal: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(T, B) a signal whose bins vary about alike."""
     deviation = signal.std(axis=0)
     return signal / (deviation + 0.5 * np.sqrt(np.mean(deviation**2)) + 1e-9)
 
@@ -206,7 +200,6 @@ def solve(curves: Curves, count: int) -> NDArray[np.intp]:
 
 
 def _along_the_strongest(weighed: Curves, count: int) -> NDArray[np.intp]:
-    """(count,) offsets that are the best lags of the pairs of the tree that is strongest."""
     lags = {pair: int(LAGS[curve.argmax()]) for pair, curve in weighed.items()}
     lags |= {(b, a): -lag for (a, b), lag in lags.items()}
     places = np.array(list(weighed), np.intp).reshape(-1, 2).T
@@ -240,7 +233,6 @@ def _at(curve: NDArray[np.float64], lag: int) -> float:
 
 
 def _agrees(curve: NDArray[np.float64], lag: int) -> bool:
-    """Whether a pair of its own would have about this lag."""
     return bool(abs(LAGS[np.nanargmax(curve)] - lag) <= AGREE * STEPS)
 
 

@@ -16,7 +16,7 @@ N Gaussians, of which the first `fixed` stay in any case, P points, V views, H x
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,9 +29,8 @@ from airgs_codec.render.backend import CPU, Renderer
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.camera import BLACK, Camera, resized
 from airgs_codec.scene.gaussians import SH_C0, Gaussians
-from airgs_codec.trainer.data.pictures import View
-from airgs_codec.trainer.data.plates import Masks
-from airgs_codec.trainer.fit.parameters import InMotion, Parameters, loading
+from airgs_codec.trainer.data.pictures import Masks, View
+from airgs_codec.trainer.fit.losses import InMotion, Parameters, loading, rotate
 from airgs_codec.trainer.fit.points import from_points, neighbours, project
 
 LARGE = 0.003  # of the scene's extent: larger Gaussians are split, smaller ones cloned
@@ -41,15 +40,13 @@ CHECKS = (0.3, 0.5, 0.7, 0.9)  # shares of the iterations of a fit at which it i
 NEARER = 4.0  # times as near as any camera that sees it may a viewer come to a Gaussian
 BEHIND = 0.25  # of its distance from a viewer, by which cameras see past what hangs free
 ONE_WAY = 0.99  # length of the mean direction to the cameras that see it, from which they tell no depth: 8° off it
-SEEN = 0.1  # of its opacity, with which a camera sees it
+CLEARLY = 0.5  # of its opacity, with which a camera sees it
 AROUND = 3  # cameras about each one, to which viewers may go
 SHRUNK = 0.5  # pictures that tell it have this share of their pixels on either side
 
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """When rows are added and removed, which, and how many there may be."""
-
     budget: int  # Gaussians at the end; with a threshold the most
     start: float = 0.1  # share of the iterations
     stop: float = 0.6  # share of the iterations
@@ -75,10 +72,7 @@ class Growth:
 
 
 def growth_of_3dgs(most: int, pictures: int) -> Growth:
-    """Growth with the constants of 3DGS, its 500 to 15,000 of 30,000 iterations as shares; up to `most` Gaussians.
-
-    `pictures`: an iteration sees so many, whose losses are averaged, and so their gradients are smaller.
-    """
+    """Growth with the constants of 3DGS as shares of its 30,000 iterations, each of so many `pictures` on average."""
     return Growth(most, start=1 / 60, stop=0.5, every=100, large=0.01, threshold=2e-4 / pictures)
 
 
@@ -97,9 +91,11 @@ class Densifier:
         self._sum = torch.zeros(rows)
         self._count = torch.zeros(rows)
 
-    def collect(self, absgrad: AbsGrad) -> None:
-        """Add the gradients of an iteration's pictures, after their backward pass, on their device."""
+    def collect(self, absgrad: AbsGrad, picked: Callable[[torch.Tensor], torch.Tensor] | None = None) -> None:
+        """Add the gradients of an iteration's pictures after their backward pass; `picked` takes fitted rows' own."""
         gradients, seen = absgrad.read() if self.growth.threshold is None else absgrad.signed()
+        if picked:
+            gradients, seen = picked(gradients), picked(seen)
         self._sum = self._sum.to(gradients.device) + gradients
         self._count = self._count.to(seen.device) + seen
 
@@ -108,10 +104,7 @@ class Densifier:
         return self._sum / self._count.clamp_min(1)
 
     def grow(self, p: Parameters, extent: float, fixed: int, done: float) -> tuple[torch.Tensor, Parameters | None]:
-        """Mask (N,) of the rows that go on, and new rows, as many as are due when a share `done` is past.
-
-        `extent`: of the scene in world units.
-        """
+        """Mask (N,) of the rows that go on, and the new rows that are due when a share `done` is past."""
         score, limit = self.mean(), self.growth.threshold
         if limit is None:
             wanted = self.growth.target(self._before, done)
@@ -144,7 +137,9 @@ def split_or_clone(
     rows = torch.cat([torch.nonzero(mask)[:, 0] for mask in (parents, goes)])  # one that goes leaves two
     moved = split[rows]
     children = {name: value[rows].clone() for name, value in p.items()}
-    children["means"][moved] += _offsets({name: v[moved] for name, v in children.items()}, rng)
+    normal = torch.from_numpy(rng.standard_normal((int(moved.sum()), 3)).astype(np.float32)).to(p["means"])
+    turns = torch.nn.functional.normalize(children["quaternions"][moved], dim=1)
+    children["means"][moved] += rotate(turns, normal * children["log_scales"][moved].exp())
     children["log_scales"][moved] -= SPLIT_SHRINK
     return ~goes, children
 
@@ -156,15 +151,6 @@ def is_visible(p: Parameters, fixed: int, low: float = LOW_OPACITY) -> torch.Ten
     return keep
 
 
-def _offsets(p: Parameters, rng: np.random.Generator) -> torch.Tensor:
-    normal = torch.from_numpy(rng.standard_normal((len(p["means"]), 3)).astype(np.float32)).to(p["means"])
-    w, x, y, z = torch.nn.functional.normalize(p["quaternions"], dim=1).unbind(1)
-    v = normal * p["log_scales"].exp()
-    axis = torch.stack([x, y, z], dim=1)
-    turned = torch.linalg.cross(axis, v) * 2
-    return v + w[:, None] * turned + torch.linalg.cross(axis, turned)
-
-
 CANDIDATES = 200_000  # points that are drawn to find the hull, and drawn again inside it
 RESIDUAL = 0.06  # mean absolute difference of colours over 3 x 3 pixels, from which a view disagrees
 AGREE = 0.85  # share of the views that see a point of the hull, which disagree there
@@ -174,13 +160,6 @@ OPACITY = 0.5  # of a seed
 VISIBLE = 0.1  # opacity of a Gaussian that counts as being there
 CLEAR = 3.0  # median spacings of what is there: nearer to it, it can move or change its colour itself
 TIGHT = 0.7  # radius of a seed, over the distance to the nearest ones: they lie on a surface
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surface:
-    positions: NDArray[np.float64]  # (P, 3) world units
-    colours: NDArray[np.float64]  # (P, 3) mean over the views that see a point, 0..1
-    disagreement: NDArray[np.float64]  # (P,) variance over these views, summed over colours
 
 
 def find_wrong(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> Masks:
@@ -198,10 +177,7 @@ def residual_seeds(
     largest: float,
     rng: np.random.Generator,
 ) -> Gaussians | None:
-    """Up to `most` Gaussians beside `g` where its pictures are `wrong` (H, W); None where nothing has appeared.
-
-    `largest`: their largest radius in world units.
-    """
+    """Up to `most` Gaussians of radius `largest` at most where `g` is `wrong` (H, W); None where nothing appeared."""
     coarse = _hull_of(_away_from_visible(rng.uniform(*_box(g), (CANDIDATES, 3)), g), views, wrong)
     if len(coarse) < FEWEST or most < 1:
         return None
@@ -211,12 +187,12 @@ def residual_seeds(
     hull = _hull_of(_away_from_visible(drawn, g), views, wrong)
     if len(hull) < FEWEST:
         return None
-    surface = _surface_of(hull, views)
-    chosen = _one_per_cell(surface, most)
+    points, colours, disagreement = _surface_of(hull, views)
+    chosen = _one_per_cell(points, disagreement, most)
     if not len(chosen):
         return None
-    positions, colours = (a[chosen].astype(np.float32) for a in (surface.positions, surface.colours))
-    seeds = from_points(positions, colours, g.sh_degree, OPACITY, largest)
+    places, shown = (a[chosen].astype(np.float32) for a in (points, colours))
+    seeds = from_points(places, shown, g.sh_degree, OPACITY, largest)
     sizes = np.minimum(seeds.log_scales, np.median(seeds.log_scales))  # one that lies apart is no larger than others
     return replace(seeds, log_scales=sizes + np.float32(np.log(TIGHT)))
 
@@ -224,7 +200,6 @@ def residual_seeds(
 def _hull_of(
     points: NDArray[np.float64], views: Sequence[View], wrong: Sequence[NDArray[np.bool_]]
 ) -> NDArray[np.float64]:
-    """The points (P, 3) that enough of the views see, almost all of which are in their mask `wrong` (H, W)."""
     seen, agree = np.zeros(len(points)), np.zeros(len(points))
     for view, mask in zip(views, wrong, strict=True):
         rows, columns, inside = project(view.camera, points)
@@ -234,7 +209,6 @@ def _hull_of(
 
 
 def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.float64]:
-    """The points (P, 3) that are not next to a Gaussian that can be seen."""
     there = g.means[g.opacities() > VISIBLE].astype(np.float64)
     if len(there) < 2:
         return points
@@ -243,9 +217,10 @@ def _away_from_visible(points: NDArray[np.float64], g: Gaussians) -> NDArray[np.
     return points[tree.query(points, distance_upper_bound=clear)[0] > clear]
 
 
-def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
+def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> tuple[NDArray[np.float64], ...]:
     """The points of a hull (P, 3) that at least three views see first, or two where there are fewer than six views.
 
+    Gives them, their mean colours (P, 3), 0..1, and the variance of these over the views, summed over colours (P,).
     A point is seen by a view if no other lies clearly before it in its pixel. Hulls are larger than what is in them:
     where the surface is not that of the object, views see different things behind it.
     """
@@ -264,17 +239,14 @@ def _surface_of(hull: NDArray[np.float64], views: Sequence[View]) -> Surface:
         squares[inside[first]] += colour**2
     outside = np.flatnonzero(seen >= (3 if len(views) >= 6 else 2))
     mean = sums[outside] / seen[outside, None]
-    return Surface(hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1))
+    return hull[outside], mean, (squares[outside] / seen[outside, None] - mean**2).sum(axis=1)
 
 
-def _one_per_cell(surface: Surface, most: int) -> NDArray[np.intp]:
+def _one_per_cell(points: NDArray[np.float64], disagreement: NDArray[np.float64], most: int) -> NDArray[np.intp]:
     """At most `most` of the points, one in each cell of a grid: the one on whose colour views agree best."""
-    points = surface.positions
-    best = np.argsort(surface.disagreement, kind="stable")
+    best = np.argsort(disagreement, kind="stable")
     size = float((points.max(axis=0) - points.min(axis=0)).max()) if len(points) else 0.0
-    for cells in range(round(most**0.5) + 2, 0, -1):
-        if size == 0.0:
-            return best[:most]
+    for cells in range(round(most**0.5) + 2, 0, -1) if size else ():
         cell = np.floor((points[best] - points.min(axis=0)) / (size / cells)).astype(np.int64)
         _, first = np.unique(cell, axis=0, return_index=True)
         if len(first) <= most:
@@ -308,7 +280,7 @@ def in_open_space(g: Gaussians, cameras: Sequence[Camera], renderer: Renderer = 
         past = (picture.rgb[..., 0] / opaque)[rows, columns] - depths[inside]
         behind[inside] += found.total[inside] * past
         weight[inside] += found.total[inside]
-        seen, drawn = found.peak > SEEN * opacities, found.hits > 0
+        seen, drawn = found.peak > CLEARLY * opacities, found.hits > 0
         to = camera.position - means
         distances = np.linalg.norm(to, axis=1)
         nearest[seen] = np.minimum(nearest, distances)[seen]

@@ -1,4 +1,4 @@
-"""How far Gaussians are from pictures, and what their changes cost, with gradients. N Gaussians, V views, H x W pixels.
+"""Gaussians as tensors, what is drawn of them, and how far that is from pictures, with gradients.
 
 L_3DGS = (1 - lambda) L1 + lambda (1 - SSIM) (AirGS, "Representation"): on the CPU one fused pass (`kernels`), on CUDA
 the same numbers from separable convolutions.
@@ -10,11 +10,15 @@ weight * mean_i sum_c |d_ic| / step_ic.
 
 The PSNR of training is the mean over views of each view's PSNR in dB. The PSNR of a package pools the squared error of
 its pictures first, and is lower where views differ.
+
+N Gaussians, K SH coefficients past DC, V views, H x W pixels. Names are those of `Gaussians`: six attributes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -22,20 +26,123 @@ import torch
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.motion import classify_motion, motion_units
-from airgs_codec.coding.quantize import StepSettings
+from airgs_codec.coding.motion import StepSettings, classify_motion, motion_units
 from airgs_codec.media.metrics import Picture, psnr
-from airgs_codec.render import Camera
-from airgs_codec.render.backend import CPU, Renderer
+from airgs_codec.render.backend import CPU, Loaded, Renderer
 from airgs_codec.render.compare import compare
-from airgs_codec.render.cpu import POOLED
-from airgs_codec.render.cuda import upload
-from airgs_codec.scene.camera import scene_scale
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.render.cpu import POOLED, RasterInputs, Redraw
+from airgs_codec.render.cuda import AbsGrad, rasterize_views, upload
+from airgs_codec.render.cuda import Picture as Drawn
+from airgs_codec.scene.camera import Camera, scene_scale
+from airgs_codec.scene.frames import QUATERNION_MIN_NORM
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
 from airgs_codec.trainer.data.pictures import Target, View
 from airgs_codec.trainer.fit import kernels
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, BETAS, InMotion, Parameters, loading
 from airgs_codec.trainer.settings import Temporal
+
+ATTRIBUTES = tuple(f.name for f in fields(Gaussians))
+Parameters = dict[str, torch.Tensor]  # attribute -> (N, ...)
+# Quaternions of other lengths are made unit ones before a fit: Adam's steps have one size, by which a short quaternion
+# would be thrown about and a long one could not turn.
+LENGTHS = (0.1, 10.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class InMotion:
+    gaussians: Gaussians
+    velocity: NDArray[np.float32] | None = None  # (N, 3) what means move by in a frame; None: not known
+    cleared: int = 0  # rows of its fit that hung in open space and were removed
+
+    def at(self, after: float) -> Gaussians:
+        """So many frames after their time; where they are, where their velocity is not known."""
+        if not after or self.velocity is None:
+            return self.gaussians
+        return replace(self.gaussians, means=self.gaussians.means + np.float32(after) * self.velocity)
+
+
+def loading(g: Gaussians | InMotion, renderer: Renderer) -> Callable[[float], Loaded]:
+    """What gives Gaussians so many frames after their time, ready to be drawn; each is loaded once."""
+    return cache(lambda after: renderer.load(g.at(after) if isinstance(g, InMotion) else g))
+
+
+def from_gaussians(g: Gaussians, device: str = "cpu") -> Parameters:
+    """Copies on a device; quaternions whose length is not within LENGTHS get length 1, unless they stand for none."""
+    columns = {name: getattr(g, name) for name in ATTRIBUTES} | {"quaternions": _of_usual_length(g.quaternions)}
+    return {name: torch.tensor(column, device=device) for name, column in columns.items()}
+
+
+def _of_usual_length(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(N, 4) quaternions; those shorter than QUATERNION_MIN_NORM, which are drawn as the identity, stay."""
+    length = np.linalg.norm(quaternions.astype(np.float64), axis=1, keepdims=True)
+    usual = ((length >= LENGTHS[0]) & (length <= LENGTHS[1])) | ~(length > QUATERNION_MIN_NORM)
+    return np.where(usual, quaternions, quaternions / np.where(usual, 1.0, length)).astype(np.float32)
+
+
+def to_gaussians(p: Mapping[str, torch.Tensor]) -> Gaussians:
+    return Gaussians(*(p[name].detach().cpu().numpy().astype(np.float32) for name in ATTRIBUTES))
+
+
+def multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """The Hamilton product of quaternions (N, 4)."""
+    aw, av, bw, bv = a[:, :1], a[:, 1:], b[:, :1], b[:, 1:]
+    vector = aw * bv + bw * av + torch.linalg.cross(av, bv)
+    return torch.cat([aw * bw - (av * bv).sum(dim=1, keepdim=True), vector], dim=1)
+
+
+def rotate(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Vectors (N, 3) turned by unit quaternions (N, 4)."""
+    turned = 2 * torch.linalg.cross(q[:, 1:], v)
+    return v + q[:, :1] * turned + torch.linalg.cross(q[:, 1:], turned)
+
+
+MOTION = "motion"  # beside the attributes, (N, 3): what means move by in a frame
+
+
+def with_motion(p: Parameters, views: Sequence[View], motion: NDArray[np.float32] | None = None) -> Parameters:
+    """Parameters that have a motion as well, where views show them at other times; None: 0."""
+    if not any(view.after for view in views):
+        return p
+    start = torch.zeros_like(p["means"]) if motion is None else torch.from_numpy(motion).to(p["means"])
+    return p | {MOTION: start}
+
+
+def to_moving(p: Parameters) -> InMotion:
+    """Copies in float32, with the motion where there is one."""
+    motion = p.get(MOTION)
+    return InMotion(to_gaussians(p), None if motion is None else motion.cpu().numpy().astype(np.float32))
+
+
+def zeros_like(p: Mapping[str, torch.Tensor]) -> Parameters:
+    return {name: torch.zeros_like(value) for name, value in p.items()}
+
+
+def take_and_append(
+    old: Mapping[str, torch.Tensor], keep: torch.Tensor, new: Mapping[str, torch.Tensor] | None
+) -> Parameters:
+    """The rows of `old` in the mask `keep` (N,), in order, and the rows of `new` after them."""
+    return {n: v[keep] if new is None else torch.cat([v[keep], new[n]]) for n, v in old.items()}
+
+
+def render(p: Mapping[str, torch.Tensor], camera: Camera, sh_degree: int, absgrad: AbsGrad | None = None) -> Drawn:
+    """The picture (H, W, 3) and its transmittance (H, W), differentiable, with SH up to `sh_degree`."""
+    return rasterize_views(_activated(p, sh_degree), [camera], absgrad)[0]
+
+
+def render_views(
+    p: Mapping[str, torch.Tensor],
+    cameras: Sequence[Camera],
+    sh_degree: int,
+    absgrad: AbsGrad | None = None,
+    redraws: Sequence[Redraw | None] | None = None,
+) -> list[Drawn]:
+    """The same for each of several cameras; `redraws`: one for each, as in `rasterize`."""
+    return rasterize_views(_activated(p, sh_degree), cameras, absgrad, redraws)
+
+
+def _activated(p: Mapping[str, torch.Tensor], sh_degree: int) -> RasterInputs[torch.Tensor]:
+    sh = torch.cat([p["sh_dc"][:, None], p["sh_rest"][:, : SH_REST[sh_degree]]], dim=1)
+    return RasterInputs(p["means"], p["quaternions"], p["log_scales"].exp(), p["opacity_logits"].sigmoid(), sh)
+
 
 POOLED.append(kernels)
 LAMBDA = 0.2  # weight of 1 - SSIM, as AirGS and 3DGS have it
@@ -144,70 +251,6 @@ def codec_steps(
     return {name: torch.from_numpy(np.ascontiguousarray(table[name], np.float32)) for name in ATTRIBUTES}
 
 
-RATE = 2e-3  # learning rate
-ALIKE = (
-    0.015  # root mean square of gains off 1, below which cameras are exposed alike; the drawn fox has 0.003, two real
-)
-# rigs have 0.028 and 0.053
-BEYOND = 2.0  # times their error, from which gains are no chance
-
-
-class ExposureModel:
-    """Gains and offsets of V cameras, fitted beside the Gaussians.
-
-    Until it is known whether cameras differ, the halves of pictures have their own: how far these are apart is an
-    error that gains have to exceed.
-    """
-
-    def __init__(
-        self, views: int, device: str, reference: int | None = None, looks: int | None = None, again: Sequence[int] = ()
-    ) -> None:
-        """The identity for every camera. `reference`: the view whose camera keeps it; None: the average camera does.
-
-        `again`: of each view behind these, the one that has its camera.
-        `looks`: steps after which cameras that are alike keep the identity for good; None: whatever is found stays.
-        """
-        self.differs = True
-        self._reference, self._looks, self._of = reference, looks, [*range(views), *again]
-        self._logs = torch.zeros(views, 2, 3, device=device, requires_grad=True)  # left and right
-        self._offsets = torch.zeros(views, 2, 3, device=device, requires_grad=True)
-        self._steps = 0
-        self._adam = torch.optim.Adam([self._logs, self._offsets], lr=RATE, betas=BETAS)
-
-    def apply(self, rgb: torch.Tensor, view: int) -> torch.Tensor:
-        """The rendered picture (H, W, 3) as the camera of that view would have exposed it."""
-        if not self.differs:
-            return rgb
-        side = torch.arange(rgb.shape[1], device=rgb.device) * 2 // rgb.shape[1]
-        logs, offsets = (t[self._of[view]][side] for t in self._centred())
-        return rgb * logs.exp() + offsets
-
-    def step(self) -> None:
-        if not self.differs:
-            return
-        self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
-        if self._steps + 1 == self._looks:
-            left, right = self._centred()[0].detach().unbind(1)
-            found, error = ((t / 2).square().mean().sqrt().item() for t in (left + right, left - right))
-            self.differs = found > max(ALIKE, BEYOND * error)
-        self._steps += 1
-
-    def table(self, names: Sequence[str]) -> dict[str, list[float]]:
-        """Gains r, g, b and offsets r, g, b by the names of the cameras, rounded to 5 digits."""
-        logs, offsets = (t.detach().mean(dim=1).cpu().numpy() for t in self._centred())
-        rows = np.concatenate([np.exp(logs), offsets], axis=1)
-        return {name: [round(float(v), 5) for v in row] for name, row in zip(names, rows, strict=True)}
-
-    def _centred(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Logarithms of gains, and offsets, (V, 2, 3), alike in both halves once that is all there is to know."""
-        own = slice(None) if self._reference is None else slice(self._reference, self._reference + 1)
-        logs, offsets = (t - t[own].mean(dim=0, keepdim=True) for t in (self._logs, self._offsets))
-        if self._looks is not None and self._steps < self._looks:
-            return logs, offsets
-        return logs.mean(dim=1, keepdim=True).expand_as(logs), offsets.mean(dim=1, keepdim=True).expand_as(offsets)
-
-
 PSNR_DEFINITION = "mean over views of the PSNR of each, in dB"
 
 
@@ -217,10 +260,7 @@ def mean_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer
 
 
 def matched_psnr(g: Gaussians | InMotion, views: Sequence[View], renderer: Renderer = CPU) -> float:
-    """Mean over views of each view's PSNR in dB, once each channel has the gain and offset that show most.
-
-    Views keep theirs where what one half of the picture asks for makes the other half no better.
-    """
+    """Mean PSNR over views in dB, channels with the gain and offset that show most where halves agree."""
     return float(np.mean([psnr(error) for error in _compare(g, views, renderer, _matched_mse)]))
 
 

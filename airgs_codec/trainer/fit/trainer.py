@@ -1,25 +1,29 @@
-"""What all fits of a run share, and those behind its first frame: of a frame in a group, and of a keyframe.
+"""The fits of a run: of its first frame, of a frame in a group, and of a keyframe (AirGS, "Training" 1 to 3).
 
-N Gaussians, U of them those of the frame before.
+A fit may change only what moves. A row is active when a good part of what it gives to all pictures falls on pixels that
+do not rest; the other rows are no variables at all and stay as they are, bit for bit.
+
+N Gaussians, A of them active, U of them those of the frame before, P points, H x W pixels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from airgs_codec.progress import Progress, silent
+from airgs_codec.render import cpu
 from airgs_codec.render.backend import CPU, Renderer, open_renderer
+from airgs_codec.scene.camera import Camera
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.multiview import Points
-from airgs_codec.trainer.data.pictures import View
-from airgs_codec.trainer.data.plates import Masks
-from airgs_codec.trainer.fit.active import Resting, Scope, find_active
+from airgs_codec.trainer.data.pictures import FrameViews, Masks, Recent, View
 from airgs_codec.trainer.fit.grow import (
     LOW_OPACITY,
     Densifier,
@@ -29,38 +33,54 @@ from airgs_codec.trainer.fit.grow import (
     in_open_space,
     residual_seeds,
 )
-from airgs_codec.trainer.fit.losses import better, codec_steps, mean_psnr, temporal_weights
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import (
+from airgs_codec.trainer.fit.losses import (
     ATTRIBUTES,
     InMotion,
     Parameters,
+    better,
+    codec_steps,
     from_gaussians,
+    loading,
+    mean_psnr,
+    temporal_weights,
     to_gaussians,
     to_moving,
     with_motion,
     zeros_like,
 )
-from airgs_codec.trainer.fit.points import scene_extent
-from airgs_codec.trainer.fit.variables import MlpDriven, Networks, PerGaussian, Rates, Regularisers
-from airgs_codec.trainer.settings import BUDGET, MOST_BUDGET, RANDOM, TrainSettings
+from airgs_codec.trainer.fit.optimise import (
+    ExposureModel,
+    MlpDriven,
+    Networks,
+    PerGaussian,
+    Rates,
+    Regularisers,
+    Resting,
+    Schedule,
+    optimise,
+)
+from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent, sparse_cloud
+from airgs_codec.trainer.settings import BUDGET, LEAST_BUDGET, MOST_BUDGET, RANDOM, TrainSettings
 
+START_OPACITY = 0.1  # of the points that a first frame starts from
+RANDOM_SHARE = 0.3  # of the budget: points to begin with; random ones fill up
+# Empty space stays empty. Against no weights +0.3 dB in held-out views of a first frame of the fox; a weight of 0.1 in
+# place of 0.03 on scales gave basketball 0.2 dB in two splits of its cameras (0.5 with their exposure matched).
+FIRST_REGULARISERS = Regularisers(opacity=0.003, scale=0.1)
+# Few cameras that are far apart leave much of a scene free: what is known of its surfaces is opaque, and stays there.
+SPARSE_OPACITY = 0.6
+SPARSE_RATES = Rates(means=0.1)
+DROPOUT = 0.2
+UNSEEN_OPACITY = 0.95
+# More gave basketball, of 640 x 360 pixels, 0.8 dB in held-out views, and the fox, of 320 x 320, 0.2 to 0.4 for twice
+# as many; in a sparse rig they showed less.
+GAUSSIAN_PIXELS = 14  # of a picture, for each Gaussian
+SH_SHARE = 0.25  # of the iterations until each further SH band joins
 HIDDEN_OPACITY = 0.02  # fainter rows are removed at the end of a fit within the budget; of a keyframe only added ones
 MOVING_RATES = Rates(factor=10.0, means=0.5, last=0.1, means_last=0.1)  # of frames that start from the one before
 KEY_RATES = Rates(factor=8.0, last=0.05, means_last=0.05)  # what has appeared has far to go
 UNFORESEEN = 1.5  # times as many iterations for a frame to which its velocity does not lead
 MLP_SHARE = 0.5  # of the iterations of mlp+residual
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FrameViews:
-    """A frame and the views that it is fitted to."""
-
-    frame: int
-    views: Sequence[View]
-    moving: Sequence[NDArray[np.bool_]] | None = None  # (H, W) of each view, what does not rest now or in the frame
-    # before; None: not known, anything may move
-    later: Sequence[View] = ()  # of the frame behind, which a first frame is fitted to as well
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,37 +111,28 @@ class Trainer:
         Where the frame before shows more as it was, it stays: steps that are made for motion lead away from pictures
         that are right to less than a grey level. Raises TrainingError where the loss is not finite.
         """
-        s = self.settings
-        base = from_gaussians(before.gaussians, self.device)
-        scope = self._scope(before, target, base)
-        if scope.empty:
+        s, base = self.settings, from_gaussians(before.gaussians, self.device)
+        views, resting = self._scope(before, target, base)
+        if resting and not (len(resting.active) and views):
             return before.gaussians
-        temporal = self._temporal(group.steps)
-        start, iterations = None, s.frame_iterations
+        temporal = temporal_weights(s.temporal, group.steps)
+        start, iterations = zeros_like(base), s.frame_iterations
         if group.networks is None:
             if self._is_foreseen(before, target.views[::2]):
-                start = self._start(base, before.velocity)
+                start = self._start(base, before)
             else:
                 iterations = round(UNFORESEEN * iterations)
         else:
             by_mlp = iterations if s.deltas == "mlp" else round(MLP_SHARE * iterations)
             iterations -= by_mlp
             driven = MlpDriven(base, group.networks, temporal)
-            schedule = self.schedule("MLPs", by_mlp, self.full_sh_degree)
-            optimise(driven, target.views, schedule, self.rng(target.frame, 1), progress=progress)
+            optimise(driven, target.views, self.schedule("MLPs", by_mlp), self.rng(target.frame, 1), progress=progress)
             moved = driven.detached()
             start = {name: moved[name] - base[name] for name in ATTRIBUTES}
-        fitted = PerGaussian(
-            scope.rows(base),
-            self.extent,
-            MOVING_RATES,
-            None if start is None else scope.rows(start),
-            None if temporal is None else scope.rows(temporal),
-            s.temporal.until,
-            resting=scope.resting,
-        )
-        schedule = self.schedule("motion", iterations, self.full_sh_degree, s.coarse)
-        optimise(fitted, scope.views, schedule, self.rng(target.frame, 2), progress=progress)
+        base, start, temporal = (resting.taken(p) if resting else p for p in (base, start, temporal))
+        fitted = PerGaussian(base, self.extent, MOVING_RATES, start, temporal, s.temporal.until, resting=resting)
+        schedule = replace(self.schedule("motion", iterations), coarse=s.coarse)
+        optimise(fitted, views, schedule, self.rng(target.frame, 2), progress=progress)
         found = to_gaussians(fitted.detached())
         return better(before.gaussians, found, target.views[::2], self.renderer) if s.keep_better else found
 
@@ -132,130 +143,216 @@ class Trainer:
 
         `steps`: codec steps of the frame before. Raises TrainingError where the loss is not finite.
         """
-        s = self.settings
-        rows = len(before.gaussians)
+        s, rows = self.settings, len(before.gaussians)
         most = min(round((1 + s.max_growth) * rows), self.capacity) if s.densify == BUDGET else self.capacity
         rng = self.rng(target.frame, 3)
         seeds = self._seeds(target, before, most - rows, rng) if s.seeds else None
-        base, temporal = from_gaussians(before.gaussians, self.device), self._temporal(steps)
-        start = self._start(base, before.velocity)
+        base, temporal = from_gaussians(before.gaussians, self.device), temporal_weights(s.temporal, steps)
         base = with_motion(base, target.views, before.velocity)
-        start = None if start is None else zeros_like(base) | start
-        scope = self._scope(before, target, base)
-        if not scope.views:
+        start = self._start(base, before)
+        views, resting = self._scope(before, target, base)
+        if not views:
             return before
-        base = scope.rows(base)
-        start = None if start is None else scope.rows(start)
-        temporal = None if temporal is None else scope.rows(temporal)
-        still = rows - len(base["means"])
-        rows, most = rows - still, most - still
+        base, start, temporal = (resting.taken(p) if resting else p for p in (base, start, temporal))
+        fixed = len(base["means"])
         if seeds is not None:
             new = with_motion(from_gaussians(seeds, self.device), target.views)
             zeros = zeros_like(new)  # seeds begin where they are, and no temporal loss holds them
-            base = _joined(base, new)
-            start = None if start is None else _joined(start, zeros)
-            temporal = None if temporal is None else _joined(temporal, zeros)
-        variables = PerGaussian(
+            base, start, temporal = _joined(base, new), _joined(start, zeros), _joined(temporal, zeros)
+        return self.fit_growing(
             base,
-            self.extent,
-            KEY_RATES,
-            start,
-            temporal,
-            s.temporal.until,
-            fixed=rows,
+            (target.views, views),
+            most - rows + fixed,
+            self.schedule("keyframe", s.key_iterations),
+            rng,
+            progress=progress,
+            rates=KEY_RATES,
+            start=start,
+            temporal=temporal,
+            until=s.temporal.until,
+            fixed=fixed,
             regularisers=Regularisers(inflation=s.inflation),
-            densifier=Densifier(self.growth(most, scope.views), len(base["means"]), rng),
-            clears=self.clears(target.views),
-            resting=scope.resting,
+            resting=resting,
         )
-        schedule = self.schedule("keyframe", s.key_iterations, self.full_sh_degree)
-        optimise(variables, scope.views, schedule, rng, progress=progress)
-        variables.remove_fainter(self.least_opacity)
+
+    def fit_growing(
+        self,
+        base: Parameters,
+        views: tuple[Sequence[View], Sequence[View]],
+        most: int,
+        schedule: Schedule,
+        rng: np.random.Generator,
+        exposure: ExposureModel | None = None,
+        progress: Progress = silent,
+        **more: Any,
+    ) -> InMotion:
+        """Fit rows to the second ones of the `views` while others are added, up to `most`; what is hidden goes.
+
+        Within a budget rows that hang in open space before the first ones go, too. `more`: as `PerGaussian` has it.
+        """
+        every, shown = views
+        within, cameras = self.settings.densify == BUDGET, [view.camera for view in every]
+        growth = Growth(most) if within else growth_of_3dgs(most, min(schedule.views, len(every)))
+        clears = partial(in_open_space, cameras=cameras, renderer=self.renderer) if within else None
+        densifier = Densifier(growth, len(base["means"]), rng)
+        variables = PerGaussian(base, self.extent, densifier=densifier, clears=clears, **more)
+        optimise(variables, shown, schedule, rng, exposure, progress)
+        variables.remove_fainter(HIDDEN_OPACITY if within else LOW_OPACITY)
         return replace(to_moving(variables.detached()), cleared=variables.cleared)
 
     def start_group(self, g: Gaussians, views: Sequence[View]) -> Group:
-        """The group whose first frame is `g`, seen by the training views of that frame."""
-        return Group(mean_psnr(g, views, self.renderer), self.steps(g, views), self.networks(g))
+        networks = None
+        if self.settings.deltas != "direct":
+            networks = Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
+        return Group(mean_psnr(g, views, self.renderer), self.steps(g, views), networks)
 
     def steps(self, g: Gaussians, views: Sequence[View]) -> Parameters:
-        """Codec steps where the Gaussians are, on the device; see `codec_steps`."""
         steps = codec_steps(g, [v.camera for v in views], renderer=self.renderer)
         return {name: s.to(self.device) for name, s in steps.items()}
-
-    def networks(self, g: Gaussians) -> Networks | None:
-        if self.settings.deltas == "direct":
-            return None
-        return Networks(from_gaussians(g, self.device), self.extent, self.settings.seed).to(self.device)
 
     @property
     def capacity(self) -> int:
         return self.settings.capacity or max(MOST_BUDGET, self.settings.budget or 1)
 
-    @property
-    def least_opacity(self) -> float:
-        """Return the opacity under which rows are removed at the end of a fit that added some."""
-        return HIDDEN_OPACITY if self.settings.densify == BUDGET else LOW_OPACITY
-
-    def growth(self, most: int, views: Sequence[View]) -> Growth:
-        s = self.settings
-        return Growth(most) if s.densify == BUDGET else growth_of_3dgs(most, min(s.iteration_views, len(views)))
-
-    def clears(self, views: Sequence[View]) -> Callable[[Gaussians], NDArray[np.bool_]] | None:
-        """What finds rows that hang in open space; None: 3DGS keeps them."""
-        if self.settings.densify != BUDGET:
-            return None
-        return partial(in_open_space, cameras=[view.camera for view in views], renderer=self.renderer)
+    def rng(self, frame: int, stage: int) -> np.random.Generator:
+        """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
+        return np.random.default_rng([self.settings.seed, frame, stage])
 
     def _seeds(self, target: FrameViews, before: InMotion, most: int, rng: np.random.Generator) -> Gaussians | None:
-        """Up to `most` new Gaussians of a keyframe, where the pictures of the frame before are wrong; None: nowhere."""
         wrong = find_wrong(before, target.views, self.renderer)
         if target.moving is not None:  # what rests is not drawn: nothing could be fitted there
             wrong = Masks(a & b for a, b in zip(wrong, target.moving, strict=True))
         return residual_seeds(before.gaussians, target.views, wrong, most, 0.1 * self.extent, rng)
 
-    def rng(self, frame: int, stage: int) -> np.random.Generator:
-        """Its own random numbers for every stage of every frame, so that a run can go on anywhere."""
-        return np.random.default_rng([self.settings.seed, frame, stage])
-
-    def _temporal(self, steps: Parameters) -> Parameters | None:
-        temporal = self.settings.temporal
-        return temporal_weights(temporal, steps) if temporal.weight else None
-
-    def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> Scope:
+    def _scope(self, before: InMotion, target: FrameViews, base: Parameters) -> tuple[Sequence[View], Resting | None]:
+        """The views that a fit is made to, and the rows that it leaves as they are; None: it may change all."""
         if target.moving is None:
-            return Scope(target.views)
+            return target.views, None
         active = find_active(before, target.views, target.moving, self.renderer)
-        return Scope(active.views, Resting(base, torch.from_numpy(active.rows).to(self.device)))
+        return active.views, Resting(base, torch.from_numpy(active.rows).to(self.device))
 
     def _is_foreseen(self, before: InMotion, views: Sequence[View]) -> bool:
-        """Whether Gaussians that move on as they did are nearer to the pictures than where they were.
-
-        Where a motion turns, its start is worse than none, and there is further to go.
-        """
+        """Whether Gaussians that move on as they did are nearer to the pictures than where they were: motions turn."""
         if before.velocity is None or not self.settings.velocity:
             return False
         on = InMotion(before.at(1.0), before.velocity)
         return mean_psnr(on, views, self.renderer) > mean_psnr(before.gaussians, views, self.renderer)
 
-    def _start(self, base: Parameters, velocity: NDArray[np.float32] | None) -> Parameters | None:
-        """A difference that goes on as the Gaussians moved before; None: 0."""
-        if velocity is None or not self.settings.velocity:
-            return None
-        return zeros_like(base) | {"means": torch.from_numpy(velocity.astype(np.float32)).to(self.device)}
+    def _start(self, base: Parameters, before: InMotion) -> Parameters:
+        if before.velocity is None or not self.settings.velocity:
+            return zeros_like(base)
+        return zeros_like(base) | {"means": torch.from_numpy(before.velocity.astype(np.float32)).to(self.device)}
 
-    def schedule(self, stage: str, iterations: int, sh_degree: Callable[[float], int], coarse: float = 0.0) -> Schedule:
-        """A fit of so many iterations, as the settings have it; see `Schedule`."""
+    def schedule(self, stage: str, iterations: int) -> Schedule:
         s = self.settings
-        return Schedule(stage, iterations, sh_degree, s.background == RANDOM, s.iteration_views, s.ssim_weight, coarse)
-
-    def full_sh_degree(self, done: float) -> int:
-        return self.settings.sh_degree
+        random = s.background == RANDOM
+        return Schedule(stage, iterations, lambda _: s.sh_degree, random, s.iteration_views, s.ssim_weight)
 
 
 def make_trainer(settings: TrainSettings, views: Sequence[View], points: Points | None, device: str) -> Trainer:
-    """The trainer of a scene whose first frame is seen by these views; `device`: cpu or cuda."""
     return Trainer(settings, scene_extent([view.camera for view in views], points), open_renderer(device))
 
 
 def _joined(a: Parameters, b: Parameters) -> Parameters:
     return {name: torch.cat([value, b[name]]) for name, value in a.items()}
+
+
+def fit_first(
+    trainer: Trainer,
+    target: FrameViews,
+    points: Points | None,
+    exposure: ExposureModel | None = None,
+    progress: Progress = silent,
+) -> InMotion:
+    """3DGS from a cloud of points (AirGS, "Training" 1), within the budget where the settings keep to one.
+
+    `points`: the cloud; None to find one in the pictures. `exposure`: gains and offsets of the views' cameras,
+    which are fitted too. Raises SceneError where there is nothing to start from, TrainingError where the loss is
+    not finite or no Gaussian is left.
+    """
+    s = trainer.settings
+    rng = trainer.rng(target.frame, 0)
+    within = s.densify == BUDGET
+    sparse = sparse_cloud(points, target.views, s.budget or LEAST_BUDGET, rng) if within else None
+    few = s.budget or (LEAST_BUDGET if sparse else usual_budget([view.camera for view in target.views]))
+    fewest, most = (round(RANDOM_SHARE * few), few) if within else (0, trainer.capacity)
+    cloud = sparse.points if sparse else initial_points(points, target.views, fewest, rng)
+    assert cloud.colours is not None  # both give every point one
+    if sparse:
+        most -= len(sparse.unseen.positions)
+    chosen = np.sort(rng.permutation(len(cloud.positions))[:most])
+    opacity, largest = SPARSE_OPACITY if sparse else START_OPACITY, 0.1 * trainer.extent
+    start = from_points(cloud.positions[chosen], cloud.colours[chosen], s.sh_degree, opacity, largest)
+    schedule = trainer.schedule("first frame", s.iterations_from_scratch(len(target.views)))
+    found = trainer.fit_growing(
+        with_motion(from_gaussians(start, trainer.device), target.views),
+        (target.views, [*target.views, *target.later]),
+        most,
+        replace(schedule, sh_degree=lambda done: min(s.sh_degree, int(done / SH_SHARE))),
+        rng,
+        exposure,
+        progress,
+        rates=SPARSE_RATES if sparse else Rates(),
+        regularisers=FIRST_REGULARISERS if s.regularised else Regularisers(),
+        dropout=DROPOUT if sparse else 0.0,
+        seed=s.seed,
+    )
+    if not (sparse and len(sparse.unseen.positions)):
+        return found
+    places, colours = sparse.unseen.positions, sparse.unseen.colours
+    assert colours is not None
+    unseen = from_points(places, colours, s.sh_degree, UNSEEN_OPACITY, largest)
+    motion = None if found.velocity is None else np.pad(found.velocity, ((0, len(unseen)), (0, 0)))
+    return replace(found, gaussians=Gaussians.join([found.gaussians, unseen]), velocity=motion)
+
+
+def usual_budget(cameras: Sequence[Camera]) -> int:
+    """Gaussians of a first frame that cameras see, where nobody says how many: as many as their pictures can tell."""
+    pixels = float(np.mean([camera.width * camera.height for camera in cameras]))
+    return round(min(max(LEAST_BUDGET, pixels / GAUSSIAN_PIXELS), MOST_BUDGET))
+
+
+SHARE = 0.2  # of a row's blending weights over all views that fall on moving pixels, from which it is active
+REST_BYTES = 1 << 30  # of whole pictures, 16 bytes a pixel; those that are no longer buffered are drawn again
+SHOWN = 8.0  # pixels of active rows in a tile, from which it is drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Active:
+    rows: NDArray[np.intp]  # (A,) ascending
+    views: list[View]  # those that show it, with the tiles that do
+
+
+def find_active(
+    before: Gaussians | InMotion, views: Sequence[View], moving: Sequence[NDArray[np.bool_]], renderer: Renderer = CPU
+) -> Active:
+    """Find what may change, from the Gaussians of the frame before and what moves (H, W) in each view."""
+    loaded, rows = loading(before, renderer), len(before.gaussians if isinstance(before, InMotion) else before)
+    rests: Recent[int, cpu.Render] = Recent(
+        lambda place: loaded(views[place].after).draw(views[place].camera),
+        REST_BYTES,
+        lambda picture: picture.rgb.nbytes + picture.transmittance.nbytes,
+    )
+    weights, on_moving, whole = [], np.zeros(rows), np.zeros(rows)
+    for place, (view, mask) in enumerate(zip(views, moving, strict=True)):
+        w = loaded(view.after).weights(view.camera, mask)
+        on_moving += np.bincount(w.ids, w.inside, rows)
+        whole += np.bincount(w.ids, w.total, rows)
+        rests.put(place, w.picture)
+        weights.append((w.shape, w.tiles, w.ids, w.total))
+    active = on_moving > SHARE * np.maximum(whole, 1e-9)
+    drawn = []
+    for place, (view, mask, (shape, of_pair, ids, total)) in enumerate(zip(views, moving, weights, strict=True)):
+        shown = np.bincount(of_pair, total * active[ids], shape[0] * shape[1]).reshape(shape)
+        tiles = (shown >= SHOWN) | _any_in_tiles(mask, shape)
+        if tiles.any():
+            drawn.append(replace(view, redraw=cpu.Redraw(tiles, partial(rests.get, place), active)))
+    return Active(np.flatnonzero(active), drawn)
+
+
+def _any_in_tiles(mask: NDArray[np.bool_], shape: tuple[int, int]) -> NDArray[np.bool_]:
+    """(down, across) whether a tile has a pixel of the mask (H, W)."""
+    side = cpu.TILE
+    padded = np.zeros((shape[0] * side, shape[1] * side), np.bool_)
+    padded[: mask.shape[0], : mask.shape[1]] = mask
+    return np.asarray(padded.reshape(shape[0], side, shape[1], side).any(axis=(1, 3)))

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from airgs_codec.coding.atlas import line_times
-from airgs_codec.coding.grid import grid_means
+from airgs_codec.coding.sidecar import grid_means
 from airgs_codec.media.h264 import open_segment
 from tests.faces import Package, decode_key, decode_pictures, open_package
 from tests.makers.vectors.values import ATTRIBUTES, STATIC, Coding, Rows, key_rows, listed, state_rows, unpack_transform

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from airgs_codec.play.policies.mpc import discounted_throughput
+from airgs_codec.play.policies import discounted_throughput
 from tests import faces
 from tests.faces import NONE, Arrived, Coming, Cut, Event, FormatError, GiveUp, PlayerState, SimulatedDownloader
 from tests.support.manifests import keys
@@ -46,7 +46,8 @@ def player_state(offers: faces.Offers, state: Case) -> PlayerState:
     decoded = keys(*state["decoded"], group=offer.group)
 
     def upcoming() -> Iterator[Coming]:
-        yield from ((offer, decoded if at == loop else NONE) for at, offer in offers.upcoming(positions))
+        for at, number in map(offers.place, positions):
+            yield offers.offer(number), decoded if at == loop else NONE
 
     told = ("position", "now_s", "deadline_s", "buffer_limit_s", "request_latency_s", "shown_quality")
     return PlayerState(
@@ -90,7 +91,7 @@ def events(play: Case, numbers: Numbers, trace: Case) -> list[list[Any]]:
         offers, steps = growing_offers(numbers, play["growth"])
     starts, rates = (np.array(trace[name], float) for name in ("starts_s", "rates_bps"))
     link = faces.Link(faces.Trace(trace["name"], starts, rates, trace["duration_s"]), play["rtt_s"])
-    below = SimulatedDownloader(link, offers, faults, play["pipelines"])
+    below = SimulatedDownloader(link, offers, faults, pipelines=False)  # as browsers
     downloader = GrowingDownloader(below, steps) if play["growth"] else below
     policy, settings = faces.make_policy(play["policy"], offers), faces.SessionSettings(**play["settings"])
     return [row(event) for event in faces.run(offers, downloader, policy, settings)]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airgs_codec.scene.formats.ply_elements import read_columns, read_header
+from airgs_codec.scene.formats.ply import read_columns, read_header
 from tests.faces import SceneError, read_frame_header, read_ply, read_points, write_ply
 from tests.support.camera_files import saved
 from tests.support.ply import ORDERS, TYPES, Column, ply_bytes
@@ -48,7 +48,7 @@ def neighbours(draw):
 
 def table_of(path, names):
     header = read_header(path)
-    return read_columns(path, header, header.element("vertex"), [names])[0]
+    return read_columns(path, header, header.vertex, [names])[0]
 
 
 COMMENTS = st.sampled_from(["comment", "comment end_header", "obj_info property float x"])

@@ -10,10 +10,10 @@ import pytest
 from tests.faces import ConfigError
 from tests.support.paths import REPOSITORY
 from tools.check_docs import command_error
-from tools.lab import published
+from tools.lab import Page, Picture, Section, Table, published
 from tools.lab.command import PROGRAM, measurement_of
 from tools.lab.experiments import FIGURES, MEASUREMENTS, NO_LONGER_MEASURED, Measurement
-from tools.lab.page import Made, Page, Picture, Section, Table
+from tools.lab.page import Made
 from tools.lab.rd.subject import RdPoint, bd_rate, kb_at
 
 PAGES = sorted(published.RESULTS.glob("*.md"))

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from airgs_codec.trainer.data.plates import plate_of, settle, stands_still
+from airgs_codec.trainer.data.pictures import plate_of, settle, stands_still
 from airgs_codec.trainer.fit.losses import moments
 from tests import faces
 from tests.faces import PICTURE_BYTES, TARGET_BYTES, Capture, Pictures, Target, TrainSettings, open_scene, rested
@@ -114,7 +114,6 @@ def filmed(frames, add):
 
 
 def settled_one(picture, plate, exposure=None):
-    """A picture (H, W, 3) as it is fitted, and where it moves (H, W)."""
     view = faces.View(ring(1, SIZE)[0], Target(picture.astype(np.float32) / 255))
     [settled], [moving] = settle([view], {"cam00": plate}, exposure or {})
     return settled.target.rgb, moving
@@ -173,18 +172,18 @@ def test_what_drifts_slowly_does_not_rest_for_ever():
 def test_real_pictures_are_nowhere_changed_by_more_than_the_tolerance_and_kept_within_their_bytes(monkeypatch):
     scene = faces.with_held_out(open_scene(FOX_VIEWS), None)
     capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
-    assert set(capture.plates) == {camera.name for camera in scene.cameras if not camera.held_out}
+    assert set(capture.pictures.plates) == {camera.name for camera in scene.cameras if not camera.held_out}
     views = capture.pictures.train(3)
-    settled, where = settle(views, capture.plates, {})
+    settled, where = settle(views, capture.pictures.plates, {})
     wanted = [view.target.rgb for view in settled]
     for view, shown, moving in zip(views, wanted, where, strict=True):
-        tolerance = capture.plates[view.camera.name].tolerance
+        tolerance = capture.pictures.plates[view.camera.name].tolerance
         assert np.abs(faces.box_mean(shown - view.target.rgb, 5)).max() <= tolerance + 1e-6
         assert np.abs(shown - view.target.rgb).max() < 40 / 255 and 0.02 < moving.mean() < 0.7
-    monkeypatch.setattr("airgs_codec.trainer.data.plates.TARGET_BYTES", 3 * 128 * 128 * 36)
-    for view, rgb in zip(settle(views, capture.plates, {})[0], wanted, strict=True):
+    monkeypatch.setattr("airgs_codec.trainer.data.pictures.TARGET_BYTES", 3 * 128 * 128 * 36)
+    for view, rgb in zip(settle(views, capture.pictures.plates, {})[0], wanted, strict=True):
         np.testing.assert_array_equal(view.target.rgb, rgb)
-        assert view.picture.buffer.nbytes <= 3 * 128 * 128 * 36
+        assert view.picture.func.__self__.nbytes <= 3 * 128 * 128 * 36
 
 
 CHANGES = {
@@ -204,4 +203,4 @@ def test_cameras_that_move_have_no_plates(change):
     shots[1] = replace(shots[1], camera=replace(camera, **CHANGES[change](camera, other)))
     scene = replace(scene, frames=(*scene.frames[:2], tuple(shots), *scene.frames[3:]))
     assert not stands_still(scene)
-    assert rested(Capture.of(scene, TrainSettings(), "cpu")).plates == {}
+    assert rested(Capture.of(scene, TrainSettings(), "cpu")).pictures.plates == {}

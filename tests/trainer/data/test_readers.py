@@ -257,7 +257,6 @@ def little_memory(moving):
 
 
 def npy(shape: str, kind: str = "<f8") -> bytes:
-    """A header of so many numbers, and hardly any of them."""
     header = f"{{'descr':'{kind}','fortran_order':False,'shape':{shape},}}".ljust(117) + "\n"
     return b"\x93NUMPY\1\0" + struct.pack("<H", len(header)) + header.encode() + bytes(100)
 
@@ -271,7 +270,6 @@ def transforms(**fields):
 
 
 def entry(**fields):
-    """A transforms.json of one entry, of a picture that is not there."""
     return transforms(frames=[{"transform_matrix": UNIT, "file_path": "a.png", **fields}])
 
 
@@ -280,8 +278,6 @@ def panoptic(**fields):
 
 
 def inner(write, *words, **fields):
-    """A scene in a folder of its own."""
-
     def make(folder):
         (folder / "inner").mkdir()
         return write(folder / "inner", *words, **fields) or folder / "inner"

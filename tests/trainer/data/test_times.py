@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from airgs_codec.jobs.job import digest
 from PIL import Image
 
-from airgs_codec.jobs.job import digest
 from airgs_codec.trainer.data import multiview, sync
 from tests import faces
 from tests.faces import Capture, MultiviewScene, Pictures, SceneError, Shot, TrainSettings, Work, open_scene, rested
@@ -103,8 +103,8 @@ def test_a_rig_with_holes_has_plates_and_offsets_and_says_what_it_lacks(tmp_path
     faces.match_cameras(scene, (0, None), "auto", None, quiet=False)
     assert capsys.readouterr().out == f"{tmp_path}: 9 frames of 25 a second, joined by time; 2 of 9 frames dropped: b\n"
     capture = rested(Capture.of(scene, TrainSettings(), "cpu"))
-    assert set(capture.plates) == {"a", "b"}
-    assert [len(capture.target(t, t - 1).moving) for t in (1, 2, 3)] == [2, 1, 2]
+    assert set(capture.pictures.plates) == {"a", "b"}
+    assert [len(capture.pictures.target(t, t - 1).moving) for t in (1, 2, 3)] == [2, 1, 2]
     late = sync.in_step(scene, {"a": 2.25})  # a begins to be behind, with what both have
     assert [len(shots) for shots in late.frames] == [2, 2, 1, 2, 2, 1]
     with pytest.raises(SceneError, match="pictures of all cameras at frame 2, where training begins"):
@@ -131,14 +131,12 @@ def test_pictures_stay_as_they_are_stored_whatever_their_exif_says(moving, suffi
 
 
 def names(scene, tmp_path):
-    """Names of what each frame of a scene shows."""
     contents = faces.read_contents(scene, Work(faces.open_store(tmp_path / "work")))
     seen = (multiview.with_frames(scene, [frame]) for frame in range(len(scene)))
     return [digest(faces.content_of(frame, contents)) for frame in seen]
 
 
 def shaded(folder, *shades):
-    """A video, its pictures each of a grey."""
     folder.mkdir()
     pictures = [plain(shade, (32, 48)) for shade in shades]
     return open_scene(write_filmed(folder, CAMERA, {"a.mp4": (pictures, range(len(shades)))}))
@@ -270,16 +268,16 @@ def test_a_first_frame_has_both_pictures_of_a_camera_that_was_early_and_no_keyfr
     scene = files(tmp_path)
     matched, plainly = sync.in_step(scene, {"cam01": 0.25}), Capture.of(scene, TrainSettings(), "cpu")
     capture = rested(Capture.of(matched, TrainSettings(), "cpu"))
-    target = capture.first()
+    target = capture.pictures.first()
     assert [view.after for view in target.views] == [0.0, -0.25]
     assert [(view.camera.name, view.after) for view in target.later] == [("cam01", 0.75)]
     assert abs(float(target.later[0].target.rgb.mean()) - 30 / 255) < 1e-3  # that of frame 1
     for frame, seen in ((1, [("cam00", 0.0), ("cam01", 0.75)]), (len(matched) - 1, [("cam00", 0.0)])):
-        target = capture.key(capture.target(frame, frame - 1))
+        target = capture.pictures.key(capture.pictures.target(frame, frame - 1))
         assert [(view.camera.name, view.after) for view in target.views] == seen
         assert len(target.moving) == len(seen)
-    still = plainly.target(1, 0)
-    assert capture.key(still) is still and not plainly.first().later
+    still = plainly.pictures.target(1, 0)
+    assert capture.pictures.key(still) is still and not plainly.pictures.first().later
 
 
 def test_offsets_that_cannot_be(tmp_path):

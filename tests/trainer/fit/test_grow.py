@@ -9,9 +9,11 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu, cuda
-from airgs_codec.trainer.fit import active, grow, losses, parameters
+from airgs_codec.trainer.fit import grow, losses
+from airgs_codec.trainer.fit.optimise import Resting
+from airgs_codec.trainer.fit.trainer import find_active
 from tests import faces
-from tests.faces import Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
+from tests.faces import CPU, Trainer, fit_first, from_gaussians, from_points, join_rows, look_at, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, random_parameters, ring, views_of
 
 
@@ -68,7 +70,7 @@ def test_absolute_gradients_are_largest_where_the_picture_is_wrong():
     for view in views:
         absgrad = cuda.AbsGrad()
         p = {n: t.requires_grad_() for n, t in from_gaussians(g).items()}
-        losses.photometric(parameters.render(p, view.camera, 0, absgrad)[0], view.target).backward()
+        losses.photometric(losses.render(p, view.camera, 0, absgrad)[0], view.target).backward()
         gradients, seen = absgrad.read()
         assert (gradients[~seen] == 0).all()
         total += gradients
@@ -94,7 +96,6 @@ def test_seeds_lie_in_what_appeared():
 
 @pytest.fixture(scope="module")
 def moving():
-    """A cloud whose first twenty rows move, what cameras see of it then, and where their pictures differ."""
     g = coloured_cloud(300)
     g = g.take(np.argsort(np.linalg.norm(g.means - g.means[0], axis=1)))
     after, cameras = moved(g, slice(0, 20), (0.05, 0.0, 0.0)), ring(8, size=96)
@@ -104,20 +105,20 @@ def moving():
 
 def test_rows_that_make_what_moves_are_active_in_tiles_that_hold_all_of_it_and_views_without_any_are_left_out(moving):
     g, views, masks = moving
-    rows = active.find_active(*moving).rows
+    rows = find_active(*moving).rows
     assert np.isin(np.arange(20), rows).mean() > 0.9 and len(rows) < 100
     still, name = np.zeros_like(masks[0]), views[1].camera.name
-    [shown] = (v for v in active.find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
+    [shown] = (v for v in find_active(g, views[:2], [still, masks[1]]).views if v.camera.name == name)
     pixels = np.repeat(np.repeat(shown.redraw.tiles, cpu.TILE, axis=0), cpu.TILE, axis=1)[:96, :96]
     assert pixels[masks[1]].all() and not shown.redraw.tiles.all()
     assert (shown.redraw.rest().rgb == cpu.render(g, views[1].camera).rgb).all()
-    nothing = active.find_active(g, views, [still] * len(views))
+    nothing = find_active(g, views, [still] * len(views))
     assert not len(nothing.rows) and not nothing.views
 
 
 def test_weights_are_those_of_the_contribution(moving):
     g, views, masks = moving
-    w = cpu.weights(cpu.activate(g), views[0].camera, masks[0])
+    w = CPU.load(g).weights(views[0].camera, masks[0])
     whole = cpu.measure_contribution(g, views[0].camera).total
     np.testing.assert_allclose(np.bincount(w.ids, w.total, len(g)), whole, rtol=1e-4, atol=1e-4)
     assert (w.inside <= w.total + 1e-4).all()
@@ -126,7 +127,7 @@ def test_weights_are_those_of_the_contribution(moving):
 
 def test_rows_are_joined_and_picked_again():
     rows, still = random_parameters(10), [0, 1, 3, 4, 6, 8, 9]
-    resting = active.Resting(rows, torch.tensor([2, 5, 7]))
+    resting = Resting(rows, torch.tensor([2, 5, 7]))
     fitted = random_parameters(5, seed=1)
     for name, value in resting.joined(fitted).items():
         assert len(value) == 12 and torch.equal(resting.picked(value), fitted[name])

@@ -1,5 +1,6 @@
 """The loop that fits: its losses, the order of views, pictures of half the size, and Adam whose rows come and go."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -8,8 +9,8 @@ import pytest
 import torch
 
 from airgs_codec.render import cpu
-from airgs_codec.trainer.fit import losses, optimise, parameters
-from airgs_codec.trainer.fit.variables import HIDDEN, PerGaussian
+from airgs_codec.trainer.fit import losses, optimise
+from airgs_codec.trainer.fit.optimise import HIDDEN, PerGaussian
 from tests import faces
 from tests.faces import ATTRIBUTES, Adam, Gaussians, InMotion, Target, TrainingError, View, from_gaussians, open_scene
 from tests.support.scenes import random_gaussians
@@ -17,7 +18,6 @@ from tests.support.views import coloured_cloud, moved, random_parameters, ring, 
 
 
 def fit(g, shown, iterations, **more):
-    """What so many iterations make of some Gaussians."""
     fitted, schedule = PerGaussian(from_gaussians(g), 5.0), optimise.Schedule("fit", iterations, lambda _: 0, **more)
     optimise.optimise(fitted, shown, schedule, np.random.default_rng(0))
     return fitted.detached()
@@ -30,12 +30,9 @@ def test_a_fit_is_the_same_whatever_is_kept_in_memory(moving):
     assert all(torch.equal(a[name], b[name]) for name in a)
 
 
-def test_a_deck_deals_every_view_before_any_comes_again():
-    deck = optimise.Deck(7, np.random.default_rng(0))
-    dealt = []
-    for _ in range(14):
-        dealt += deck.take(3)
-    assert [sorted(dealt[i : i + 7]) for i in range(0, 42, 7)] == [list(range(7))] * 6
+def test_views_are_all_seen_before_any_comes_again():
+    order = list(itertools.islice(optimise.shuffled(7, np.random.default_rng(0)), 42))
+    assert [sorted(order[i : i + 7]) for i in range(0, 42, 7)] == [list(range(7))] * 6
 
 
 def test_losses_that_are_not_finite_end_a_fit_and_name_the_first_fault_though_they_are_looked_at_seldom():
@@ -55,7 +52,7 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
     g = coloured_cloud(30)
     views = views_of(moved(g, slice(0, 10), (0.1, 0, 0)), ring(3))
     together, by_hand = fit(g, views, 1, views=3), PerGaussian(from_gaussians(g), 5.0)
-    parts = [parameters.render(by_hand.current(), v.camera, 0)[0] for v in views]
+    parts = [losses.render(by_hand.current(), v.camera, 0)[0] for v in views]
     sum(losses.photometric(rgb, v.target) / 3 for rgb, v in zip(parts, views, strict=True)).backward()
     by_hand.step(1, 1)
     for name, value in together.items():
@@ -66,9 +63,9 @@ def test_an_iteration_of_several_pictures_follows_the_mean_of_their_losses():
 def test_each_of_several_pictures_shows_the_time_it_was_taken_at():
     g, motion = coloured_cloud(30), np.full((30, 3), 0.1, np.float32)
     views = [replace(v, after=after) for v, after in zip(views_of(g, ring(3)), (0.0, -0.5, 0.25), strict=True)]
-    pictures = optimise.drawn(PerGaussian(parameters.with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
+    pictures = optimise.drawn(PerGaussian(losses.with_motion(from_gaussians(g), views, motion), 5.0), views, 0)
     for view, (rgb, _) in zip(views, pictures, strict=True):
-        shown = parameters.render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
+        shown = losses.render(from_gaussians(InMotion(g, motion).at(view.after)), view.camera, 0)[0]
         torch.testing.assert_close(rgb, shown, atol=1e-5, rtol=0)
     assert optimise.halve(views[1]).after == -0.5
 
@@ -97,9 +94,8 @@ def test_pictures_that_are_small_on_either_side_are_not_halved():
 
 
 def fitted(start, target):
-    """The end of a fit, and by how many dB it is nearer to the target."""
     views = views_of(target, ring(2, size=32))
-    after = parameters.to_gaussians(fit(start, views, 30))
+    after = losses.to_gaussians(fit(start, views, 30))
     assert all(np.isfinite(getattr(after, name)).all() for name in after.__slots__)
     return after, losses.mean_psnr(after, views) - losses.mean_psnr(start, views)
 
@@ -296,7 +292,7 @@ def test_temporal_weights_have_the_unit_they_say(unit, weights):
 def test_exposure_is_one_only_where_both_halves_of_pictures_ask_for_it(sides, differs):
     gains = np.repeat(sides, 8).astype(np.float32)[None, :, None]
     grey = torch.full((8, 16, 3), 0.5)
-    model = losses.ExposureModel(2, "cpu", looks=60)
+    model = optimise.ExposureModel(2, "cpu", looks=60)
     for i in range(60):
         target = grey.numpy() * (gains if i % 2 else 2 - gains)
         (model.apply(grey, i % 2) - torch.from_numpy(target)).abs().mean().backward()

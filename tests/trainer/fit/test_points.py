@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from airgs_codec.trainer.fit import points as fit_points
 from airgs_codec.trainer.fit.points import degrees_apart, initial_points, intersect, project, triangulate
-from airgs_codec.trainer.fit.surround import sparse_cloud, surround, surroundings
 from tests.faces import Pictures, Points, from_points, look_at, open_scene, read_cameras, render, scene_extent
 from tests.support.paths import FOX, FOX_VIEWS
 from tests.support.views import coloured_cloud, joined, ring, views_of
@@ -114,17 +114,17 @@ def views(room):
 
 def test_cameras_surround_what_they_look_at_or_stand_before_it():
     before = [replace(c, name=f"{i}") for i, c in enumerate(inside()[:2] * 3)]
-    assert surround(inside()) and not surround(inside(3)) and not surround(before)
+    assert fit_points.surround(inside()) and not fit_points.surround(inside(3)) and not fit_points.surround(before)
 
 
 def test_walls_are_found_where_cameras_see_them(views):
-    distance = np.linalg.norm(surroundings(views), axis=1)  # from what the cameras look at
+    distance = np.linalg.norm(fit_points.surroundings(views), axis=1)  # from what the cameras look at
     assert np.median(np.abs(distance - (RADIUS - DEPTH))) < 0.1 * RADIUS
     assert (distance > 0.6 * RADIUS).mean() > 0.9
 
 
 def test_points_that_cover_a_part_stay_and_the_rest_is_found(views):
-    positions = sparse_cloud(GIVEN, views, 4000, np.random.default_rng(0)).points.positions
+    positions = fit_points.sparse_cloud(GIVEN, views, 4000, np.random.default_rng(0)).points.positions
     assert len(positions) <= 4000
     assert set(map(tuple, GIVEN.positions.tolist())) <= set(map(tuple, positions.tolist()))
     assert (np.linalg.norm(positions, axis=1) > 0.6 * RADIUS).sum() > 1000
@@ -133,7 +133,10 @@ def test_points_that_cover_a_part_stay_and_the_rest_is_found(views):
 def test_points_that_tell_the_scene_are_left_alone_and_so_is_what_was_cut_out_or_seen_from_close_together(room, views):
     rng = np.random.default_rng(0)
     walls = Points(on_the_walls(rng, 3000).astype(np.float32), None)
-    assert sparse_cloud(walls, views, 4000, rng) is None
-    assert sparse_cloud(GIVEN, views_of(coloured_cloud(), ring(8)), 4000, rng) is None
-    assert sparse_cloud(None, views, 4000, rng) is None, "nobody tells what stands within the walls"
-    assert surround(inside(24)) and sparse_cloud(GIVEN, views_of(room, inside(24)), 4000, rng) is None
+    assert fit_points.sparse_cloud(walls, views, 4000, rng) is None
+    assert fit_points.sparse_cloud(GIVEN, views_of(coloured_cloud(), ring(8)), 4000, rng) is None
+    assert fit_points.sparse_cloud(None, views, 4000, rng) is None, "nobody tells what stands within the walls"
+    assert (
+        fit_points.surround(inside(24))
+        and fit_points.sparse_cloud(GIVEN, views_of(room, inside(24)), 4000, rng) is None
+    )

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from airgs_codec.trainer.fit import first, losses
+from airgs_codec.trainer.fit import losses
+from airgs_codec.trainer.fit import trainer as fits
 from tests.faces import FrameViews, InMotion, Points, Temporal, Trainer, TrainSettings, fit_first, render, scene_extent
 from tests.support.views import BALL, appeared, coloured_cloud, joined, moved, ring, views_of
 
@@ -21,7 +22,6 @@ def trainer(**settings) -> Trainer:
 
 
 def shifted(by, rows=slice(0, 20)):
-    """The truth after some of its rows have moved, and what the cameras see of it."""
     after = moved(TRUTH, rows, (by, 0.0, 0.0))
     return after, views_of(after, CAMERAS)
 
@@ -37,7 +37,6 @@ def keyed(t, views, moving=None):
 
 @pytest.fixture(scope="module")
 def ball():
-    """What the cameras see when something has appeared beside the truth."""
     return views_of(joined(TRUTH, appeared()), CAMERAS)
 
 
@@ -153,8 +152,8 @@ def test_a_frame_of_cameras_out_of_step_is_as_sharp_as_in_step(deltas):
 
 def test_a_first_frame_has_as_many_gaussians_as_its_pictures_can_tell_within_bounds(monkeypatch):
     budgets = {100: 8000, 400: 11429, 700: 35000, 2000: 64000}  # of pictures of these sizes
-    assert {size: first.usual_budget(ring(8, size=size)) for size in budgets} == budgets
-    monkeypatch.setattr(first, "LEAST_BUDGET", 60)
+    assert {size: fits.usual_budget(ring(8, size=size)) for size in budgets} == budgets
+    monkeypatch.setattr(fits, "LEAST_BUDGET", 60)
     truth = coloured_cloud(400)
     found = fit_first(trainer(budget=None), FrameViews(0, views_of(truth, CAMERAS)), Points(truth.means, None))
     assert 60 < len(found.gaussians) <= 48 * 48 / 14

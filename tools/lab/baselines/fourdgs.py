@@ -22,8 +22,8 @@ from airgs_codec.progress import Progress
 from airgs_codec.scene.formats.ply import read_ply, write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.data.pictures import View
+from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, render, to_gaussians
 from airgs_codec.trainer.fit.optimise import Losses
-from airgs_codec.trainer.fit.parameters import Parameters, from_gaussians, render, to_gaussians
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
 from tools.lab.baselines.method import Footage, Shown
 from tools.lab.baselines.threedgs import SH_EVERY, START_OPACITY, Splats, Timetable

@@ -21,15 +21,12 @@ from airgs_codec.places.whole import write_bytes
 from airgs_codec.progress import Progress
 from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows, to_matrices
-from airgs_codec.trainer.data.pictures import View
-from airgs_codec.trainer.fit.active import Resting
-from airgs_codec.trainer.fit.first import fit_first
+from airgs_codec.scene.gaussians import SH_REST, Gaussians, to_matrices
+from airgs_codec.trainer.data.pictures import FrameViews, View
 from airgs_codec.trainer.fit.grow import Densifier, Growth, strongest
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import ATTRIBUTES, EPSILON, Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import FrameViews, Trainer, make_trainer
-from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+from airgs_codec.trainer.fit.losses import ATTRIBUTES, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.optimise import EPSILON, PerGaussian, Rates, Resting, Schedule, optimise
+from airgs_codec.trainer.fit.trainer import Trainer, fit_first, make_trainer
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown, frame_path
@@ -221,7 +218,7 @@ def decode(before: Gaussians, data: bytes, cache: FieldSettings, region: Region)
     size = network.nbytes
     network.load_bytes(data[:size])
     moved = apply_cache(before, network, region)
-    return join_rows([moved, _added(data[size:], before.sh_degree)])
+    return Gaussians.join([moved, _added(data[size:], before.sh_degree)])
 
 
 def _added(data: bytes, sh_degree: int) -> Gaussians:
@@ -274,13 +271,8 @@ class _Fit:
         o = self.options
         resting = Resting(from_gaussians(moved), torch.empty(0, dtype=torch.int64))
         growth = Growth(min(2 * len(new), o.most_added), every=ADD_EVERY)
-        variables = PerGaussian(
-            from_gaussians(new),
-            self.trainer.extent,
-            ADDED_RATES,
-            densifier=Densifier(growth, len(new), rng),
-            resting=resting,
-        )
+        base, densifier = from_gaussians(new), Densifier(growth, len(new), rng)
+        variables = PerGaussian(base, self.trainer.extent, ADDED_RATES, densifier=densifier, resting=resting)
         optimise(variables, target.views, self._schedule("added", o.added_iterations), rng, progress=progress)
         variables.remove_fainter(LOW_OPACITY)
         return to_gaussians(variables.detached()).take(slice(len(moved), None))

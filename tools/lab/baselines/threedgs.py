@@ -19,10 +19,9 @@ from airgs_codec.render.cuda import AbsGrad
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.trainer.fit.grow import LOW_OPACITY, is_visible, split_or_clone
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import Adam, Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.optimise import Adam, Rates, Schedule, optimise
 from airgs_codec.trainer.fit.points import from_points, initial_points, scene_extent
-from airgs_codec.trainer.fit.variables import Rates
 from tools.lab.baselines.method import Footage, Shown, frame_path
 
 ITERATIONS = 30_000  # that the paper's constants are made for

@@ -17,11 +17,16 @@ import torch
 
 from airgs_codec.progress import Progress
 from airgs_codec.scene.gaussians import Gaussians, morton_order
-from airgs_codec.trainer.fit.first import FIRST_REGULARISERS, fit_first
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import BETAS, Parameters, from_gaussians, to_gaussians
-from airgs_codec.trainer.fit.trainer import MOVING_RATES, FrameViews, Trainer, make_trainer
-from airgs_codec.trainer.fit.variables import PerGaussian, Rates
+from airgs_codec.trainer.fit.losses import Parameters, from_gaussians, to_gaussians
+from airgs_codec.trainer.fit.optimise import BETAS, PerGaussian, Rates, Schedule, optimise
+from airgs_codec.trainer.fit.trainer import (
+    FIRST_REGULARISERS,
+    MOVING_RATES,
+    FrameViews,
+    Trainer,
+    fit_first,
+    make_trainer,
+)
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.baselines.hashgrid import FieldSettings, HashField, Places
 from tools.lab.baselines.method import Footage, Shown

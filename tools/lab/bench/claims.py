@@ -10,21 +10,21 @@ folder.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from airgs_codec.encoder.search import PSNR, Goal
 
 from airgs_codec import encode, open_package, open_sequence
-from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.errors import AirgsError
-from airgs_codec.inspect.sides import rung_streams
-from airgs_codec.inspect.summary import RungSummary, summarise
-from airgs_codec.media.metrics import mse, psnr
+from airgs_codec.inspect.compare import compare_streams, frames_of, rung_streams
+from airgs_codec.inspect.summary import rung_rows
+from airgs_codec.media.metrics import Picture, psnr
 from airgs_codec.package.package import Package
 from airgs_codec.package.region import draw_views
-from airgs_codec.render import Camera, render
+from airgs_codec.render import Camera
 from airgs_codec.scene.sequence import GaussianSequence
-from tools.lab import Lab, Page, Section, Table, required, setting
-from tools.lab import Row as PlainRow
+from tools.lab import Lab, Page, Row, Section, Table, required, setting
 from tools.lab.made import name_of
 
 CLOSE_DB = 0.5  # from a claim, where it holds
@@ -60,123 +60,71 @@ def run(options: Options, lab: Lab) -> Page:
             package = open_package(folder)
             seen = draw_views(package.manifest.region, options.pictures, SEED)
             rows += rows_of(name_of(spec), target, package, measure(package, sequence, seen, options.pictures))
-    packages = [package_row(some) for some in by_package(rows)]
+    names = dict.fromkeys((row["scene"], row["target"]) for row in rows)
+    packages = [package_row([row for row in rows if (row["scene"], row["target"]) == name]) for name in names]
     tables = [Table("claims-shown", [row for row in packages if row["target"] == options.targets[-1]], COLUMNS)]
-    data = [Table("claims-packages", packages, COLUMNS), Table("claims", [row.plain() for row in rows])]
+    data = [Table("claims-packages", packages, COLUMNS), Table("claims", rows)]
     how = (
         f"Each rung is measured in {options.pictures} pictures from views drawn anew from the package's region; bytes "
         "are all that a viewer fetches."
     )
-    return Page([Section(verdict(rows), tables=tables)], how, data=data)
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """PSNR in dB of one rung on fresh views."""
-
-    mean: float  # errors pooled over pictures
-    worst: float  # of a picture
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """A rung of a package: what was promised and what was found."""
-
-    scene: str
-    target: str  # dB, or DEFAULT
-    rung: str
-    kilobytes: float  # a frame, of everything a viewer fetches
-    manifests: float  # of these
-    claimed: float | None  # dB; None: the package does not say
-    claimed_worst: float | None  # dB, of the worst picture; None likewise
-    measured: Measured
-    ladder: bool  # whether the package says that no mixture of two other rungs beats it
-
-    @property
-    def off(self) -> float:
-        """By how much more was found than was claimed, in dB; 0 where nothing was."""
-        return 0.0 if self.claimed is None else self.measured.mean - self.claimed
-
-    def plain(self) -> PlainRow:
-        measured = {"measured": self.measured.mean, "worst": self.measured.worst, "off": round(self.off, 3)}
-        return asdict(self) | measured
+    return Page([Section(verdict(packages), tables=tables)], how, data=data)
 
 
 def measure(
     package: Package, sequence: GaussianSequence, cameras: Sequence[Camera], pictures: int
-) -> dict[str, Measured]:
-    """Every rung against the original in so many pictures, or a few more: evenly spaced frames, cameras in turn."""
+) -> dict[str, list[float]]:
+    """Squared errors of every rung in so many pictures, or a few more: evenly spaced frames, cameras in turn."""
     step = max(1, len(sequence) // pictures)
     frames = range((len(sequence) - 1) % step // 2, len(sequence), step)
-    each = -(-pictures // len(frames))
-    streams = rung_streams(package, frames)
-    errors: dict[str, list[float]] = {name: [] for name in streams}
-    turn = itertools.cycle(cameras)
-    for number in frames:
-        original = sequence.load([number]).frames[0]
-        seen = [(camera, render(original, camera).rgb) for camera in itertools.islice(turn, each)]
-        for name, stream in streams.items():
-            shown = next(stream)
-            errors[name] += [mse(render(shown, camera).rgb, picture) for camera, picture in seen]
-    return {name: Measured(round(psnr(sum(e) / len(e)), 3), round(psnr(max(e)), 3)) for name, e in errors.items()}
+    turn, each = itertools.cycle(cameras), -(-pictures // len(frames))
+    views = [(number, camera) for number in frames for camera in itertools.islice(turn, each)]
+    return compare_streams(rung_streams(package, frames), frames_of(sequence, frames), views, Picture.mse)
 
 
-def rows_of(scene: str, target: str, package: Package, found: dict[str, Measured]) -> list[Row]:
-    rungs = summarise(package.manifest, package.manifest_bytes).rungs
-    manifests = package.manifest_bytes / package.manifest.frames / 1e3
-    rows = []
-    for r in sorted(rungs, key=lambda rung: -rung.bytes_per_frame):
-        sizes = r.bytes_per_frame / 1e3, manifests
-        rows.append(Row(scene, target, _name(r), *sizes, r.psnr, r.worst, found[_name(r)], r.best))
+def rows_of(scene: str, target: str, package: Package, found: Mapping[str, Sequence[float]]) -> list[Row]:
+    """A row for each rung of a package, by falling bytes: what it claims and what was found; `off`: how much more."""
+    rows, frames = [], package.manifest.frames
+    for rung in sorted(rung_rows(package.manifest, package.manifest_bytes), key=lambda r: -r["bytes_per_frame"]):
+        errors = found[name := f"{rung['key']}+{rung['state']}"]
+        measured, claimed = round(psnr(sum(errors) / len(errors)), 3), rung["psnr"]
+        rows.append(
+            {"scene": scene, "target": target, "rung": name, "kilobytes": rung["bytes_per_frame"] / 1e3}
+            | {"manifests": package.manifest_bytes / frames / 1e3, "claimed": claimed, "claimed_worst": rung["worst"]}
+            | {"measured": measured, "ladder": rung["best"], "worst": round(psnr(max(errors)), 3)}
+            | {"off": 0.0 if claimed is None else round(measured - claimed, 3)}
+        )
     return rows
 
 
-def _name(rung: RungSummary) -> str:
-    return f"{rung.key}+{rung.state}"
-
-
-def by_package(rows: Sequence[Row]) -> list[list[Row]]:
-    """The rungs of each package, by falling bytes."""
-    names = dict.fromkeys((row.scene, row.target) for row in rows)
-    return [[row for row in rows if (row.scene, row.target) == name] for name in names]
-
-
-def package_row(rows: Sequence[Row]) -> PlainRow:
+def package_row(rows: Sequence[Row]) -> Row:
     """What people look at of a package: its top rung, the lowest of its ladder, how far the ladder's claims are off."""
-    top = rows[0]
-    ladder = [row for row in rows if row.ladder]
+    top, ladder = rows[0], [row for row in rows if row["ladder"]]
     low = ladder[-1] if ladder else top
-    return {
-        "scene": top.scene, "target": top.target, "kilobytes": top.kilobytes,
-        "claimed": top.claimed, "measured": top.measured.mean, "claimed_worst": top.claimed_worst,
-        "worst": top.measured.worst, "low_kilobytes": low.kilobytes, "low_measured": low.measured.mean,
-        "off": max((row.off for row in ladder), key=abs, default=0.0),
-        "beaten": " ".join(  # a rung with fewer bytes was measured to be at least as good
-            row.rung for row in ladder
-            if any(o.kilobytes < row.kilobytes and o.measured.mean >= row.measured.mean for o in rows)
-        ),
-    }  # fmt: skip
+    kept = ("scene", "target", "kilobytes", "claimed", "measured", "claimed_worst", "worst")
+    cheaper = {  # rungs with fewer bytes that were measured to be at least as good
+        row["rung"]: [o for o in rows if o["kilobytes"] < row["kilobytes"] and o["measured"] >= row["measured"]]
+        for row in ladder
+    }
+    return {name: top[name] for name in kept} | {
+        "low_kilobytes": low["kilobytes"],
+        "low_measured": low["measured"],
+        "off": max((row["off"] for row in ladder), key=abs, default=0.0),
+        "beaten": " ".join(name for name, others in cheaper.items() if others),
+    }
 
 
-def verdict(rows: Sequence[Row]) -> str:
-    packages = [package_row(some) for some in by_package(rows)]
-    if not packages:
-        return "No package could be made."
-    off = [round(one["measured"] - one["claimed"], 2) for one in packages if one["claimed"] is not None]
-    words = []
-    if off:
-        close = sum(abs(one) <= CLOSE_DB for one in off)
-        words.append(
-            f"of {len(off)} top rungs {close} are found within {CLOSE_DB:g} dB of their claims, all {min(off):+.2f} to "
-            f"{max(off):+.2f} dB from them"
-        )
-    below = [one["claimed_worst"] - one["worst"] for one in packages if one["claimed_worst"] is not None]
-    if below:
-        words.append(f"the worst picture found is at most {max(0.0, *below):.1f} dB below the worst one claimed")
-    words.append(f"rungs of ladders are off by {max((one['off'] for one in packages), key=abs):+.2f} dB at most")
+def verdict(packages: Sequence[Row]) -> str:
+    known = [one for one in packages if one["claimed"] is not None]
+    if not known:
+        return "No package claims anything."
+    off = [round(one["measured"] - one["claimed"], 2) for one in known]
+    below = max(0.0, *(one["claimed_worst"] - one["worst"] for one in known))
     beaten = [f"{one['scene']} {one['target']}: {one['beaten']}" for one in packages if one["beaten"]]
-    words.append(
-        f"a cheaper rung beats {', '.join(beaten)}" if beaten else "no rung of a ladder is beaten by a cheaper one"
+    worst = max((one["off"] for one in packages), key=abs)
+    cheaper = f"a cheaper rung beats {', '.join(beaten)}" if beaten else "none is beaten by a cheaper one"
+    return (
+        f"Of {len(off)} top rungs {sum(abs(one) <= CLOSE_DB for one in off)} are found within {CLOSE_DB:g} dB of their "
+        f"claims, all {min(off):+.2f} to {max(off):+.2f} dB from them; the worst picture found is at most {below:.1f} "
+        f"dB below the worst one claimed; rungs of ladders are off by {worst:+.2f} dB at most; {cheaper}."
     )
-    sentence = "; ".join(words)
-    return f"{sentence[0].upper()}{sentence[1:]}."

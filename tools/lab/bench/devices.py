@@ -15,12 +15,10 @@ from __future__ import annotations
 import importlib.metadata
 import math
 import os
-import subprocess
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, astuple, dataclass, field, replace
-from functools import partial
+from dataclasses import asdict, astuple, dataclass, replace
 from pathlib import Path
 from statistics import mean, median
 
@@ -39,7 +37,7 @@ from airgs_codec.scene.sequence import open_sequence
 from airgs_codec.trainer import default_settings, train
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.record import RECORD_NAME, FrameRecord, read_model
+from airgs_codec.trainer.record import read_model
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab import Lab, Page, Row, Section, Table, alone, required, seconds_of, setting
 
@@ -135,34 +133,20 @@ class Fit:
 
 
 def fit(device: str, asked: Fit, folder: Path) -> list[Row]:
-    """Fit the frames into a model folder, in pictures of full size; the row is that of `fitted`."""
+    """Fit the frames into a model folder, in pictures of full size, and give a row of what came out."""
     scene = asked.open()
-    views = sum(not camera.held_out for camera in scene.cameras)
-    train(scene, folder, asked.settings(views), device=device)
-    return fitted(device, asked, folder)
-
-
-def fitted(device: str, asked: Fit, folder: Path) -> list[Row]:
-    """A row of what a model folder has, which may be a part of the frames; none where there is no frame yet."""
-    record = read_model(folder).record if (folder / RECORD_NAME).is_file() else None
-    if record is None or not record.frames:
-        return []
+    train(scene, folder, asked.settings(sum(not camera.held_out for camera in scene.cameras)), device=device)
+    record = read_model(folder).record
     frames, s = record.frames, record.settings
     held_out = [f.held_out_psnr for f in frames if f.held_out_psnr is not None]
     size = max((camera.width, camera.height) for camera in read_cameras(folder))
-    row: Row = {"scene": asked.scene.name, "device": device, "pictures": f"{size[0]} x {size[1]}"}
     counts = (s["first_iterations"], s["key_iterations"], s["frame_iterations"])
+    row: Row = {"scene": asked.scene.name, "device": device, "pictures": f"{size[0]} x {size[1]}"}
     row["iterations"] = ", ".join(map(str, counts))
     for name, kind in (("first frame, s", "first"), ("keyframe, s", "key"), ("frame in a group, s", "frame")):
-        row[name] = _seconds(frames, kind)
+        row[name] = median([frame.seconds for frame in frames if frame.kind == kind] or [math.nan])
     quality = {"PSNR, dB": mean(f.psnr for f in frames), "held-out, dB": mean(held_out) if held_out else None}
     return [row | quality | {"frames": len(frames), "Gaussians": frames[-1].gaussians}]
-
-
-def _seconds(frames: tuple[FrameRecord, ...], kind: str) -> float | None:
-    """The median of what frames of a kind took; None: there is none."""
-    took = [frame.seconds for frame in frames if frame.kind == kind]
-    return median(took) if took else None
 
 
 def encoded(device: str, name: str, model: Path, settings: EncodeSettings) -> list[Row]:
@@ -178,8 +162,7 @@ def encoded(device: str, name: str, model: Path, settings: EncodeSettings) -> li
 
 
 TENTH = 0.1  # of the iterations, of fits that are short enough for both
-DONE, STOPPED = "done", "stopped at the limit"
-LEFT_OUT = "left out: no time left"
+DONE = "done"
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,129 +179,87 @@ class Options:
             raise ConfigError(f"expected a --limit and an --effort above 0, got {self.limit:g} and {self.effort:g}")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Part:
-    """A function of `device_parts`, and the table that its rows go to."""
-
-    what: str  # for people
-    table: str
-    scene: str
-    device: str
-    function: Callable[..., list[Row]]
-    arguments: tuple[object, ...]
-    left: Callable[[], list[Row]] = list  # the rows that there are where it is stopped
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    parts: list[Row] = field(default_factory=list)  # a row for each part
-    rows: dict[str, list[Row]] = field(default_factory=lambda: {"fits": [], "encodes": [], "pictures": []})
-
-    def do(self, part: Part, left_s: float) -> None:
-        row: Row = {"part": part.what, "scene": part.scene, "device": part.device}
-        if left_s <= 0:
-            self.parts.append(row | {"state": LEFT_OUT})
-            return
-        begun = time.perf_counter()
-        rows: list[Row] = []
-        try:
-            how, (rows, gpu_mib) = alone(measured, part.function, part.device, *part.arguments, limit_s=left_s)
-            row |= {"state": DONE, "memory, MB": how.peak_mb, "of the GPU, MiB": gpu_mib}
-        except TimeoutError:
-            row["state"], rows = STOPPED, part.left()
-        except Exception as error:  # whatever it is, others may still be done
-            said = str(error).strip().splitlines() or [type(error).__name__]
-            row["state"], rows = f"failed: {said[0]}", part.left()
-        self.parts.append(row | {"seconds": time.perf_counter() - begun})
-        self.rows[part.table] += rows
+Part = tuple[str, str, str, str, Callable[..., list[Row]], tuple[object, ...]]  # what, table, scene, device, work
 
 
 def run(options: Options, lab: Lab) -> Page:
     open_renderer(options.device)  # compiles gsplat's kernels where they are not there, which is not of the time
-    begun, found, machine = time.perf_counter(), Found(), facts(options.device)
+    begun, parts = time.perf_counter(), []
+    rows: dict[str, list[Row]] = {"fits": [], "encodes": [], "pictures": []}
     with tempfile.TemporaryDirectory() as folder:
-        for part in parts_of(options, Path(folder)):
-            lab.tell(f"{part.what}: {part.scene} on {part.device}")
-            found.do(part, begun + 60 * options.limit - time.perf_counter())
-            page = page_of(found, machine, options)
-            lab.keep(page)
+        for what, table, scene, device, function, arguments in parts_of(options, Path(folder)):
+            lab.tell(f"{what}: {scene} on {device}")
+            left_s = begun + 60 * options.limit - time.perf_counter()
+            row: Row = {"part": what, "scene": scene, "device": device}
+            try:
+                how, (found, gpu_mib) = alone(measured, function, device, *arguments, limit_s=max(0.0, left_s))
+            except TimeoutError:
+                row["state"] = "no time left"
+            except Exception as error:  # whatever it is, others may still be done
+                row["state"] = f"failed: {(str(error).strip().splitlines() or [type(error).__name__])[0]}"
+            else:
+                rows[table] += found
+                row |= {"state": DONE, "seconds": how.took.wall, "memory, MB": how.peak_mb, "of the GPU, MiB": gpu_mib}
+            parts.append(row)
+            lab.keep(page := page_of(rows, parts, options))
     return page
 
 
 def parts_of(options: Options, folder: Path) -> Iterator[Part]:
     """All parts, those of most worth first; models go to the folder."""
-    device, names = options.device, [scene.name for scene in options.scenes]
-    models = [folder / f"{i}" for i in range(len(names))]
-    yield _compare(options, options.sequence.name, options.sequence)
-    for scene, model in zip(options.scenes, models, strict=True):
-        yield _fit(options, scene, device, model)
-    for name, model in zip(names, models, strict=True):
-        yield _compare(options, name, model)
-        yield _encode(device, name, model)
-    whole = []
-    for scene, model in zip(options.scenes, models, strict=True):
-        yield _fit(options, scene, device, folder / f"{model.name}-tenth", TENTH)
-        yield _fit(options, scene, "cpu", folder / f"{model.name}-cpu-tenth", TENTH)
-        yield _encode("cpu", scene.name, model)
-        whole.append(_fit(options, scene, "cpu", folder / f"{model.name}-cpu"))
-    yield from whole
+    device = options.device
+    models = {scene: folder / f"{i}" for i, scene in enumerate(options.scenes)}
+
+    def fitting(scene: Path, device: str, model: Path, share: float = 1.0) -> Part:
+        what, asked = "fit" if share == 1 else "a tenth of a fit", Fit(scene, options.device, share * options.effort)
+        return what, "fits", scene.name, device, fit, (asked, model)
+
+    def comparing(name: str, model: Path) -> Part:
+        return "compare", "pictures", name, device, pictures, (name, model, options.cameras)
+
+    def encoding(name: str, device: str, model: Path) -> Part:
+        return "encode", "encodes", name, device, encoded, (name, model, EncodeSettings())
+
+    yield comparing(options.sequence.name, options.sequence)
+    for scene, model in models.items():
+        yield fitting(scene, device, model)
+    for scene, model in models.items():
+        yield comparing(scene.name, model)
+        yield encoding(scene.name, device, model)
+    for scene, model in models.items():
+        yield fitting(scene, device, folder / f"{model.name}-tenth", TENTH)
+        yield fitting(scene, "cpu", folder / f"{model.name}-cpu-tenth", TENTH)
+        yield encoding(scene.name, "cpu", model)
+    for scene, model in models.items():
+        yield fitting(scene, "cpu", folder / f"{model.name}-cpu")
 
 
-def _compare(options: Options, name: str, folder: Path) -> Part:
-    arguments = name, folder, options.cameras
-    return Part("compare", "pictures", name, options.device, pictures, arguments)
-
-
-def _encode(device: str, name: str, model: Path) -> Part:
-    return Part("encode", "encodes", name, device, encoded, (name, model, EncodeSettings()))
-
-
-def _fit(options: Options, scene: Path, device: str, folder: Path, share: float = 1.0) -> Part:
-    asked = Fit(scene, options.device, share * options.effort)
-    what = "fit" if share == 1 else "a tenth of a fit"
-    return Part(what, "fits", scene.name, device, fit, (asked, folder), partial(fitted, device, asked, folder))
-
-
-def facts(device: str) -> list[Row]:
-    import torch
-
-    cuda = device == "cuda"
-    gpu = torch.cuda.get_device_properties(0) if cuda else None
-    values = {
-        "GPU": f"{gpu.name}, {gpu.total_memory / 2**30:.0f} GiB" if gpu else None,
-        "driver": _said("nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader") if cuda else None,
-        "CUDA of torch": torch.version.cuda,
-        "torch": torch.__version__,
-        "gsplat": importlib.metadata.version("gsplat") if cuda else None,
-        "commit": _said("git", "describe", "--always", "--dirty"),
-    }
-    return [{"machine": name, "is": value} for name, value in values.items()]
-
-
-def _said(*command: str) -> str | None:
-    """The first line that a program prints; None where it is not there or fails."""
-    try:
-        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.splitlines()[0]
-    except (OSError, subprocess.CalledProcessError, IndexError):
-        return None
-
-
-def page_of(found: Found, machine: Sequence[Row], options: Options) -> Page:
-    seen = found.rows["pictures"]
+def page_of(rows: dict[str, list[Row]], parts: Sequence[Row], options: Options) -> Page:
+    seen = rows["pictures"]
     apart = [Difference(**{name: row[name] for name in asdict(LIMITS)}) for row in seen]
-    over, failed = sum(not one.good() for one in apart), sum("failed" in row["state"] for row in found.parts)
-    done = sum(row["state"] == DONE for row in found.parts)
-    answer = f"{done} of {len(found.parts)} parts were done, {failed} failed; "
+    over, failed = sum(not one.good() for one in apart), sum("failed" in row["state"] for row in parts)
+    done = sum(row["state"] == DONE for row in parts)
+    answer = f"{done} of {len(parts)} parts were done, {failed} failed; "
     answer += f"{over} of {len(seen)} pictures are over a limit." if over else f"{len(seen)} pictures agree."
     largest = {name: float(np.max([row[name] for row in seen])) for name in asdict(LIMITS)} if seen else {}
     limits = [{"scene": "largest", **largest}, {"scene": "limit", **asdict(LIMITS)}]
-    tables = [Table("machine", machine), *(Table(name, found.rows[name]) for name in ("fits", "encodes"))]
-    tables += [Table("pictures", [*seen, *limits]), Table("parts", found.parts)]
+    tables = [Table(name, rows[name]) for name in ("fits", "encodes")]
+    tables += [Table("pictures", [*seen, *limits]), Table("parts", parts)]
     how = (
-        "PSNR is the mean over views and frames; seconds of frames in a group are their median. In `pictures` are the "
+        f"{gpu_of(options.device)}. PSNR is the mean over views and frames; seconds of frames in a group are their "
+        "median. In `pictures` are the largest and the mean difference of samples, and relative differences (L2): the "
+        "largest of the gradients by any attribute, and those of sums, maxima and counts of blending weights."
     )
-    how += "largest and the mean difference of samples, and relative differences (L2): the largest of the gradients by "
-    how += "any attribute, and those of sums, maxima and counts of blending weights."
     if options.effort != 1:
         how += f" A trial with {options.effort:g} times the iterations."
     return Page([Section(answer, tables=tables)], how, failed=bool(over or failed))
+
+
+def gpu_of(device: str) -> str:
+    import torch
+
+    if device != "cuda":
+        return f"No GPU, torch {torch.__version__}"
+    gpu, gsplat = torch.cuda.get_device_properties(0), importlib.metadata.version("gsplat")
+    memory = f"{gpu.total_memory / 2**30:.0f} GiB"
+    return f"{gpu.name}, {memory}, CUDA {torch.version.cuda}, torch {torch.__version__}, gsplat {gsplat}"

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from airgs_codec import Gaussians, decode, open_package
 from airgs_codec.media.image import write_png
 from airgs_codec.media.metrics import psnr
-from airgs_codec.render import Camera, look_at, render_views
+from airgs_codec.render import Camera, look_at, render
 from airgs_codec.scene.gaussians import SH_REST
 from tools.lab import Lab, Page, Row, Section, Table, listed, setting
 from tools.lab.made import encoded, name_of
@@ -85,7 +85,7 @@ def _least(row: Row, variant: str) -> float:
 def measure(name: str, scene: Scene, size: int, keep: Path) -> Iterator[Row]:
     """A row for each engine, of PSNR in dB: the worst of three places and the close one, in each variant."""
     cameras = [view.camera(size, scene.fov_y) for view in scene.views]
-    truth = [np.round(r.rgb.clip(0, 1) * 255).astype(np.uint8) for r in render_views(scene.gaussians, cameras)]
+    truth = [np.round(render(scene.gaussians, c).rgb.clip(0, 1) * 255).astype(np.uint8) for c in cameras]
     with tempfile.TemporaryDirectory() as folder, served_folder(Path(folder)) as url:
         write_page(Path(folder), scene, size)
         for engine in ENGINES:

@@ -10,9 +10,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from airgs_codec.jobs.engines import Engine, InProcess, Processes
+
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.jobs.engines import Engine, InProcess, Processes
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence

@@ -15,8 +15,8 @@ import numpy as np
 from airgs_codec.package.package import open_package
 from airgs_codec.play.http import HttpDownloader
 from airgs_codec.play.offers import Offers
+from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.session import SessionLog, play, simulate
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from tools.lab import Lab, Page, Row, Section, Table, required, setting
 from tools.lab.relay import shaped

@@ -33,23 +33,18 @@ from airgs_codec import EncodeSettings, decode, encode, open_package, open_seque
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder import batch, level, omit, pipeline, plan, repair, sample
 from airgs_codec.encoder.plan import WrittenRows
-from airgs_codec.inspect.summary import rung_bytes
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
-from airgs_codec.package.tables import pack_matrix
 from airgs_codec.progress import Progress, silent
 from airgs_codec.render import read_cameras, render
 from airgs_codec.trainer import pipeline as training
-from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
 from airgs_codec.trainer.data.readers import open_scene
 from airgs_codec.trainer.data.sync import find_offsets, in_step
-from airgs_codec.trainer.fit import first as first_frame
 from airgs_codec.trainer.fit import trainer as frame_fit
-from airgs_codec.trainer.fit.active import Scope
 from airgs_codec.trainer.fit.points import SPARSE_DEGREES, degrees_apart
 from airgs_codec.trainer.fit.trainer import Trainer
-from airgs_codec.trainer.frames import train_first
+from airgs_codec.trainer.frames import Capture, train_first
 from airgs_codec.trainer.record import TrainedFrame
 from airgs_codec.trainer.settings import Temporal, TrainSettings
 from tools.lab import Lab, Page, Row, Section, Table, content, expect_names, listed, required, setting
@@ -126,8 +121,8 @@ def _free(of: Any) -> tuple[Any, str, Any]:
     return of, "planes", lambda self, price: choose(self, 0.0)
 
 
-def _identity(frame: Any, *_: Any) -> str:
-    return pack_matrix(np.eye(3 * (1 + frame.sh_rest.shape[1])))
+def _identity(frame: Any, *_: Any) -> Any:
+    return np.eye(3 * (1 + frame.sh_rest.shape[1]))
 
 
 MECHANISMS = (
@@ -207,24 +202,24 @@ CONTROL = "nothing but other random numbers"
 OF_TRAINING = (
     Mechanism(CONTROL, "", _set(seed=1)),
     Mechanism(
-        "walls around a sparse rig", f"{FIT}surround", _patched((first_frame, "sparse_cloud", lambda *_: None)),
-        needs=SPARSE,
+        "walls around a sparse rig", f"{FIT}points:sparse_cloud",
+        _patched((frame_fit, "sparse_cloud", lambda *_: None)), needs=SPARSE,
     ),
-    Mechanism("dropout in a sparse rig", "", _patched((first_frame, "DROPOUT", 0.0)), needs=SPARSE),
+    Mechanism("dropout in a sparse rig", "", _patched((frame_fit, "DROPOUT", 0.0)), needs=SPARSE),
     Mechanism("cameras are brought into step", f"{DATA}sync", _patched((Rig, "taken_late", lambda _: {})), needs=LATE),
     Mechanism(
-        "pictures between frames", f"{FIT}parameters:with_motion trainer/capture:_behind trainer/capture:key",
+        "pictures between frames", f"{FIT}losses:with_motion {DATA}pictures:_behind {DATA}pictures:key",
         _patched((Rig, "taken_late", lambda rig: {n: float(round(v)) for n, v in rig.offsets.items()})), needs=LATE,
     ),
-    Mechanism("what rests stays", f"{DATA}plates {FIT}active", _set(static="off")),
+    Mechanism("what rests stays", f"{DATA}pictures:settle {FIT}trainer:find_active", _set(static="off")),
     Mechanism(
-        "only what may change is fitted", f"{FIT}active",
-        _patched((Trainer, "_scope", lambda trainer, before, target, base: Scope(target.views))), behind=True,
+        "only what may change is fitted", f"{FIT}trainer:find_active",
+        _patched((Trainer, "_scope", lambda trainer, before, target, base: (target.views, None))), behind=True,
     ),
     Mechanism(
-        "exposure of cameras", f"{FIT}losses:ExposureModel trainer/frames:_exposures", _set(match_exposure="off")
+        "exposure of cameras", f"{FIT}optimise:ExposureModel trainer/frames:_exposures", _set(match_exposure="off")
     ),
-    Mechanism("empty space stays empty", f"{FIT}variables:penalty", _set(regularised=False)),
+    Mechanism("empty space stays empty", f"{FIT}optimise:penalty", _set(regularised=False)),
     Mechanism(
         "motion goes on", f"{FIT}trainer:_is_foreseen {FIT}trainer:_start", _set(velocity=False), behind=True
     ),
@@ -241,7 +236,7 @@ OF_TRAINING = (
     ),
     Mechanism(
         "keyframes from the frame before", f"{FIT}trainer:fit_keyframe",
-        _patched((Trainer, "fit_keyframe", lambda t, target, *_: first_frame.fit_first(t, target, None))), behind=True,
+        _patched((Trainer, "fit_keyframe", lambda t, target, *_: frame_fit.fit_first(t, target, None))), behind=True,
     ),
 )  # fmt: skip
 
@@ -260,7 +255,7 @@ def run(options: Options, lab: Lab) -> Page:
         for one in chosen:
             rows.append(row_of(one, name_of(scene.partition("@")[0]), curve, _once(scene, PLAIN, one, lab)))
     rows.sort(key=lambda row: known.index(row["mechanism"]))
-    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS, once=2)])])
+    return Page([Section(answer(rows), tables=[Table("mechanisms", rows, COLUMNS)])])
 
 
 Result = tuple[float, float, float]  # bytes a frame of the top rung, dB of held-out views, CPU seconds
@@ -359,7 +354,7 @@ def _trained(rig: Rig, one: Mechanism | None, first: TrainedFrame | None) -> tup
 
 def _top_bytes(package: Package) -> float:
     """Bytes a frame of the top rung with all tables."""
-    return rung_bytes(package.manifest, 0, 0, package.manifest_bytes) / package.manifest.frames
+    return package.rungs[0].bytes / package.manifest.frames
 
 
 def answer(rows: Sequence[Row]) -> str:

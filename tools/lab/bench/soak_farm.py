@@ -23,11 +23,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from airgs_codec.jobs.dask_engine import DaskEngine
+
 from airgs_codec.cli.terminal import run_command
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.dask_engine import DaskEngine
 from airgs_codec.jobs.work import Work
 from airgs_codec.places.place import PLAIN, Folder
 from airgs_codec.places.results import Store, pack, unpack

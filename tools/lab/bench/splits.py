@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.cli.common import parse_frames
+from airgs_codec.cli.options import parse_frames
 from airgs_codec.errors import ConfigError
 from airgs_codec.media.image import contact_sheet, to_bytes, write_png
 from airgs_codec.media.metrics import mse, psnr
@@ -113,7 +113,7 @@ def run(options: Options, lab: Lab) -> Page:
     tall, wide = pairs[0][0].shape[:2]
     size = 9, 6 * tall / wide + 0.4
     caption = "Filmed, and shown, by held-out cameras"
-    picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size, grid=False)
+    picture = Picture(f"splits-{name}", caption, partial(draw, rows, pairs), size)
     table = Table(f"splits-{name}", rows_of(rows))
     return Page([Section(summary(name, judged), pictures=[picture])], how, data=[table])
 

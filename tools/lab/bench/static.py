@@ -13,12 +13,12 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 
+from airgs_codec.encoder.search import PSNR, Goal, OutOfReachError
+
 from airgs_codec import EncodeSettings
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.search import PSNR, Goal, OutOfReachError
 from airgs_codec.encoder.settings import as_preview
-from airgs_codec.inspect.compare import compare_two
-from airgs_codec.inspect.sides import Side, open_side, region_views
+from airgs_codec.inspect.compare import Side, compare_two, open_side, region_views
 from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.region import CHECKING
 from airgs_codec.package.tables import Region

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import open_package
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies.named import DEFAULT_POLICY
-from airgs_codec.play.settings import SessionSettings
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY
 from airgs_codec.play.study import Study, StudySettings, run_study, summarise
 from tools.lab import COLOURS, Lab, Page, Picture, Row, Section, Table, content, listed, required, setting
 from tools.lab.made import encoded, name_of
@@ -74,14 +74,15 @@ def rows_of(scene: str, package: Path, study: Study) -> list[Row]:
     known |= {"slowest_mbps": min(means), "fastest_mbps": max(means)}
     rows = []
     for everywhere, here in zip(summarise(study), summarise(study, True), strict=True):
-        psnr, stalled = here.figures["psnr_mean"], here.figures["stall_ratio"]
+        figures = here["figures"]
+        psnr, stalled = figures["psnr_mean"], figures["stall_ratio"]
         rows.append(
             known
-            | {"policy": here.policy, "sessions": here.sessions, "of": everywhere.sessions}
+            | {"policy": here["policy"], "sessions": here["sessions"], "of": everywhere["sessions"]}
             | {"psnr": psnr.mean, "psnr_from": psnr.low, "psnr_to": psnr.high}
             | {"stalled": stalled.mean, "stalled_from": stalled.low, "stalled_to": stalled.high}
-            | {"low": here.figures["psnr_p5"].mean, "regret": here.figures["regret"].mean}
-            | {"stalled_all": everywhere.figures["stall_ratio"].mean}
+            | {"low": figures["psnr_p5"].mean, "regret": figures["regret"].mean}
+            | {"stalled_all": everywhere["figures"]["stall_ratio"].mean}
         )
     return rows
 

@@ -19,7 +19,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, render
 from airgs_codec.scene.formats.ply import write_ply
-from airgs_codec.scene.gaussians import Gaussians, join_rows
+from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, seconds_of, setting
 from tools.lab.rd.subject import Measured, read_truth
@@ -112,7 +112,7 @@ def disturb(g: Gaussians, rng: np.random.Generator) -> Gaussians:
     step = APART * _sizes(part) * way / np.linalg.norm(way, axis=1, keepdims=True)
     small = replace(part, log_scales=part.log_scales - np.float32(np.log(SMALLER)))
     halves = [replace(small, means=(part.means + sign * step).astype(np.float32)) for sign in (-1, 1)]
-    whole = join_rows([g.take(~split), *halves])
+    whole = Gaussians.join([g.take(~split), *halves])
     return whole.take(rng.permutation(len(whole)))
 
 

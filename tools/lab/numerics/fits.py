@@ -14,11 +14,18 @@ import torch
 
 from airgs_codec.render import cpu
 from airgs_codec.trainer.data.pictures import Target, View
-from airgs_codec.trainer.fit.losses import better, codec_steps, photometric, temporal_weights
-from airgs_codec.trainer.fit.optimise import Schedule, optimise
-from airgs_codec.trainer.fit.parameters import Adam, Parameters, from_gaussians, render_views, to_gaussians
+from airgs_codec.trainer.fit.losses import (
+    Parameters,
+    better,
+    codec_steps,
+    from_gaussians,
+    photometric,
+    render_views,
+    temporal_weights,
+    to_gaussians,
+)
+from airgs_codec.trainer.fit.optimise import Adam, PerGaussian, Schedule, optimise
 from airgs_codec.trainer.fit.trainer import MOVING_RATES
-from airgs_codec.trainer.fit.variables import PerGaussian
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab.numerics.outcome import BOUNDED, INVISIBLE, UNFIT, Case, Judged, fit_end, grid
 from tools.lab.numerics.problems import AXES, EXTENT, Axis, Problem, needles

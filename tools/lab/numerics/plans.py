@@ -17,8 +17,8 @@ from airgs_codec.package.package import open_package
 from airgs_codec.play import bound
 from airgs_codec.play.bound import Horizon, Slot, solve_horizon
 from airgs_codec.play.offers import Offers, RungOffer, SegmentOffer
+from airgs_codec.play.playout import SessionSettings
 from airgs_codec.play.session import session_bound, simulate
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace
 from tools.lab.numerics.outcome import BOUNDED, DIVERGES, EXACT, NOT_FINITE, UNFIT, Case, Judged, grid
 
@@ -45,7 +45,7 @@ class Offer:
             RungOffer(0, level, float(quality), math.nan, 0, True, 0.0, (), (), int(size))
             for level, (size, quality) in enumerate(zip(self.sizes[k], self.quality[k], strict=True))
         )
-        return SegmentOffer(k, k, k + 1, 1.0, k, None, True, rungs)
+        return SegmentOffer(k, 1.0, k, None, True, rungs)
 
 
 def offer(kind: str, rate_bps: float) -> tuple[Offer, NDArray[np.float64]]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from airgs_codec.render import Camera
 from airgs_codec.scene.camera import look_at
 from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.trainer.fit.optimise import Rates
 from airgs_codec.trainer.fit.trainer import MOVING_RATES
-from airgs_codec.trainer.fit.variables import Rates
 
 EXTENT = 5.0  # of every scene, world units; cameras are as far from the middle
 SIZE = 0.3  # of a Gaussian, world units: 2 pixels

@@ -15,13 +15,12 @@ from unittest.mock import patch
 
 import numpy as np
 
+from airgs_codec.play import policies as known
 from airgs_codec.play.ladder import Decision
 from airgs_codec.play.offers import Offers
-from airgs_codec.play.policies import mpc
-from airgs_codec.play.policies.named import DEFAULT_POLICY, NAMES, make_policy
-from airgs_codec.play.policies.state import PlayerState, Policy
+from airgs_codec.play.playout import SessionSettings
+from airgs_codec.play.policies import DEFAULT_POLICY, NAMES, PlayerState, Policy, make_policy
 from airgs_codec.play.session import simulate
-from airgs_codec.play.settings import SessionSettings
 from airgs_codec.play.trace import Link, Trace, markov_trace
 from tools.lab import Took, seconds_of
 from tools.lab.numerics.rows import Bench, Place, Point, Row, average
@@ -81,7 +80,7 @@ def _looking(segments: int, links: Links, link: Link) -> Policy:
     policy = make_policy(DEFAULT_POLICY, links.offers, link)
 
     def choose(state: PlayerState) -> Decision:
-        with patch.multiple(mpc, HORIZON_SEGMENTS=segments, HORIZON_S=FAR_S):
+        with patch.multiple(known, HORIZON_SEGMENTS=segments, HORIZON_S=FAR_S):
             return policy.choose(state)
 
     return replace(policy, choose=choose)

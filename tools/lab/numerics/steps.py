@@ -11,20 +11,18 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
+from airgs_codec.encoder.representation import ROUNDING
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
-from airgs_codec.coding.channels import colour_transform, fit_colour_transform, from_klt, key_channels, to_klt
-from airgs_codec.coding.grid import fit_grid
-from airgs_codec.coding.motion import FLOOR, classify_motion, motion_classes, motion_units
-from airgs_codec.coding.quantize import StepSettings, get_step
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
-from airgs_codec.encoder.representation import ROUNDING
+from airgs_codec.coding.channels import colour_transform, fit_colour_transform, key_channels, pack_matrix, unpack_matrix
+from airgs_codec.coding.motion import FLOOR, StepSettings, classify_motion, get_step, motion_classes, motion_units
+from airgs_codec.coding.sidecar import fit_grid
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.media.h264 import CodecSettings, key_codec, qp_step, state_codec
 from airgs_codec.package.layout import KEY
-from airgs_codec.package.tables import pack_matrix, unpack_matrix
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab.numerics.outcome import (
     BOUNDED,
@@ -174,7 +172,7 @@ def code_states(sample: CalibrationSample, factor: float) -> Judged:
 def code_keys(sample: CalibrationSample, factor: float) -> Judged:
     """Keys at steps times a factor: largest error in steps, and the bytes."""
     steps = StepSettings()
-    transform = unpack_matrix(colour_transform(sample.key, steps.key), 3)
+    transform = colour_transform(sample.key, steps.key)
     values = key_channels(sample.key, transform, steps.key, steps.grid)
     units = KEY.steps(steps.key, 3) * factor
     sizes, decoded = encode_and_decode(values[None], units, key_codec(PRESET))
@@ -202,8 +200,8 @@ def klt_error(decades: float, invert: bool) -> Judged:
     mixed = np.linalg.qr(rng.normal(size=(12, 12)))[0]
     scaled = (rng.normal(size=(ROWS, 12)) * spread) @ mixed
     stored = unpack_matrix(pack_matrix(fit_colour_transform(scaled)), 12)
-    channels = to_klt(scaled, stored) if invert else scaled @ stored.T
-    back = from_klt(channels.astype(np.float32), stored.astype(np.float32))
+    channels = scaled @ np.linalg.inv(stored) if invert else scaled @ stored.T
+    back = channels.astype(np.float32) @ stored.astype(np.float32)
     error = float(np.abs(back - scaled).max() / np.abs(scaled).max())
     return error_end(error, 1e-6), error, f"condition of the stored transform {np.linalg.cond(stored):.5f}"
 

@@ -118,7 +118,7 @@ def page(cells: Sequence[Cell]) -> Page:
         tall = max(len({cell.row for cell in some}) for _, _, some in maps)
         size = 4.3 * columns, (1.5 + 0.24 * tall) * -(-len(maps) // columns) + 0.4
         caption = f"How experiments end: {part}"
-        pictures.append(Picture(f"stiff-{part}", caption, partial(draw, maps, columns), size, grid=False))
+        pictures.append(Picture(f"stiff-{part}", caption, partial(draw, maps, columns), size))
     wrong = [cell for cell in own if cell.end in FAULTS]
     words = ", ".join(f"{count} {plural(end)}" for end, count in count_ends(own).items())
     faults = f"{len(wrong)} diverge or are not finite" if wrong else "none diverges or is not finite"
@@ -193,6 +193,7 @@ def _draw_map(axis: Axes, case: Case, panel: str, cells: Sequence[Cell]) -> None
         weight = "bold" if case.part == "trainer" and does_well(cell) else "normal"
         axis.text(at[1], at[0], _short(cell.value), ha="center", va="center", fontsize=6, weight=weight)
     axis.imshow(picture, aspect="auto", origin="lower", interpolation="nearest")
+    axis.grid(visible=False)
     axis.set_xticks(range(len(xs)), [f"{x:.3g}" for x in xs], fontsize=6, rotation=45)
     axis.set_yticks(range(len(ys)), ys, fontsize=6)
     axis.set_xlabel(case.label, fontsize=7)

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
 
 from airgs_codec.scene.gaussians import Gaussians
-from airgs_codec.trainer.capture import Capture
 from airgs_codec.trainer.data.multiview import MultiviewScene, with_held_out
+from airgs_codec.trainer.data.pictures import FrameViews
 from airgs_codec.trainer.data.readers import open_scene
-from airgs_codec.trainer.fit.first import fit_first
 from airgs_codec.trainer.fit.losses import mean_psnr
-from airgs_codec.trainer.fit.trainer import FrameViews, InMotion
+from airgs_codec.trainer.fit.trainer import InMotion, fit_first
+from airgs_codec.trainer.frames import Capture
 from airgs_codec.trainer.pipeline import rested
 from airgs_codec.trainer.settings import TrainSettings
 from tools.lab import seconds_of
@@ -44,11 +44,11 @@ class Case:
 
     @cached_property
     def first(self) -> FrameViews:
-        return FrameViews(0, self.capture.views(0))
+        return FrameViews(0, self.capture.pictures.at_rest(0)[0])
 
     @cached_property
     def second(self) -> FrameViews:
-        return self.capture.target(1, 0)
+        return self.capture.pictures.target(1, 0)
 
     @cached_property
     def shared(self) -> Gaussians:
@@ -80,5 +80,5 @@ def _rows(place: Place, seeds: int) -> list[Row]:
 def _fit(case: Case, deltas: str, count: int, seed: int) -> Gaussians:
     settings = replace(case.capture.trainer.settings, frame_iterations=count, deltas=deltas, seed=seed)
     trainer = replace(case.capture.trainer, settings=settings)
-    start = trainer.start_group(case.shared, case.capture.views(0))
+    start = trainer.start_group(case.shared, case.capture.pictures.at_rest(0)[0])
     return trainer.fit_frame(case.second, InMotion(case.shared, None), start)

@@ -15,14 +15,12 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from airgs_codec.play.policies.mpc import HORIZON_SEGMENTS
-from airgs_codec.play.policies.named import DEFAULT_POLICY, ORACLES
+from airgs_codec.play.policies import DEFAULT_POLICY, HORIZON_SEGMENTS, ORACLES
 from airgs_codec.play.trace import read_trace
 from airgs_codec.render import cpu
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, rows_of, setting
+from tools.lab import Lab, Page, Picture, Section, Table, content, expect_names, plain_log_ticks, rows_of, setting
 from tools.lab.numerics import decode, encode, renderer, selector, survey, trainer
 from tools.lab.numerics.rows import FOX, FOX_FPS, REPEATS, Bench, Point, Row, Scene, open_spinach
 
@@ -127,10 +125,8 @@ def page(rows: Sequence[Row]) -> Page:
         some = [row for row in rows if row.question == question.name]
         if some:
             size = WIDTH * len(by_scene(some)), HEIGHT
-            picture = Picture(
-                f"precision-{question.name}", question.text, partial(draw, question, some), size, grid=False
-            )
-            sections.append(Section(answer(question, judge(question, some)), question.text, [picture]))
+            picture = Picture(f"precision-{question.name}", question.text, partial(draw, question, some), size)
+            sections.append(Section(answer(question, some), question.text, [picture]))
     return Page(sections, HOW, data=[Table("work_precision", rows_of(rows))])
 
 
@@ -138,86 +134,27 @@ def by_scene(rows: Sequence[Row]) -> dict[str, list[Row]]:
     return {scene: [row for row in rows if row.scene == scene] for scene in dict.fromkeys(row.scene for row in rows)}
 
 
-@dataclass(frozen=True, slots=True)
-class Judged:
-    question: Question
-    cheap: Row  # the cheapest that is as good as the best but for `enough`
-    default: Row | None
-    judged: tuple[Row, ...]  # what could be taken
-
-    def gain(self, row: Row, other: Row) -> float:
-        """By how much a row is better than another, in the unit."""
-        return (row.error - other.error) * (1 if self.question.more else -1)
-
-    def best(self, rows: Sequence[Row]) -> Row | None:
-        return min(rows, key=lambda row: (-self.gain(row, self.cheap), row.seconds), default=None)
-
-    def name(self, row: Row) -> str:
-        """A setting in words: its curve, too, where that tells it from others."""
-        curves, settings = ({getattr(other, name) for other in self.judged} for name in ("curve", "setting"))
-        if len(settings) == 1:
-            return row.curve
-        return f"`{row.setting}`" if len(curves) == 1 or row.curve == row.setting else f"`{row.setting}` ({row.curve})"
-
-    def figures(self, row: Row) -> str:
-        beside = f", {row.note}" if row.note else ""
-        return f"{figure(row.error)} {self.question.unit} in {seconds(row.seconds)}{beside}"
-
-    def difference(self, gain: float) -> str:
-        return f"{figure(abs(gain))} {self.question.unit.split()[0]}"
-
-
-def judge(question: Question, rows: Sequence[Row]) -> list[Judged]:
-    """The verdict on each scene; none where there is nothing to choose from."""
-    lines = []
-    for some in by_scene(rows).values():
+def answer(question: Question, rows: Sequence[Row]) -> str:
+    """The setting to take in each scene, and what the default is worth beside it where it is another."""
+    words = []
+    for scene, some in by_scene(rows).items():
         judged = [row for row in some if row.setting not in question.without]
         if question.last:
             judged = list({row.curve: row for row in judged}.values())
         if len(judged) < 2:
-            continue
-        default = next((row for row in judged if (row.curve, row.setting) == question.default), None)
-        verdict = Judged(question, judged[0], default, tuple(judged))
-        best = verdict.best(judged)
-        assert best is not None
-        near = [row for row in judged if verdict.gain(best, row) <= question.enough]
-        lines.append(Judged(question, min(near, key=lambda row: row.seconds), default, tuple(judged)))
-    return lines
-
-
-def answer(question: Question, judged: Sequence[Judged]) -> str:
-    groups: dict[str, list[Judged]] = {}
-    for one in judged:
-        groups.setdefault(f"{one.name(one.cheap)}{', the default' if one.cheap == one.default else ''}", []).append(one)
-    sentences = []
-    for name, some in groups.items():
-        sentences.append(f"Take {name}: {'; '.join(f'{one.cheap.scene} {one.figures(one.cheap)}' for one in some)}.")
-        sentences += [f"{one.cheap.scene.capitalize()}: {around(one)}." for one in some]
-    if question.why and any(one.default not in (None, one.cheap) for one in judged):
-        sentences.append(f"The default stays: {question.why}.")
-    return " ".join(sentences)
-
-
-def around(one: Judged) -> str:
-    """What less time costs, what more time gains, and what the default is worth where it is another."""
-    cheap = one.cheap
-    less = one.best([row for row in one.judged if row.seconds <= LESS * cheap.seconds])
-    more = one.best([row for row in one.judged if row.seconds >= cheap.seconds / LESS])
-    words = []
-    if less is not None:
-        times = figure(less.seconds / cheap.seconds)
-        words.append(f"{times} of the time ({one.name(less)}) costs {one.difference(one.gain(less, cheap))}")
-    if more is not None:
-        gain, times = one.gain(more, cheap), figure(more.seconds / cheap.seconds)
-        gains = f"gains {one.difference(gain)}" if gain > 0 else "gains nothing"
-        words.append(f"{times} times the time ({one.name(more)}) {gains}" if gain > 0 else "more time gains nothing")
-    if one.default is not None and one.default != cheap:
-        gain = one.gain(one.default, cheap)
-        worth = f"is {one.difference(gain)} {'better' if gain > 0 else 'worse'}"
-        times = figure(one.default.seconds / cheap.seconds)
-        beside = f", {one.default.note}" if one.default.note else ""
-        words.append(f"the default, {one.name(one.default)}, {worth} in {times} times the time{beside}")
-    return "; ".join(words) or "nothing else takes another time"
+            continue  # nothing to choose from
+        sign = 1 if question.more else -1
+        best = max(judged, key=lambda row: sign * row.error)
+        near = [row for row in judged if sign * (best.error - row.error) <= question.enough]
+        take = min(near, key=lambda row: row.seconds)
+        name = f"`{take.setting}` ({take.curve})"
+        words.append(f"{scene}: take {name}, {figure(take.error)} {question.unit} in {seconds(take.seconds)}")
+        for row in (row for row in judged if (row.curve, row.setting) == question.default and row != take):
+            gain, times = sign * (row.error - take.error), figure(row.seconds / take.seconds)
+            worth = f"{figure(abs(gain))} {question.unit.split()[0]} {'better' if gain > 0 else 'worse'}"
+            words[-1] += f"; the default, `{row.setting}`, is {worth} in {times} times the time"
+            words[-1] += f": {question.why}" if question.why else ""
+    return f"{'. '.join(words)}." if words else ""
 
 
 def seconds(value: float) -> str:
@@ -239,7 +176,6 @@ def draw(question: Question, rows: Sequence[Row], figure: Figure) -> None:
         draw_curves(axis, question, some)
         axis.set_title(scene, fontsize=11, loc="left")
         axis.set_xlabel(question.time)
-        axis.grid(alpha=0.25)
         if len({row.curve for row in some}) > 1:
             axis.legend(loc="upper right", fontsize=8)
 

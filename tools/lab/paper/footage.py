@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.cli.common import parse_frames
+from airgs_codec.cli.options import parse_frames
 from airgs_codec.errors import SceneError
 from airgs_codec.media.image import to_bytes, write_png
 from airgs_codec.progress import Progress

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from airgs_codec._report import plain_log_ticks
+from tools.lab import plain_log_ticks
 from tools.lab.paper.training import Trained
 
 if TYPE_CHECKING:

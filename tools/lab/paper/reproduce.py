@@ -124,7 +124,7 @@ def quality(subjects: Sequence[Subject], trained: Sequence[Trained], lab: Lab, o
         size = 2.4 * max(map(len, sheet.values())), 2.6 * len(sheet)
         draw = partial(pictures.draw_side_by_side, sheet)
         caption = "The middle frame from a held-out camera"
-        some.append(Picture(f"{options.name}-side-by-side", caption, draw, size, grid=False))
+        some.append(Picture(f"{options.name}-side-by-side", caption, draw, size))
     tables = [Table(f"{options.name}-methods", rows)]
     return Section(in_words(rows), "Quality, size and time", some, tables)
 

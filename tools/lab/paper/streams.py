@@ -22,8 +22,7 @@ from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package
-from airgs_codec.play.ladder import DEFAULT_BETA, Ladder, Option, saved_shares, select
-from airgs_codec.play.policies.paper import frame_budget, select_literal
+from airgs_codec.play.ladder import Option, build_ladder, frame_budget, saved_shares, select, select_literal
 from airgs_codec.play.study import offsets_of
 from airgs_codec.play.trace import Link, Trace
 from airgs_codec.render.backend import CPU
@@ -48,21 +47,20 @@ def choose_top(levels: Levels, budget: float) -> tuple[int, bool]:
     return levels[0].index, levels[0].size_bytes <= budget
 
 
-def choose_best(levels: Levels, budget: float, beta: float = DEFAULT_BETA) -> tuple[int, bool]:
-    """The best level before the cliff that fits, no level if none does; without a cliff where beta is inf."""
-    ladder = Ladder.build(levels) if beta < math.inf else Ladder.build(levels, beta=beta, cliff_db=math.inf)
-    decision = select(ladder, budget)
+def choose_best(levels: Levels, budget: float, cliff: bool = True) -> tuple[int, bool]:
+    """The best level before the cliff, if there is one, that fits, no level if none does."""
+    decision = select(build_ladder(levels) if cliff else build_ladder(levels, math.inf), budget)
     return (decision.index, True) if decision.fits else (SKIPPED, False)
 
 
 def choose_literally(levels: Levels, budget: float) -> tuple[int, bool]:
-    answer = select_literal(levels, budget, DEFAULT_BETA)
+    answer = select_literal(levels, budget)
     chosen = levels[-1 if answer is None else answer]
     return chosen.index, chosen.size_bytes <= budget
 
 
 CHOOSERS: dict[str, Chooser] = {
-    "unpruned": choose_top, "paper": choose_best, "paper-no-cliff": partial(choose_best, beta=math.inf),
+    "unpruned": choose_top, "paper": choose_best, "paper-no-cliff": partial(choose_best, cliff=False),
     "paper-literal": choose_literally,
 }  # fmt: skip
 

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from airgs_codec.jobs.engines import Processes
 
-from airgs_codec.cli.common import parse_frames
+from airgs_codec.cli.options import parse_frames
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper
 from airgs_codec.errors import AirgsError, ConfigError
-from airgs_codec.jobs.engines import Processes
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply

@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 
+from airgs_codec.encoder.search import PSNR, Goal
+
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
-from airgs_codec.encoder.search import PSNR, Goal
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.package.package import open_package
 from airgs_codec.scene.gaussians import Gaussians

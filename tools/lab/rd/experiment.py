@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-from airgs_codec._report import plain_log_ticks
 from airgs_codec.errors import ConfigError
-from tools.lab import Lab, Page, Picture, Row, Section, Table, rows_of, setting
+from tools.lab import Lab, Page, Picture, Row, Section, Table, plain_log_ticks, rows_of, setting
 from tools.lab.rd.coders import OURS, OURS_WHOLE, layout_trials, our_trials
 from tools.lab.rd.fourdgs import fourdgs_trials
 from tools.lab.rd.programs import splat4d_trials, splat_transform_trials

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.ply_elements import read_columns, read_header, write_floats
-from airgs_codec.scene.formats.spacetime import Moving
+from airgs_codec.scene.formats.clips import Moving
+from airgs_codec.scene.formats.ply import read_columns, read_header, write_floats
 from airgs_codec.scene.gaussians import LEAST_SHARE, SH_C0, SH_REST, Gaussians, logits_of, mean_frame, sigmoid
 
 MOST_OFF = 0.02  # share of rows, of frames that are said to move evenly
@@ -62,7 +62,7 @@ def read_ftgs(path: Path, frame: int) -> Gaussians:
     lines = path.read_bytes()[: header.size].decode().splitlines()
     said = dict(line.split()[1:] for line in lines if line.startswith("comment"))
     rest = _rest_names(int(said["sh_degree"]))
-    columns = read_columns(path, header, header.elements[0], (*_COLUMNS, rest))
+    columns = read_columns(path, header, header.elements["vertex"], (*_COLUMNS, rest))
     means, quaternions, log_scales, logits, dc, centres, deviations, velocity, sh = columns
     harmonics = np.ascontiguousarray(sh.reshape(len(means), 3, len(rest) // 3).transpose(0, 2, 1))
     still = Gaussians(means, quaternions, log_scales, logits[:, 0], dc, harmonics)

@@ -18,9 +18,9 @@ import av
 import numpy as np
 from numpy.typing import NDArray
 
-from airgs_codec.coding.channels import colours, split_colours, to_opacity
+from airgs_codec.coding.channels import colours, split_colours
 from airgs_codec.media.h264 import units_without_sei
-from airgs_codec.scene.gaussians import Gaussians
+from airgs_codec.scene.gaussians import Gaussians, sigmoid
 
 RANGE_BYTES = 8  # two float32 for each range that is sent
 SMALLEST_SCALE = 1e-6  # world units; a scale that decodes to 0 has no logarithm
@@ -154,7 +154,7 @@ def v3_layout(frames: Sequence[Gaussians], qp: int, preset: str, form: str) -> C
     activated = form == V3_FORMS[0]
     scales, opacity = _stack(frames, "log_scales"), _stack(frames, "opacity_logits")
     scales = _v3_channels(video, np.exp(scales) if activated else scales, capped)
-    opacity = _v3_channels(video, to_opacity(opacity) if activated else opacity, qp)
+    opacity = _v3_channels(video, sigmoid(opacity) if activated else opacity, qp)
     columns = {
         "means": _v3_means(video, _stack(frames, "means"), qp),
         "quaternions": _v3_channels(video, _stack(frames, "quaternions"), capped),
@@ -208,7 +208,7 @@ def mpeg_anchor_layout(frames: Sequence[Gaussians], qps: dict[str, int], preset:
         "means": _mpeg_means(video, _stack(frames, "means")),
         "quaternions": _mpeg_channels(video, _stack(frames, "quaternions"), qps["quaternions"]),
         "log_scales": _mpeg_channels(video, np.maximum(_stack(frames, "log_scales"), -10), qps["log_scales"]),
-        "opacity_logits": to_logit(to_opacity(opacity)),
+        "opacity_logits": to_logit(sigmoid(opacity)),
         "sh_dc": dc,
         "sh_rest": np.stack([split_colours(both)[1] for both in np.concatenate([dc, rest], axis=2)]),
     }

@@ -17,8 +17,8 @@ from functools import partial
 from pathlib import Path
 
 from airgs_codec.errors import ConfigError
+from airgs_codec.scene.formats.packed import read_splat
 from airgs_codec.scene.formats.ply import read_ply, write_ply
-from airgs_codec.scene.formats.splat import read_splat
 from airgs_codec.scene.formats.table import choose_target, write_frames
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab import seconds_of

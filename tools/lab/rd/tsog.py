@@ -20,7 +20,7 @@ from PIL import Image
 
 from airgs_codec.scene.formats.form import FrameHeader
 from airgs_codec.scene.formats.sog import LABELS_A_LINE, META_NAME, Meta, Pixels, decode_rows, unpack
-from airgs_codec.scene.gaussians import SH_REST, Gaussians, join_rows
+from airgs_codec.scene.gaussians import SH_REST, Gaussians
 
 PROFILE = {"id": "org.opsiclear.tsog-playback", "version": 1}
 LAST_CODE = 65535  # of 16 bits
@@ -37,7 +37,7 @@ def write_tsog(path: Path, frames: Sequence[Gaussians], fps: float, *, levels: i
     codes = np.repeat(np.arange(len(frames)), [len(frame) for frame in frames])[:, None] * step + step // 2
     meta: Meta = {"version": 4, "profile": PROFILE, "playback": {"fps": fps}, "count": len(codes)}
     meta["timeline"] = {"type": 0, "N": len(frames), "delta": step}
-    pixels = _two(meta["timeline"], "timeline", codes) | _rows(meta, join_rows(frames), levels, palette)
+    pixels = _two(meta["timeline"], "timeline", codes) | _rows(meta, Gaussians.join(frames), levels, palette)
     _write_archive(path, meta, pixels)
 
 

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from airgs_codec.errors import SceneError
-from airgs_codec.scene.formats.spz import read_spz
+from airgs_codec.scene.formats.packed import read_spz
 from airgs_codec.scene.gaussians import Gaussians
 from tools.lab import seconds_of
 from tools.lab.rd.ftgs import read_ftgs, write_ftgs

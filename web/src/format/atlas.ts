@@ -5,20 +5,14 @@ import type { Atlas, BaseChanges } from "./types.ts";
 
 const CELLS = BLOCK * BLOCK;
 
-/** Lines of a plane of `rows` rows. */
 export function planeHeight(rows: number, planeWidth: number): number {
   return BLOCK * Math.ceil((Math.ceil(rows / CELLS) * BLOCK) / planeWidth);
 }
 
-/** Lines of all planes of an atlas together; 0 without planes. */
-export function atlasLines(atlas: Atlas): number {
-  const { rows, planes, plane_width, columns } = atlas;
-  return planes.length ? planeHeight(rows, plane_width) * Math.ceil(planes.length / columns) : 0;
-}
-
 /** How many pictures show an atlas together, each the next `height` lines; 0 without planes. */
-export function pages(atlas: Atlas): number {
-  return atlas.planes.length ? Math.ceil(atlasLines(atlas) / atlas.height) : 0;
+export function pages({ rows, planes, plane_width, columns, height }: Atlas): number {
+  if (!planes.length) return 0;
+  return Math.ceil((planeHeight(rows, plane_width) * Math.ceil(planes.length / columns)) / height);
 }
 
 export function atlasSamples(atlas: Atlas): number {
@@ -41,13 +35,11 @@ export function rowOffsets(atlas: Atlas): Uint32Array {
   return offsets;
 }
 
-/** Place of the first sample of plane p. */
 export function planeCorner(atlas: Atlas, plane: number): number {
   const line = Math.floor(plane / atlas.columns) * planeHeight(atlas.rows, atlas.plane_width);
   return line * atlas.width + (plane % atlas.columns) * atlas.plane_width;
 }
 
-/** What a byte does to a CRC-32. */
 const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
   let rest = byte;
   for (let bit = 0; bit < 8; bit++) rest = rest & 1 ? (rest >>> 1) ^ 0xedb88320 : rest >>> 1;

@@ -10,9 +10,6 @@ import { ColumnReader } from "./rangecoder.ts";
 import { canonicalMeans, type Escapes, motionUnits, readDetail, readEscapes, readSidecar } from "./sidecar.ts";
 import type { Atlas, BaseChanges, Group, Root } from "./types.ts";
 
-/** What a key tier without a picture has of one. */
-const NONE: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
-
 /** A key tier but for its picture. N rows; where keys are differences, M = 0 have a place, else M = N. */
 export interface KeyTier {
   atlas: Atlas;
@@ -22,22 +19,17 @@ export interface KeyTier {
   means: Float32Array;
   /** (M) motion units, world units. */
   units: Float32Array;
-  /** (N) */
   depths: Uint8Array;
   /** The file of its picture; each page of it, none where there is none. */
   where: string;
   pages: Sample[][];
-  /** Of each of these. */
   checksums: Uint32Array;
   /** Bases of its samples, and which are other than 0; null: none. */
   bases: Bases;
   changes: BaseChanges | null;
 }
 
-/** A key tier of the table of its group, from the bytes of its sidecar and of its picture, null where it has none.
- *
- * Throws FormatError (bad_sidecar, bad_picture, bad_value).
- */
+/** A key tier from its files; `media` null: it has no picture. Throws FormatError (bad_sidecar, bad_picture). */
 export function readKeyTier(
   root: Root,
   table: Group,
@@ -50,19 +42,19 @@ export function readKeyTier(
   const atlas = qualities[quality]!;
   const coarsest = root.qualities.at(-1)!.coarser;
   const coarser = table.keeps ? coarsest : root.qualities[quality]!.coarser; // a difference has no detail of positions
-  const counts = { count, placed: table.keeps ? 0 : count };
-  const shared = readSidecar(sidecar, counts, table.grid, coarsest, keySidecarPath(tier, group + 1));
-  const { checksums, columns, samples } = media ? readMedia(media, where) : NONE;
+  const placed = table.keeps ? 0 : count;
+  const shared = readSidecar(sidecar, count, placed, table.grid, coarsest, keySidecarPath(tier, group + 1));
+  const none: Media = { checksums: new Uint32Array(), columns: null, samples: [] };
+  const { checksums, columns, samples } = media ? readMedia(media, where) : none;
   const reader = new ColumnReader(columns, where);
   const rows = readDetail(reader, shared, table.grid, coarser, coarsest);
   const escapes = readEscapes(reader, 1, atlas.planes.length, atlas.rows);
   reader.close();
   const bases = new Bases(escapes, atlas);
-  const means = new Float32Array(canonicalMeans(rows, table.grid, coarser));
   return {
     atlas,
     factor,
-    means,
+    means: new Float32Array(canonicalMeans(rows, table.grid, coarser)),
     units: motionUnits(rows.classes),
     depths: rows.depths,
     where,
@@ -73,24 +65,14 @@ export function readKeyTier(
   };
 }
 
-/** The states of a segment, but for their pictures. */
-export interface States {
-  atlas: Atlas;
-  frames: number;
-  pages: Sample[][];
-  /** Of each of these. */
-  checksums: Uint32Array;
-  bases: Bases;
-  /** Of the picture of slopes; null: there is none. `bases`: samples with another base than 0. */
-  line: { pages: Sample[][]; checksums: Uint32Array; bases: BaseChanges | null } | null;
-}
-
-/** Segment `place` of a table; `segment` is its number, from 0. Throws FormatError (bad_sidecar, bad_picture). */
+/** Segment `place` of a table but for its pictures; `segment` is its number, from 0. `line` is the picture of slopes,
+ * null without one; its `bases` are those other than 0. Throws FormatError (bad_sidecar, bad_picture).
+ */
 export function readStates(
   table: Group,
   { segment, place, level }: { segment: number; place: number; level: number },
   media: Uint8Array,
-): States {
+) {
   const where = stateMediaPath(level, segment + 1);
   const atlas = table.levels[level]!;
   const { start, stop, levels } = table.segments[place]!;
@@ -102,12 +84,9 @@ export function readStates(
   const bases = basesOf(frames);
   reader.close();
   const front = rising ? pages(atlas) : 0;
-  const line = rising && {
-    pages: pageSamples(samples.slice(0, front), atlas, 1, where),
-    checksums,
-    bases: rising.next(0),
-  };
-  const own = pageSamples(samples.slice(front), atlas, frames, where);
+  const pagesOf = (part: Sample[], count: number) => pageSamples(part, atlas, count, where);
+  const line = rising && { pages: pagesOf(samples.slice(0, front), 1), checksums, bases: rising.next(0) };
+  const own = pagesOf(samples.slice(front), frames);
   return { atlas, frames, pages: own, checksums: checksums.subarray(front), bases, line };
 }
 
@@ -127,8 +106,7 @@ export function levelRows(depths: Uint8Array, level: number): Uint32Array {
 export function checkCount(root: Root, table: Group, level: number, tiers: number, depths: Uint8Array): void {
   const count = levelRows(depths, level).length;
   const expected = table.levels[level]!.rows;
-  const complete = tiers >= root.levels[level]!.tiers;
-  if (count > expected || (complete && count !== expected)) {
+  if (count > expected || (tiers >= root.levels[level]!.tiers && count !== expected)) {
     const detail = `the sidecars give ${count} rows, the table ${expected}`;
     throw new FormatError("count_mismatch", `levels[${level}]`, detail);
   }
@@ -138,7 +116,6 @@ export function checkCount(root: Root, table: Group, level: number, tiers: numbe
 export class Bases {
   /** Bases by now, of samples that ever had another than 0: by plane · N + row. */
   readonly now = new Map<number, number>();
-  /** Place of each row in a plane. */
   readonly offsets: Uint32Array;
   #at = 0;
 
@@ -149,7 +126,6 @@ export class Bases {
     this.offsets = rowOffsets(atlas);
   }
 
-  /** The changes that come with picture `t`, and with `slopes`; null: none. */
   next(t: number, slopes?: Int32Array | null): BaseChanges | null {
     const { index, jumps } = this.escapes;
     const { rows, planes } = this.atlas;

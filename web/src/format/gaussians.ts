@@ -7,53 +7,53 @@ import { levelRows } from "./files.ts";
 import { colourChannels, colourMatrix, colourSteps, differenceSteps, gridUnit, keySteps, stateSteps } from "./steps.ts";
 import type { Canonical, Gaussians, Group, KeyPart, Root } from "./types.ts";
 
-/** What codes of a key or of a state count in. */
 interface Coding {
   /** Value of a code of each channel. */
   steps: Float32Array;
   /** (C · C) what a code of each colour channel adds to each colour. */
   colours: Float64Array;
+  /** The first channel of each attribute; keys have no means. */
+  at: { means?: number; log_scales: number; quaternions: number; opacity: number; colour: number };
+  /** What log-scales are more than coded. */
+  size: number;
 }
 
 /** Throws FormatError(bad_value) for a broken colour transform. */
-function codingOf(root: Root, group: Group, steps: Float32Array, scales: { sh_dc: number; sh_rest: number }): Coding {
+function codingOf(
+  root: Root,
+  group: Group,
+  steps: Float32Array,
+  scales: { sh_dc: number; sh_rest: number },
+  at: Coding["at"] = STATE_AT,
+  size = 0,
+): Coding {
   const channels = colourChannels(root.sh_degree);
   const scale = colourSteps(scales, channels).map((step) => step * steps.at(-1)!); // of all colour channels
   const colours = Float64Array.from(colourMatrix(group, channels), (entry, i) => entry * scale[i % channels]!);
-  return { steps, colours };
+  return { steps, colours, at, size };
 }
 
-/** The Gaussians of a canonical space; α is not limited yet.
- *
- * Throws FormatError(bad_value) for numbers not finite.
- */
+/** The Gaussians of a canonical space; α is not limited yet. Throws FormatError(bad_value) for numbers not finite. */
 export function canonicalGaussians(root: Root, group: Group, canonical: Canonical): Gaussians {
-  const { means } = canonical;
-  const rows = means.length / 3;
+  const { means, units, quality } = canonical;
   const gaussians = {
     means,
-    quaternions: new Float32Array(4 * rows),
-    logScales: new Float32Array(3 * rows),
-    alpha: new Float32Array(rows),
-    colours: new Float32Array(colourChannels(root.sh_degree) * rows),
+    quaternions: new Float32Array(4 * units.length).map((_, i) => (i % 4 ? 0 : 1)),
+    logScales: new Float32Array(3 * units.length),
+    alpha: new Float32Array(units.length),
+    colours: new Float32Array(colourChannels(root.sh_degree) * units.length),
   };
   let first = 0;
   const codesOf = ({ atlas, luma, bases }: KeyPart) => readCodes(atlas, luma, basesAfter(atlasSamples(atlas), [bases]));
-  const coding = (steps: Float32Array, factor: number) =>
-    codingOf(
-      root,
-      group,
-      steps.map((step) => step * factor),
-      group.key_steps,
-    );
   for (const part of canonical.parts) {
     const { atlas, factor, difference } = part;
-    const own = coding(keySteps(root, group, canonical.quality), factor);
-    setKey(gaussians, first, codesOf(part), own, Math.log(gridUnit(group)));
+    const rows = Uint32Array.from({ length: atlas.rows }, (_, i) => first + i);
+    const steps = keySteps(root, group, quality).map((step) => step * factor);
+    const coding = codingOf(root, group, steps, group.key_steps, KEY_AT, Math.log(gridUnit(group)));
+    add(gaussians, rows, units, codesOf(part), coding);
     if (difference) {
-      const steps = differenceSteps(root, group, canonical.quality).fill(0, 0, 3); // means have it already
-      const rows = Uint32Array.from({ length: atlas.rows }, (_, i) => first + i);
-      addState(gaussians, rows, canonical.units, codesOf(difference), coding(steps, factor));
+      const steps = differenceSteps(root, group, quality).map((step, i) => (i < 3 ? 0 : step * factor)); // not means
+      add(gaussians, rows, units, codesOf(difference), codingOf(root, group, steps, group.key_steps));
     }
     first += atlas.rows;
   }
@@ -61,25 +61,9 @@ export function canonicalGaussians(root: Root, group: Group, canonical: Canonica
   return gaussians;
 }
 
-type Codes = Int32Array | Float64Array;
-
-/** Writes n rows from `first` on: what (7 + C · n) key codes decode to. Log-scales are more than coded by `size`. */
-function setKey(gaussians: Gaussians, first: number, codes: Codes, { steps, colours }: Coding, size: number): void {
-  const rows = codes.length / steps.length;
-  const value = (channel: number, i: number) => codes[channel * rows + i]! * steps[channel]!;
-  for (let i = 0; i < rows; i++) {
-    const row = first + i;
-    for (let axis = 0; axis < 3; axis++)
-      gaussians.logScales[3 * row + axis] = size + value(KEY_AT.log_scales + axis, i);
-    gaussians.quaternions.set(rotation(value, KEY_AT.quaternions, i), 4 * row);
-    gaussians.alpha[row] = value(KEY_AT.opacity, i);
-  }
-  addColours(gaussians.colours, (i) => first + i, codes.subarray(KEY_AT.colour * rows), { colours, rows });
-}
-
-/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the bases of
- * its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer tiers
- * than the level asks for, its rows are the first of the level.
+/** The Gaussians of a frame: `base` is what `canonicalGaussians` gave, `state` the picture of the frame with the bases
+ * of its samples (null: all 0) and the slopes of the segment; null: no state is added. Where `canonical` has fewer
+ * tiers than the level asks for, its rows are the first of the level.
  *
  * Throws FormatError(bad_value) for numbers not finite.
  */
@@ -90,19 +74,12 @@ export function shownGaussians(
   canonical: Canonical,
   state: { level: number; luma: Uint8Array; bases: Int32Array | null; slopes: Int32Array | null; time: number } | null,
 ): Gaussians {
-  const shown = {
-    means: base.means.slice(),
-    quaternions: base.quaternions.slice(),
-    logScales: base.logScales.slice(),
-    alpha: base.alpha.slice(),
-    colours: base.colours.slice(),
-  };
+  const shown = structuredClone(base);
   if (state) {
     const rows = levelRows(canonical.depths, state.level);
-    const atlas = group.levels[state.level]!;
-    const codes = readCodes(atlas, state.luma, state.bases, state.slopes, state.time);
+    const codes = readCodes(group.levels[state.level]!, state.luma, state.bases, state.slopes, state.time);
     const coding = codingOf(root, group, stateSteps(root, group, state.level), group.state_steps);
-    addState(shown, rows, canonical.units, codes, coding);
+    add(shown, rows, canonical.units, codes, coding);
   }
   expectFinite(shown, "frame");
   shown.alpha.forEach((alpha, row) => {
@@ -111,48 +88,33 @@ export function shownGaussians(
   return shown;
 }
 
-/** Adds to (≤ n) rows what (10 + C · n) state codes decode to. `units` (N) are motion units. */
-function addState(
+/** Adds to (≤ n) rows what n of each channel's codes decode to. `units` (N) are motion units. */
+function add(
   gaussians: Gaussians,
   rows: Uint32Array,
   units: Float32Array,
-  codes: Codes,
-  { steps, colours }: Coding,
+  codes: Int32Array | Float64Array,
+  { steps, colours, at, size }: Coding,
 ): void {
   const count = codes.length / steps.length;
   const value = (channel: number, i: number) => codes[channel * count + i]! * steps[channel]!;
+  const channels = Math.sqrt(colours.length);
+  const sums = new Float64Array(channels);
   rows.forEach((row, i) => {
     for (let axis = 0; axis < 3; axis++) {
-      gaussians.means[3 * row + axis]! += value(STATE_AT.means + axis, i) * units[row]!;
-      gaussians.logScales[3 * row + axis]! += value(STATE_AT.log_scales + axis, i);
+      if (at.means !== undefined) gaussians.means[3 * row + axis]! += value(at.means + axis, i) * units[row]!;
+      gaussians.logScales[3 * row + axis]! += size + value(at.log_scales + axis, i);
     }
     const quaternion = gaussians.quaternions.subarray(4 * row, 4 * row + 4);
-    quaternion.set(product(rotation(value, STATE_AT.quaternions, i), quaternion));
-    gaussians.alpha[row]! += value(STATE_AT.opacity, i);
-  });
-  const colourCodes = codes.subarray(STATE_AT.colour * count);
-  addColours(gaussians.colours, (i) => rows[i] ?? null, colourCodes, { colours, rows: count });
-}
-
-/** Adds what (C · n) colour codes decode to; `rowOf` says where the i-th of n rows stands, null: nowhere. */
-function addColours(
-  into: Float32Array,
-  rowOf: (i: number) => number | null,
-  codes: Codes,
-  { colours, rows }: { colours: Float64Array; rows: number },
-): void {
-  const channels = codes.length / rows;
-  const sums = new Float64Array(channels);
-  for (let i = 0; i < rows; i++) {
-    const row = rowOf(i);
-    if (row === null) return;
+    quaternion.set(product(rotation(value, at.quaternions, i), quaternion));
+    gaussians.alpha[row]! += value(at.opacity, i);
     sums.fill(0);
     for (let k = 0; k < channels; k++) {
-      const code = codes[k * rows + i]!;
+      const code = codes[(at.colour + k) * count + i]!;
       if (code) for (let c = 0; c < channels; c++) sums[c]! += code * colours[k * channels + c]!;
     }
-    for (let c = 0; c < channels; c++) into[channels * row + c]! += sums[c]!;
-  }
+    for (let c = 0; c < channels; c++) gaussians.colours[channels * row + c]! += sums[c]!;
+  });
 }
 
 type Quaternion = [number, number, number, number];

@@ -1,19 +1,17 @@
 // The index of a package at work, where a frame, a segment or a group is: FORMAT.md, section 2. All count from 0.
 import { DIGEST, PAGE } from "../generated/constants.ts";
+import { Recent } from "./collections.ts";
 import { locate, pagePath } from "./paths.ts";
-import { Recent } from "./recent.ts";
 import type { FileEntry, Page, Root } from "./types.ts";
 
 /** Pages of the index, of which those last used stay: more than a buffer reaches over, and hours of play. */
 const MOST_PAGES = 256;
 
-/** What the index says of a group, or of the groups on a page. */
 export interface Entry {
   start: number;
   stop: number;
   firstSegment: number;
   segments: number;
-  /** The table of the group, or the page. */
   file: FileEntry;
 }
 
@@ -26,12 +24,10 @@ export class MissingTableError extends Error {
   }
 }
 
-/** Parts that follow each other: those of a level in the root, or those on a page. */
+/** Groups (level 0) or pages of a level that follow each other, and the group, frame and segment each begins with. */
 interface Block {
-  /** Of the parts; 0: they are groups, else pages of that level. */
   level: number;
   spans: Page;
-  /** The first of each: group, frame, segment. */
   groups: number[];
   frames: number[];
   segments: number[];
@@ -43,13 +39,7 @@ type Step = [Block, number];
 
 export const sum = (counts: number[]) => counts.reduce((total, count) => total + count, 0);
 
-function starts(counts: number[], first: number): number[] {
-  let next = first;
-  return counts.map((count) => {
-    next += count;
-    return next - count;
-  });
-}
+const starts = (counts: number[], first: number) => counts.map((_, i) => first + sum(counts.slice(0, i)));
 
 function block(spans: Page, level: number, first: Record<Count, number>): Block {
   const groups = spans.frames.map((_, place) => first.groups + place * PAGE ** level);
@@ -70,7 +60,6 @@ function entryAt({ spans, frames, segments }: Block, place: number): Entry {
   };
 }
 
-/** The place of the last of ascending numbers that is at most `value`: a block has few. */
 const lastUpTo = (ascending: number[], value: number) => ascending.findLastIndex((one) => one <= value);
 
 /** How many pages of a level an index leads to; of level 0, groups. */
@@ -82,7 +71,6 @@ export class GroupIndex {
   readonly groups: number = 0;
   readonly frames: number = 0;
   readonly segments: number = 0;
-  /** Those of the root, groups first. */
   #top: Block[] = [];
   #pages = new Recent<string, Block>(MOST_PAGES);
 
@@ -102,7 +90,6 @@ export class GroupIndex {
     return grown;
   }
 
-  /** Takes in a page, checked by `checkPage`. */
   addPage(path: string, page: Page): void {
     const [above, place] = this.#stepTo(path);
     const { start, firstSegment } = entryAt(above, place);
@@ -122,36 +109,19 @@ export class GroupIndex {
     return entryAt(...this.#leaf("groups", group));
   }
 
-  /** The group that shows a frame, or that a segment belongs to. */
   groupAt(count: "frames" | "segments", number: number): number {
     const [{ groups }, place] = this.#leaf(count, number);
     return groups[place]!;
   }
 
-  /** The pages that lead to a group, frame or segment, from the root on; each must be there when the next is asked for. */
+  /** The pages that lead to a group, frame or segment, root first; each must be there when the next is asked for. */
   *pagesTo(count: Count, number: number): Generator<string> {
     for (const [above, place] of this.#descend(count, number)) if (above.level) yield pathAt(above, place);
   }
 
-  /** Whether all pages that lead to a segment are read. */
   leadsTo(segment: number): boolean {
     for (const path of this.pagesTo("segments", segment)) if (!this.#pages.has(path)) return false;
     return true;
-  }
-
-  /** Pages with some of the segments [start, stop) that are not there, as far as pages that are there lead to them. */
-  missingPages(start: number, stop: number, there: (path: string) => boolean): string[] {
-    const missing: string[] = [];
-    const blocks = this.#top.filter(({ level }) => level > 0);
-    for (let above = blocks.pop(); above; above = blocks.pop()) {
-      for (const [place, first] of above.segments.entries()) {
-        if (first >= stop || first + above.spans.segments[place]! <= start) continue;
-        const path = pathAt(above, place);
-        if (!there(path)) missing.push(path);
-        else if (above.level > 1) blocks.push(this.#page(path));
-      }
-    }
-    return missing;
   }
 
   /** Frames [start, stop) of a segment as if those of its group, or of its unread page, were of one length. */
@@ -166,14 +136,12 @@ export class GroupIndex {
     return { start: upTo(segment - firstSegment), stop: upTo(segment - firstSegment + 1) };
   }
 
-  /** The block of groups that has a group, frame or segment, and the place of its group. */
   #leaf(count: Count, number: number): Step {
     let found: Step | null = null;
     for (const step of this.#descend(count, number)) found = step;
     return found!;
   }
 
-  /** The block that lists a page, and its place there. */
   #stepTo(path: string): Step {
     const [level, number] = locate(path)!.numbers as [number, number];
     for (const step of this.#descend("groups", (number - 1) * PAGE ** level)) if (step[0].level === level) return step;
@@ -189,13 +157,10 @@ export class GroupIndex {
       const place = lastUpTo(at[count], number);
       yield [at, place];
       if (!at.level) return;
-      at = this.#page(pathAt(at, place));
+      const path = pathAt(at, place);
+      const page = this.#pages.get(path);
+      if (!page) throw new MissingTableError(path);
+      at = page;
     }
-  }
-
-  #page(path: string): Block {
-    const found = this.#pages.get(path);
-    if (!found) throw new MissingTableError(path);
-    return found;
   }
 }

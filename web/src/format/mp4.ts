@@ -50,7 +50,10 @@ class Reader {
   media(): Media {
     const [own, moof, mdat] = this.#expect("uuid moof mdat") as [Box, Box, Box];
     const samples = this.#samples(moof, mdat);
-    const columns = this.#expectOwn(own) + 4 * samples.length;
+    const type = [...this.data.subarray(own.start, Math.min(own.start + UUID_BYTES, own.stop))];
+    const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
+    if (text !== OWN_UUID) throw this.#bad(`expected the uuid ${OWN_UUID}, got ${text}`);
+    const columns = own.start + UUID_BYTES + 4 * samples.length;
     if (columns > own.stop) throw this.#bad(`expected ${samples.length} checksums, got ${own.stop - own.start} bytes`);
     const checksums = Uint32Array.from(samples, (_, n) => this.#view.getUint32(columns - 4 * (samples.length - n)));
     return { checksums, columns: columns < own.stop ? this.data.subarray(columns, own.stop) : null, samples };
@@ -61,7 +64,6 @@ class Reader {
     return this.#samples(moof!, mdat!);
   }
 
-  /** All boxes, which must be of these kinds. */
   #expect(kinds: string): Box[] {
     const boxes = this.#boxes(0, this.data.length);
     const got = boxes.map((box) => box.kind).join(" ");
@@ -69,20 +71,14 @@ class Reader {
     return boxes;
   }
 
-  /** Where the content of the uuid box begins. */
-  #expectOwn({ start, stop }: Box): number {
-    const type = [...this.data.subarray(start, Math.min(start + UUID_BYTES, stop))];
-    const text = type.map((byte) => byte.toString(16).padStart(2, "0")).join("");
-    if (text !== OWN_UUID) throw this.#bad(`expected the uuid ${OWN_UUID}, got ${text}`);
-    return start + UUID_BYTES;
-  }
-
   #samples(moof: Box, mdat: Box): Sample[] {
     this.#child(moof, "mfhd");
     const traf = this.#child(moof, "traf");
     const defaults = this.#defaults(this.#child(traf, "tfhd"));
     const samples: Sample[] = [];
-    let time = this.#start(this.#child(traf, "tfdt"));
+    const tfdt = this.#child(traf, "tfdt");
+    const long = this.#u32(tfdt, 0) >>> 24 === 1;
+    let time = long ? this.#u32(tfdt, 4) * 2 ** 32 + this.#u32(tfdt, 8) : this.#u32(tfdt, 4);
     let at = mdat.start;
     for (const { duration, size, offset } of this.#run(this.#child(traf, "trun"), moof, defaults)) {
       if (size <= 0 || size > mdat.stop - at) {
@@ -102,11 +98,6 @@ class Reader {
     const duration = flags & TFHD.duration ? this.#u32(tfhd, at) : 0;
     at += flags & TFHD.duration ? 4 : 0;
     return { duration, size: flags & TFHD.size ? this.#u32(tfhd, at) : 0 };
-  }
-
-  #start(tfdt: Box): number {
-    const long = this.#u32(tfdt, 0) >>> 24 === 1;
-    return long ? this.#u32(tfdt, 4) * 2 ** 32 + this.#u32(tfdt, 8) : this.#u32(tfdt, 4);
   }
 
   *#run(trun: Box, moof: Box, defaults: { duration: number; size: number }) {
@@ -148,7 +139,6 @@ class Reader {
     return boxes;
   }
 
-  /** The number `at` bytes into the content of a box. */
   #u32({ kind, start, stop }: Box, at: number): number {
     if (start + at + 4 > stop) throw this.#bad(`a box ${kind} ends after ${stop - start} bytes`);
     return this.#view.getUint32(start + at);

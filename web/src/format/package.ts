@@ -2,6 +2,7 @@
 // qualities, levels and pages count from 0; groups, segments and pages in paths from 1.
 import { INIT_PATH, PAGE, POSTER_PATH, ROOT_PATH, SOUND_INIT_PATH } from "../generated/constants.ts";
 import { group as groupSchema, page as pageSchema } from "../generated/schema.ts";
+import { Recent } from "./collections.ts";
 import { FormatError } from "./errors.ts";
 import { countPages, GroupIndex, MissingTableError } from "./index.ts";
 import { inflate, parseRoot, parseTable } from "./parse.ts";
@@ -15,19 +16,15 @@ import {
   soundPath,
   stateMediaPath,
 } from "./paths.ts";
-import { Recent } from "./recent.ts";
 import { checkBase, checkGroup, checkPage } from "./references.ts";
 import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 
 const MOST_TABLES = 1024; // tables of groups
 const BRACE = 0x7b; // begins JSON
-/** What of the root may differ while a package grows. */
 const GROWS = new Set(["frames", "index", "decisions", "live"]);
 
-/** The root, and the pages and tables of groups that were added to it. The tables last used stay. */
 export class Tables {
   #groups = new Recent<number, Group>(MOST_TABLES);
-  /** What pages must begin with, since it stood in a root before; by their paths. */
   #starts = new Map<string, Page>();
 
   private constructor(
@@ -76,9 +73,7 @@ export class Tables {
     return this.#groups.set(number, table);
   }
 
-  /** Takes in a page or the table of a group, whose digest it checks, unless a server had it unpacked, as its first byte
-   * tells; other paths are left alone.
-   */
+  /** Takes in a page or the table of a group and checks its digest, unless a server had it unpacked; no other path. */
   async add(path: string, bytes: Uint8Array): Promise<void> {
     const found = locate(path);
     if (found?.what !== "page" && found?.what !== "group") return;
@@ -105,7 +100,6 @@ export class Tables {
     return this.index.groupAt("segments", segment);
   }
 
-  /** Gaussians of a group in each key tier. Throws what `group` does. */
   rows(group: number): number[] {
     return this.group(group).tiers.map(({ count }) => count);
   }
@@ -115,7 +109,6 @@ export class Tables {
     return this.group(group).segments[segment - this.index.entry(group).firstSegment]!;
   }
 
-  /** The segments of a group, [start, stop). */
   segmentsOf(group: number): { start: number; stop: number } {
     const { firstSegment, segments } = this.index.entry(group);
     return { start: firstSegment, stop: firstSegment + segments };
@@ -140,19 +133,16 @@ export class Tables {
     return files.slice(0, Number(count > 0) + Number(qualities[quality]!.rows > 0));
   }
 
-  /** Sidecars and pictures of the first key tiers, and those of the base. */
   keysOf(group: number, quality: number, tiers: number): string[] {
     const groups = [group, this.base(group) ?? []].flat();
     const all = Array.from({ length: tiers }, (_, tier) => groups.flatMap((of) => this.keyFiles(of, tier, quality)));
     return all.flat();
   }
 
-  /** The file of a segment; none where there is nothing to fetch. */
   stateFiles(segment: number, level: number): string[] {
     return this.segment(segment).levels[level]!.file.bytes ? [stateMediaPath(level, segment + 1)] : [];
   }
 
-  /** The sound of a group; none where there is nothing to fetch. */
   soundFiles(group: number): string[] {
     return this.group(group).sound?.bytes ? [soundPath(group + 1)] : [];
   }
@@ -185,10 +175,7 @@ export class Tables {
     return what === "sidecar" ? tier?.sidecar : tier?.pictures[second];
   }
 
-  /** Goes on with the airgs.json of the same package grown; pages that it has new are needed from then on.
-   *
-   * Throws FormatError(bad_value) for another package, and what `parse` throws.
-   */
+  /** Goes on with the airgs.json of the same package grown. Throws FormatError(bad_value) for another package. */
   grow(rootBytes: Uint8Array): void {
     const root = parseRoot(rootBytes);
     for (const [path, start] of checkGrowth(this.root, root)) this.#starts.set(path, start);
@@ -208,7 +195,6 @@ function expectStart(columns: Page, start: Page, where: string): void {
   if (!same) throw new FormatError("bad_value", where, ANOTHER);
 }
 
-/** A value as text in which the fields of objects are in order. */
 const inOrder = (value: object) =>
   JSON.stringify(value, (_, part: unknown) =>
     part && typeof part === "object" && !Array.isArray(part) ? Object.fromEntries(Object.entries(part).sort()) : part,

@@ -2,14 +2,13 @@
 // keywords that it uses. FORMAT.md, section 2. The text of a group's table is one gzip member (RFC 1952).
 import { MAX_TABLE_BYTES, MAX_VALUES, ROOT_PATH, VERSION } from "../generated/constants.ts";
 import { root as rootSchema } from "../generated/schema.ts";
-import { concat } from "./concat.ts";
+import { concat } from "./collections.ts";
 import { FormatError, type Reason } from "./errors.ts";
 import { checkRoot } from "./references.ts";
 import type { Root } from "./types.ts";
 
 export function parseRoot(bytes: Uint8Array): Root {
-  const data = parseJson(bytes, ROOT_PATH);
-  checkTable(data, { type: "object" }, ROOT_PATH);
+  const data = parseTable(bytes, { type: "object" }, ROOT_PATH);
   const { version } = data as { version?: unknown };
   if (version !== VERSION) {
     throw new FormatError("unknown_version", ROOT_PATH, `expected version ${VERSION}, got ${JSON.stringify(version)}`);
@@ -20,30 +19,22 @@ export function parseRoot(bytes: Uint8Array): Root {
   return root;
 }
 
-/** A page or the table of a group, which fits `schema`, and not more than that yet. Throws FormatError. */
-export function parseTable(bytes: Uint8Array, schema: Record<string, unknown>, where: string): unknown {
-  const data = parseJson(bytes, where);
-  checkTable(data, schema, where);
-  return data;
-}
-
-function parseJson(bytes: Uint8Array, where: string): unknown {
-  if (bytes.length > MAX_TABLE_BYTES || countValues(bytes) > MAX_VALUES) {
+/** A table that fits `schema`, and not more than that yet. Throws FormatError. */
+export function parseTable(bytes: Uint8Array, schema: Json, where: string): unknown {
+  let values = 0; // one follows each comma and opening bracket
+  for (const byte of bytes) values += Number(byte === 0x2c || byte === 0x5b || byte === 0x7b);
+  if (bytes.length > MAX_TABLE_BYTES || values > MAX_VALUES) {
     const detail = `expected at most ${MAX_TABLE_BYTES} bytes of JSON with ${MAX_VALUES} commas and opening brackets`;
     throw new FormatError("too_large", where, detail);
   }
+  let data: unknown;
   try {
-    return JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
+    data = JSON.parse(new TextDecoder("utf-8", { fatal: true, ignoreBOM: true }).decode(bytes));
   } catch (error) {
     throw new FormatError("not_json", where, `expected JSON: ${error}`);
   }
-}
-
-/** Commas and opening brackets: a value follows each. */
-function countValues(bytes: Uint8Array): number {
-  let count = 0;
-  for (const byte of bytes) count += Number(byte === 0x2c || byte === 0x5b || byte === 0x7b);
-  return count;
+  checkTable(data, schema, where);
+  return data;
 }
 
 /** The bytes in a gzip member; `where` names the file. Throws FormatError (not_json, too_large). */
@@ -64,7 +55,7 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
     const { done, value } = await reader.read().catch((error: unknown) => {
       throw new FormatError("not_json", where, `expected JSON in gzip: ${error}`);
     });
-    if (done) break;
+    if (done) return concat(Uint8Array, parts);
     length += value.length;
     if (length > MAX_TABLE_BYTES) {
       reader.cancel().catch(() => {});
@@ -72,7 +63,6 @@ async function collect(reader: ReadableStreamDefaultReader<Uint8Array>, where: s
     }
     parts.push(value);
   }
-  return concat(parts, Uint8Array);
 }
 
 type Json = Record<string, unknown>;
@@ -92,11 +82,6 @@ const KEYWORDS: Record<string, Keyword> = {
   },
 };
 
-function typeOf(value: unknown): string {
-  if (value === null) return "null";
-  return Array.isArray(value) ? "array" : typeof value;
-}
-
 const asked = ({ items, properties, additionalProperties, type }: Json) =>
   items ? "array" : (properties ?? additionalProperties) ? "object" : type;
 
@@ -108,7 +93,7 @@ const shown = (value: unknown) => (JSON.stringify(value) ?? "nothing").slice(0, 
 export function checkTable(value: unknown, schema: Json, where: string): void {
   const refuse = (reason: Reason, detail: string) => new FormatError(reason, where, detail);
   const type = asked(schema);
-  const got = typeOf(value);
+  const got = value === null ? "null" : Array.isArray(value) ? "array" : typeof value;
   if (type !== undefined && got !== (type === "integer" ? "number" : type)) {
     throw refuse("wrong_type", `expected ${type}, got ${got}`);
   }

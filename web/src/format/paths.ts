@@ -28,6 +28,6 @@ export const keyMediaPath = (tier: number, quality: number, number: number) => `
 export const stateMediaPath = (level: number, number: number) => `state/L${level}/${number}.m4s`;
 
 export const isPacked = (path: string): boolean => path.endsWith(".gz");
+export const isPage = (path: string): boolean => locate(path)?.what === "page";
 export const isSound = (path: string): boolean => locate(path)?.what === "sound";
-/** Whether a file is a page of the index or the table of a group. */
-export const isTable = (path: string): boolean => ["group", "page"].includes(locate(path)?.what ?? "");
+export const isTable = (path: string): boolean => isPage(path) || locate(path)?.what === "group";

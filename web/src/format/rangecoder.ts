@@ -104,7 +104,6 @@ export class ColumnReader {
     if (this.#at > this.#data.length) throw this.#tooShort(lo.length);
   }
 
-  /** A decision by a model, which learns from it. */
   #modelled(model: number): number {
     const chance = this.#chances[model]!;
     const seen = this.#seen[model]!;
@@ -124,7 +123,6 @@ export class ColumnReader {
     return one;
   }
 
-  /** A decision of which `share` of the range stands for a 1. */
   #take(share: number): number {
     const state = this.#state;
     const one = state[CODE]! < share ? 1 : 0;

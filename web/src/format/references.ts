@@ -1,6 +1,5 @@
 // What no single field of the tables can tell: counts, spans, and fields that refer to each other. Each check relies on
 // those before it, and all on the schema. Every function throws FormatError (bad_value, missing_entry).
-
 import {
   BLOCK,
   DIGEST,
@@ -53,7 +52,6 @@ class Place {
   }
 }
 
-/** Checks that the parts of airgs.json fit together. */
 export function checkRoot(root: Root): void {
   const place = new Place(ROOT_PATH);
   const ids = [...root.qualities, ...root.levels].map((one) => one.id).join();
@@ -109,7 +107,6 @@ function checkRegion(region: Region, where: string): void {
   }
 }
 
-/** Checks that a page holds what the level above says of it. */
 export function checkPage(entry: Entry, page: Page, where: string): void {
   const place = new Place(where);
   place.columns("", page);
@@ -156,7 +153,6 @@ export function checkBase(group: Group, base: Group, where: string): void {
   throw bad(`${where}.keeps`, `expected a base laid out alike, got ${group.keeps}`);
 }
 
-/** All that is equal in a group and its base, whatever the order of fields is. */
 const laidOut = (group: Group) =>
   JSON.stringify(group, [
     ...["grid", "origin", "step", "finest", "key_steps", ...KEY_ATTRIBUTES, "sh_dc", "sh_rest"],
@@ -222,7 +218,6 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
   place.within("pages", pages(atlas), 1, LIMITS.pages);
 }
 
-/** A segment says as much of each level as there is to say. */
 function checkSegment(root: Root, group: Group, segment: Segment, place: Place): void {
   const measured = root.views.reference === "none" ? 0 : root.qualities.length;
   segment.levels.forEach((level, j) => {

@@ -29,7 +29,6 @@ export interface ViewState {
   near: number;
 }
 
-/** The camera of a picture of `width` × `height` pixels. */
 export function cameraOf(view: ViewState, width: number, height: number): Camera {
   const right = cross(view.forward, across(view.up, view.forward));
   const down = cross(view.forward, right);
@@ -42,11 +41,9 @@ export function cameraOf(view: ViewState, width: number, height: number): Camera
   return { width, height, fx: focal, fy: focal, cx: width / 2, cy: height / 2, near: view.near, worldToCamera };
 }
 
-/** How far a viewer is outside of a region. */
+/** How far a viewer is beyond the reach of a place, world units, and looks away from its focus more than it may. */
 interface Departure {
-  /** World units beyond the reach of the nearest place. */
   distance: number;
-  /** By which it looks further away from the focus than the region allows. */
   degrees: number;
 }
 
@@ -87,16 +84,11 @@ export function keepInside(
   }
   const inside = { position: at, forward: vector(forward) };
   if (departureFrom(place, region.turn, inside).degrees > 0) {
-    inside.forward = towards(place, region.turn, inside);
+    const ahead = unit(minus(place.focus, at));
+    const angle = region.turn / DEGREES;
+    inside.forward = along(scaled(ahead, Math.cos(angle)), across(forward, ahead), Math.sin(angle));
   }
   return inside;
-}
-
-/** The direction nearest to `forward` that is `turn` degrees off the focus of a place. */
-function towards(place: Place, turn: number, { position, forward }: { position: Vector; forward: Vector }): Vector {
-  const ahead = unit(minus(place.focus, position));
-  const angle = turn / DEGREES;
-  return along(scaled(ahead, Math.cos(angle)), across(forward, ahead), Math.sin(angle));
 }
 
 /** The region of a package as players take it: where the package tells which way is up, so it is at every place. */
@@ -131,7 +123,6 @@ export function firstView(region: Region): ViewState {
 
 const row = ({ transform }: World, i: number): Vector => vector(transform.slice(4 * i));
 
-/** Whether a transform is a similarity that does not mirror. */
 export function isSimilarity(world: World): boolean {
   const rows = [row(world, 0), row(world, 1), row(world, 2)] as const;
   const scale = scaleOf(world);
@@ -141,7 +132,6 @@ export function isSimilarity(world: World): boolean {
   return turned && bounded && dot(cross(rows[0], rows[1]), rows[2]) > 0;
 }
 
-/** How long a unit of the scene is in the world. */
 export const scaleOf = (world: World): number =>
   (length(row(world, 0)) + length(row(world, 1)) + length(row(world, 2))) / 3;
 

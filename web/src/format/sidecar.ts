@@ -1,9 +1,9 @@
 // Positions, motion classes and depths of rows, and escapes: FORMAT.md, sections 3 and 6. N rows of a tier.
 import { LEAST_CLASS, LIMITS, MOST_CLASS, MOST_WIDER, STATIC } from "../generated/constants.ts";
-import { type ColumnReader, ColumnReader as Reader, type Wide } from "./rangecoder.ts";
+import { ColumnReader, type Wide } from "./rangecoder.ts";
 import type { Grid } from "./types.ts";
 
-/** The N rows of a tier as a sidecar and the detail of a quality give them, M of them with their places. */
+/** The N rows of a tier, M of them with places: none where keys are differences, else all. */
 export interface TierRows {
   /** (M) Morton codes of the corners of cells. */
   codes: Wide;
@@ -15,12 +15,6 @@ export interface TierRows {
   depths: Uint8Array;
 }
 
-/** N and M: M is 0 where keys are differences, else N. */
-export interface TierCounts {
-  count: number;
-  placed: number;
-}
-
 /** The jumps of the bases of a segment or of a key picture; of a sidecar the e of rows (T = P = 1). */
 export interface Escapes {
   /** (E) ascending flat indices (t · P + p) · N + i. */
@@ -29,7 +23,6 @@ export interface Escapes {
   jumps: Int32Array;
 }
 
-/** The escapes that `reader` reads next. Throws FormatError(bad_sidecar). */
 export function readEscapes(reader: ColumnReader, frames: number, planes: number, rows: number): Escapes {
   const samples = frames * planes * rows; // at most 10⁶ · 55 · 2²⁴: exact
   const number = reader.wide(1, 0);
@@ -59,24 +52,23 @@ function cellBits(
   return Math.min(k + coarser, LIMITS.bits);
 }
 
-/** A sidecar, with codes of the last quality, `coarsest` its `coarser`. Throws FormatError(bad_sidecar). */
+/** A sidecar, with codes of the last quality, whose `coarser` is `coarsest`. Throws FormatError(bad_sidecar). */
 export function readSidecar(
   data: Uint8Array,
-  { count, placed }: TierCounts,
+  count: number, // N
+  placed: number, // M
   grid: Grid,
   coarsest: number,
   where: string,
 ): TierRows {
-  const reader = new Reader(data, where);
-  const depths = new Uint8Array(count);
-  const [told, lowest] = reader.column(placed ? 2 : 0, 0);
+  const reader = new ColumnReader(data, where);
+  const [told, lowest = 0] = reader.column(placed ? 2 : 0, 0);
   if (placed) expectCells(reader, told, coarsest);
-  const least = LEAST_CLASS + (lowest ?? 0);
   const above = reader.column(placed, 1);
   const codes = reader.wide(placed, 0);
   const carried = reader.column(count, 1);
   if (carried.some((depth) => depth > STATIC)) throw reader.refuse(`expected depths up to ${STATIC}`);
-  depths.set(carried.map((depth) => depth - 1)); // 0 − 1 is STATIC
+  const depths = Uint8Array.from(carried, (depth) => depth - 1); // 0 − 1 is STATIC
   const wider = new Int32Array(placed);
   if (placed) {
     const { index, jumps } = readEscapes(reader, 1, 1, placed);
@@ -86,16 +78,20 @@ export function readSidecar(
   }
   reader.close();
   if (wider.some((e) => e < 0 || e > MOST_WIDER)) throw reader.refuse(`expected e up to ${MOST_WIDER}`);
-  const classes = new Int16Array(placed);
-  for (let i = 0; i < placed; i++) {
-    const motionClass = least + above[i]!;
-    if (motionClass > MOST_CLASS) throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
-    classes[i] = motionClass;
-  }
+  if (above.some((more) => LEAST_CLASS + lowest + more > MOST_CLASS))
+    throw reader.refuse(`expected motion classes up to ${MOST_CLASS}`);
+  const classes = Int16Array.from(above, (more) => LEAST_CLASS + lowest + more);
   const rows = { codes, classes, wider, depths };
   if (!sumGaps(rows, grid, coarsest)) throw reader.refuse(`Morton codes leave ${3 * LIMITS.bits} bits`);
   return rows;
 }
+
+/** The upper half of a number of 64 bits after a shift to the left. */
+const shifted = (hi: number, lo: number, shift: number) =>
+  shift >= 32 ? lo << (shift - 32) : shift ? (hi << shift) | (lo >>> (32 - shift)) : hi;
+
+const exceeds = (hi: number, lo: number, bits: number): boolean =>
+  bits < 32 ? hi > 0 || lo >= 2 ** bits : hi >= 2 ** (bits - 32);
 
 /** Turns gaps between neighbours into Morton codes. False when a code does not fit the grid. */
 function sumGaps(rows: TierRows, grid: Grid, coarsest: number): boolean {
@@ -109,13 +105,11 @@ function sumGaps(rows: TierRows, grid: Grid, coarsest: number): boolean {
     const before = shift >= 32 ? high >>> (shift - 32) : shift ? (low >>> shift) | (high << (32 - shift)) : low;
     const sum = (before >>> 0) + lo[i]!;
     const top = (shift >= 32 ? 0 : high >>> shift) + hi[i]! + (sum > 0xffffffff ? 1 : 0);
-    if (room < 32 ? top || sum >= 2 ** room : top >= 2 ** (room - 32)) return false;
-    high = shift >= 32 ? sum << (shift - 32) : shift ? (top << shift) | ((sum >>> 0) >>> (32 - shift)) : top;
-    low = shift >= 32 ? 0 : sum << shift;
+    if (exceeds(top, sum, room)) return false;
+    high = shifted(top, sum >>> 0, shift) >>> 0;
+    low = shift >= 32 ? 0 : (sum << shift) >>> 0;
     lo[i] = low;
     hi[i] = high;
-    low >>>= 0;
-    high >>>= 0;
   }
   return true;
 }
@@ -135,20 +129,15 @@ export function readDetail(
   for (let i = 0; i < lo.length; i++) {
     const shift = 3 * cellBits(shared, i, grid, coarser);
     const room = 3 * cellBits(shared, i, grid, coarsest) - shift;
-    const low = lo[i]!;
     const high = hi[i]!;
-    if (room < 32 ? high || low >= 2 ** room : high >= 2 ** (room - 32)) {
-      throw reader.refuse("the detail of a position leaves its cell");
-    }
-    hi[i] =
-      shared.codes.hi[i]! |
-      (shift >= 32 ? low << (shift - 32) : shift ? (high << shift) | (low >>> (32 - shift)) : high);
+    const low = lo[i]!;
+    if (exceeds(high, low, room)) throw reader.refuse("the detail of a position leaves its cell");
+    hi[i] = shared.codes.hi[i]! | shifted(high, low, shift);
     lo[i] = shared.codes.lo[i]! | (shift >= 32 ? 0 : low << shift);
   }
   return { ...shared, codes };
 }
 
-/** Throws FormatError where a file is of cells other than airgs.json says: all codes would be wrong. */
 function expectCells(reader: ColumnReader, told: number | undefined, coarser: number): void {
   if (told !== coarser) throw reader.refuse(`expected coarser ${coarser}, got ${told}`);
 }
@@ -164,14 +153,10 @@ function everyThird(bits: number): number {
 
 /** Grid index on an axis (0, 1, 2) of a Morton code, at most 21 bits. */
 export function mortonIndex(lo: number, hi: number, axis: number): number {
-  // Bits 0 … 29 give ten bits of each axis; the others, shifted down to bit 0, the upper eleven.
-  return (
-    everyThird((lo & 0x3fffffff) >>> axis) | (everyThird(((lo >>> 30) | (hi << 2)) >>> axis) << 10) | topBit(hi, axis)
-  );
+  // Bits 0 … 29 of the code give ten bits of each axis, bits 30 … 59 the next ten, bit 60 + axis the last.
+  const middle = everyThird(((lo >>> 30) | (hi << 2)) >>> axis);
+  return everyThird((lo & 0x3fffffff) >>> axis) | (middle << 10) | (((hi >>> (28 + axis)) & 1) << 20);
 }
-
-/** Bit 20 of an axis, which stands in bit 60 + axis of the code. */
-const topBit = (hi: number, axis: number) => ((hi >>> (28 + axis)) & 1) << 20;
 
 /** (3N) canonical means of a key quality, world units. */
 export function canonicalMeans(rows: TierRows, grid: Grid, coarser: number): Float64Array {

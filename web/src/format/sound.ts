@@ -9,7 +9,6 @@ interface Span {
   stop: number;
 }
 
-/** The packets that start in the time of frames. */
 export function packetsOf({ frame_rate }: Pick<Root, "frame_rate">, { start, stop }: Span): Span {
   const [frames, seconds] = frame_rate.map(BigInt) as [bigint, bigint];
   const first = (frame: number) => Number((BigInt(frame) * BigInt(PACKETS) * seconds + frames - 1n) / frames);

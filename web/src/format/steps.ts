@@ -12,7 +12,6 @@ export function keySteps(root: Root, group: Group, quality: number): Float32Arra
   return scaled(steps, root, root.qualities[quality]!.factor / root.key_gain);
 }
 
-/** World units that a cell of motion class 0 is wide; sizes are coded in it. */
 export const gridUnit = ({ grid }: Group) => grid.step * 2 ** -grid.finest;
 
 /** (10 + C) the same of keys that are differences; of a mean in motion units of its row. */
@@ -39,19 +38,14 @@ export function colourSteps(steps: { sh_dc: number; sh_rest: number }, channels:
 
 /** (C · C) colour transform: row k is what colour channel k adds. Throws FormatError(bad_value). */
 export function colourMatrix(group: Group, channels: number): Float32Array {
-  const bytes = fromBase64(group.colour_transform);
+  let bytes: string | null = null;
+  try {
+    bytes = atob(group.colour_transform);
+  } catch {}
   if (bytes?.length !== 2 * channels * channels) {
-    const got = bytes ? `${bytes.length} bytes` : "no base64";
+    const got = bytes === null ? "no base64" : `${bytes.length} bytes`;
     throw new FormatError("bad_value", "colour_transform", `expected ${channels} × ${channels} int16, got ${got}`);
   }
-  const view = new DataView(bytes.buffer);
+  const view = new DataView(Uint8Array.from(bytes, (letter) => letter.charCodeAt(0)).buffer);
   return Float32Array.from({ length: channels * channels }, (_, i) => view.getInt16(2 * i, true) / TRANSFORM_UNITS);
-}
-
-function fromBase64(text: string): Uint8Array<ArrayBuffer> | null {
-  try {
-    return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  } catch {
-    return null;
-  }
 }

@@ -31,7 +31,6 @@ export type Place = Region["places"][number];
 export type World = NonNullable<Root["world"]>;
 export type FileEntry = Root["init"];
 export type Grid = Group["grid"];
-export type Tier = Group["tiers"][number];
 export type Atlas = Group["levels"][number];
 export type Segment = Group["segments"][number];
 
@@ -51,13 +50,11 @@ export interface KeyPart {
   factor: number;
   /** Samples of all pages, one after the other, each `atlas.width` × `atlas.height`. */
   luma: Uint8Array;
-  /** Samples with another base than 0; null: none. */
   bases: BaseChanges | null;
   /** What the group differs by; null: by nothing but means. */
   difference: KeyPart | null;
 }
 
-/** A canonical space by what it is made of; groups count from 0. */
 export interface CanonicalName {
   group: number;
   quality: number;
@@ -77,7 +74,6 @@ export interface Canonical extends CanonicalName {
   parts: KeyPart[];
 }
 
-/** The picture of one frame of a state segment. */
 export interface StateFrame {
   /** Samples of all pages, one after the other. */
   luma: Uint8Array;

@@ -4,7 +4,6 @@ export type Vector = readonly [number, number, number];
 type Three = ArrayLike<number>;
 
 export const vector = (a: Three): Vector => [a[0]!, a[1]!, a[2]!];
-/** a + t · b */
 export const along = (a: Three, b: Three, t = 1): Vector => [a[0]! + t * b[0]!, a[1]! + t * b[1]!, a[2]! + t * b[2]!];
 export const minus = (a: Three, b: Three): Vector => along(a, b, -1);
 export const scaled = (a: Three, t: number): Vector => [t * a[0]!, t * a[1]!, t * a[2]!];
@@ -50,3 +49,7 @@ export function between(a: Vector, b: Vector, share: number): Vector {
   const axis = cross(a, b);
   return length(axis) > 0 ? unit(turned(a, unit(axis), angle(a, b) * share)) : share < 1 ? a : b;
 }
+
+/** Whether a direction and what is up in it make a view: the sine of the angle between them is more than rounding. */
+export const makesView = (ahead: Vector, up: Vector): boolean =>
+  length(ahead) > 0 && length(up) > 0 && length(cross(unit(ahead), unit(up))) > 1e-6;

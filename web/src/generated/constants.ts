@@ -32,12 +32,10 @@ export const STATE_ATTRIBUTES = ["means", "log_scales", "quaternions", "opacity"
 export const STATE_AT = {"means": 0, "log_scales": 3, "quaternions": 6, "opacity": 9, "colour": 10} as const;
 export const STATE_CHANNELS = ["means", "means", "means", "log_scales", "log_scales", "log_scales", "quaternions", "quaternions", "quaternions", "opacity"] as const;
 
-// airgs_codec.package.references
+// airgs_codec.package.region
 export const LEAST_SCALE = 1e-06;
 export const MOST_SCALE = 1000000.0;
 export const WORLD_TOLERANCE = 1e-05;
-
-// airgs_codec.package.region
 export const AGREEMENT = 0.1;
 export const LEVELLING = 100;
 export const FORGIVEN_DEGREES = 0.0001;
@@ -94,24 +92,20 @@ export const SH_C1 = 0.4886025119029199;
 export const SH_C2: readonly number[] = [1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396];
 export const SH_C3: readonly number[] = [-0.5900435899266435, 2.890611442640554, -0.4570457994644658, 0.3731763325901154, -0.4570457994644658, 1.445305721320277, -0.5900435899266435];
 
-// airgs_codec.play.policies.named
+// airgs_codec.play.policies
 export const DEFAULT_POLICY = "robust-mpc";
-export const POLICY_NAMES = ["paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff", "throughput", "bola", "robust-mpc"] as const;
-
-// airgs_codec.play.policies.state
 export const SAFETY = 0.9;
 export const HALF_LIVES_S: readonly number[] = [3.0, 8.0];
 export const BUFFER_SHARE = 0.5;
 export const RESERVE_S = 3.0;
 export const STALL_DB = 20.0;
-
-// airgs_codec.play.policies.mpc
 export const SWITCH_DB = 0.25;
 export const LOW_BUFFER_DB = 1.0;
 export const HORIZON_S = 8.0;
 export const HORIZON_SEGMENTS = 12;
 export const GRID_POINTS = 80;
 export const PAST_DOWNLOADS = 3;
+export const POLICY_NAMES = ["paper", "paper-no-cliff", "paper-literal", "paper-literal-no-cliff", "throughput", "bola", "robust-mpc"] as const;
 
 // airgs_codec.play.ladder
 export const DEFAULT_BETA = 2.0;
@@ -125,9 +119,6 @@ export const OVER_BUDGET = 1125899906842624;
 // airgs_codec.play.downloader
 export const CHECK_S = 0.5;
 
-// airgs_codec.play.buffered
-export const REPLACE_GAIN_DB = 0.5;
-
 // airgs_codec.play.fetcher
 export const REMEMBERED = 24;
 export const SHORTEST_S = 1e-09;
@@ -136,7 +127,8 @@ export const SHORTEST_S = 1e-09;
 export const LONGEST_POLL_S = 4.0;
 export const POLL_S = 1.0;
 export const SILENCE_S = 60.0;
-export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true, "pipelined": true} as const;
+export const REPLACE_GAIN_DB = 0.5;
+export const SESSION = {"bufferS": 10.0, "startupS": 1.0, "resumeS": 0.5, "decodeFrameS": 0.004, "replace": true, "abandon": true} as const;
 
 // airgs_codec.play.http
 export const BUSY: readonly number[] = [429, 502, 503, 504];

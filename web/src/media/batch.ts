@@ -1,7 +1,7 @@
 // The files of a batch, all at once, and what came of them when.
 import type { FormatError } from "../format/errors.ts";
 import { pause } from "./bell.ts";
-import type { Ask, FileClient, Retry } from "./http.ts";
+import type { Ask, FileClient } from "./http.ts";
 
 const TIMINGS = 2000; // entries of the browser's list of what was loaded
 const LOOKS = 6; // for the entry of a file: the browser writes it down a moment after the last byte
@@ -19,8 +19,6 @@ export interface Batch {
   whole: string[];
   /** Files that cannot be had, and why. Those that were given up are neither. */
   refused: Map<string, FormatError>;
-  /** Answers that were not taken. */
-  retries: Retry[];
 }
 
 export type FileAsk = Pick<Ask, "path" | "limit" | "attempts" | "patient" | "changing" | "accept">;
@@ -29,18 +27,17 @@ const nowMs = () => performance.timeOrigin + performance.now();
 
 let underWay = 0; // batches of this thread
 
-/** Fetches files at once; files that a signal stops are neither whole nor refused.
- *
- * `onProgress` is told how many bytes have come so far. Throws TransportError.
+/** Fetches files at once; those that a signal stops are neither whole nor refused. `onProgress` hears how many bytes
+ * have come so far. Throws TransportError.
  */
 export async function fetchBatch(
   client: FileClient,
   asks: FileAsk[],
   signal: AbortSignal,
-  onProgress: (bytes: number) => void,
+  onProgress: (bytes: number) => void = () => {},
 ): Promise<Batch> {
   const files = asks.map(() => ({ url: "", askedMs: 0, bytes: 0 }));
-  const batch = { whole: [] as string[], refused: new Map<string, FormatError>(), retries: [] as Retry[] };
+  const batch = { whole: [] as string[], refused: new Map<string, FormatError>() };
   let firstByteMs: number | null = null;
   let total = 0;
   const get = async (ask: FileAsk, file: (typeof files)[number]) => {
@@ -58,7 +55,6 @@ export async function fetchBatch(
         total += bytes;
         onProgress(total);
       },
-      onRetry: (retry) => batch.retries.push(retry),
     });
     if (refused) batch.refused.set(ask.path, refused);
   };
@@ -75,8 +71,8 @@ export async function fetchBatch(
   }
 }
 
-/** Whether an answer was cached, so that its time says nothing of the network. Nobody knows of other sites that do not let
- * pages see times: all of them are 0.
+/** Whether an answer was cached, so that its time says nothing of the network. Nobody knows of other sites that do not
+ * let pages see times: all of them are 0.
  */
 async function fromCache(url: string, askedMs: number): Promise<boolean> {
   type Entry = PerformanceResourceTiming & { deliveryType?: string };

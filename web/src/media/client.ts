@@ -11,7 +11,6 @@ import type { Call, Calls, Note, Poster, Reply, Request, WireBatch } from "./mes
 import { checkBrowser } from "./probe.ts";
 
 export { TransportError, UnsupportedError } from "./errors.ts";
-export type { Retry } from "./http.ts";
 
 const AHEAD_BYTES = 48 * 2 ** 20;
 const KEPT_BYTES = 64 * 2 ** 20;
@@ -33,9 +32,7 @@ export interface FetchOptions {
 }
 
 export interface OpenOptions {
-  /** Bytes that are decoded ahead of what is shown. */
   aheadBytes?: number;
-  /** Most bytes of files that are kept. */
   keptBytes?: number;
   attempts?: number;
   onPoster?: (poster: Blob) => void;
@@ -60,11 +57,9 @@ export class Media {
     this.#caller = caller;
   }
 
-  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`; relative addresses are of the page. `onPoster` hears
-   * of the poster before.
+  /** Opens the package in a folder, or whose airgs.json or manifest.mpd is at `url`, relative to the page.
    *
-   * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play
-   * packages.
+   * Throws FormatError, TransportError where there is no server, UnsupportedError where this browser cannot play it.
    */
   static async open(url: string, options: OpenOptions = {}): Promise<Media> {
     const { aheadBytes = AHEAD_BYTES, keptBytes = KEPT_BYTES, attempts = ATTEMPTS, onPoster, onPassing } = options;
@@ -86,9 +81,7 @@ export class Media {
     }
   }
 
-  /** Fetches files at once. Tables among them are added to `tables`; of the others the last used are kept, as far as
-   * there is room, and not fetched again.
-   */
+  /** Fetches files at once. Tables among them are added to `tables`; of the others the last used are kept. */
   async fetch(paths: string[], options: FetchOptions = {}): Promise<Fetched> {
     const { signal, onProgress, attempts = ATTEMPTS } = options;
     const batch = await this.#caller.call(
@@ -132,7 +125,7 @@ export class Media {
     return this.#caller.call("canonical", { group, quality, tiers }, { signal });
   }
 
-  /** Decodes a segment over a canonical space; files that are not at hand are fetched. null stands for the canonical space
+  /** Decodes a segment over a canonical space; files not at hand are fetched. null stands for the canonical space
    * itself. Resolves to the number of frames.
    *
    * Frames are decoded no further ahead of those that were `taken` than 48 MB or two segments, but for one of each
@@ -175,7 +168,7 @@ function folder(url: string): string {
   return whole.href;
 }
 
-function fetched({ firstByteMs, endMs, bytes, cached, whole, refused, retries }: WireBatch): Fetched {
+function fetched({ firstByteMs, endMs, bytes, cached, whole, refused }: WireBatch): Fetched {
   const seconds = (ms: number) => (ms - performance.timeOrigin) / 1e3;
   return {
     firstByteS: seconds(firstByteMs),
@@ -184,7 +177,6 @@ function fetched({ firstByteMs, endMs, bytes, cached, whole, refused, retries }:
     cached,
     whole,
     refused: new Map(refused.map(([path, error]) => [path, fromWire(error) as FormatError])),
-    retries,
   };
 }
 
@@ -194,7 +186,6 @@ interface Waiting {
   onEvent: (event: Calls[Call]["event"]) => void;
 }
 
-/** The page's end of the line to the worker. */
 class Caller {
   readonly #worker: Worker;
   readonly #waiting = new Map<number, Waiting>();

@@ -1,12 +1,11 @@
 // H.264 through WebCodecs: coded pictures in, samples of decoded pictures out, in the order in which they are shown.
-import { annexB, readParameters } from "../format/avc.ts";
+import { annexB, codecOf } from "../format/avc.ts";
 import { FormatError } from "../format/errors.ts";
 import type { Sample } from "../format/mp4.ts";
 import { Bell } from "./bell.ts";
 import { aborted, UnsupportedError } from "./errors.ts";
-import { copySamples, LayoutError, type Samples } from "./luma.ts";
 
-/** Pictures on their way out of a decoder, and chunks on their way in: unclosed pictures of about 20 block some decoders. */
+/** Pictures on their way out of a decoder, and chunks on their way in: 20 unclosed pictures block some decoders. */
 const MOST_UNDER_WAY = 4;
 
 export interface Clip {
@@ -14,13 +13,11 @@ export interface Clip {
   samples: Sample[];
   width: number;
   height: number;
-  /** The file, for errors. */
   where: string;
 }
 
 export interface DecodeOptions {
   signal?: AbortSignal | undefined;
-  /** Resolves when another picture may be decoded. */
   room?: (() => Promise<void>) | undefined;
 }
 
@@ -34,7 +31,6 @@ export type TakeSamples = (samples: Samples, n: number) => void | Promise<void>;
  */
 export class LumaDecoder {
   #acceleration: HardwareAcceleration;
-  /** Buffers for copies, used again and again. */
   readonly #free: Uint8Array[] = [];
   #decoder: VideoDecoder | null = null;
   #configured = "";
@@ -70,9 +66,8 @@ export class LumaDecoder {
       if (error instanceof LayoutError && this.#acceleration !== "prefer-software") {
         this.#acceleration = "prefer-software";
         failures = 0;
-        continue;
-      }
-      if (error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError") throw error;
+      } else if (error instanceof FormatError || error instanceof UnsupportedError || error.name === "AbortError")
+        throw error;
       if (failures > 1) throw new FormatError("bad_picture", clip.where, `H.264 does not decode: ${error.message}`);
     }
   }
@@ -110,10 +105,9 @@ export class LumaDecoder {
     await pass.copies;
   }
 
-  /** The decoder, made or configured anew where that is necessary. */
   async #ready({ clip }: Pass): Promise<VideoDecoder> {
     const { width: codedWidth, height: codedHeight, where } = clip;
-    const { codec } = readParameters(clip.samples[0].data, where);
+    const codec = codecOf(clip.samples[0].data, where);
     const config = { codec, codedWidth, codedHeight, hardwareAcceleration: this.#acceleration };
     const name = JSON.stringify(config);
     if (this.#decoder?.state !== "configured") this.#make();
@@ -146,9 +140,7 @@ export class LumaDecoder {
 
 class Pass {
   readonly bell = new Bell();
-  /** Pictures that came out, and those of them that were taken. */
   shown = 0;
-  done: number;
   open = 0;
   error: Error | null = null;
   /** Resolves when every picture that came so far is closed, and taken unless something went wrong. */
@@ -159,31 +151,33 @@ class Pass {
   constructor(
     readonly clip: Clip,
     readonly take: TakeSamples,
-    done: number,
+    public done: number,
     readonly free: Uint8Array[],
-  ) {
-    this.done = done;
-  }
+  ) {}
 
-  /** Nothing more is taken; the first error counts. */
   fail(error: Error): void {
     this.error ??= error;
     this.bell.ring();
   }
 
-  async until(condition: () => boolean): Promise<void> {
-    while (!this.error && !condition()) await this.bell.wait();
+  until(condition: () => boolean): Promise<void> {
+    return this.bell.until(() => !!this.error || condition());
   }
 
   show(frame: VideoFrame): void {
     const n = this.shown++;
     const bad = this.#complaint(frame, n);
     if (bad) this.fail(new FormatError("bad_picture", this.clip.where, bad));
-    if (!this.error && n >= this.done) this.#copy(frame, n);
-    else frame.close();
+    if (this.error || n < this.done) {
+      frame.close();
+      return;
+    }
+    this.open++;
+    const copy = copySamples(frame, this.free);
+    copy.catch(() => {}); // it is waited for below, when those before it are done
+    this.copies = this.copies.then(() => this.#hand(copy, n));
   }
 
-  /** Says what is wrong with the n-th picture; null: nothing. */
   #complaint({ visibleRect, timestamp }: VideoFrame, n: number): string | null {
     const { width, height, samples } = this.clip;
     if (n >= samples.length) return `expected ${samples.length} pictures, got more`;
@@ -193,13 +187,6 @@ class Pass {
     if (timestamp <= this.#last) return "pictures do not come in the order of their times";
     this.#last = timestamp;
     return null;
-  }
-
-  #copy(frame: VideoFrame, n: number): void {
-    this.open++;
-    const copy = copySamples(frame, this.free);
-    copy.catch(() => {}); // it is waited for below, when those before it are done
-    this.copies = this.copies.then(() => this.#hand(copy, n));
   }
 
   async #hand(copy: Promise<Samples>, n: number): Promise<void> {
@@ -215,5 +202,64 @@ class Pass {
     }
     this.open--;
     this.bell.ring();
+  }
+}
+
+/** Layouts of samples in which browsers give pictures: luma as a plane of its own, or pixels of grey. */
+export type Layout = "planar" | "rgb";
+
+/** What undoes a browser's changes, sample by sample; null: it changes nothing. Missing layouts were not seen. */
+export type Inverses = Partial<Record<Layout, Uint8Array | null>>;
+
+/** Pictures in a layout that the probe did not meet: a decoder in software may give them in the one that it did. */
+export class LayoutError extends UnsupportedError {}
+
+const PLANAR = /^(I420A?|NV12)$/;
+const PIXELS = /^(RGB|BGR)[AX]$/;
+const PIXEL_BYTES = 4;
+const GREEN = 1; // of RGBX and BGRX alike
+
+export interface Samples {
+  layout: Layout;
+  data: Uint8Array;
+  /** Byte of the first sample of luma, bytes from a line to the next, and from a sample to the next. */
+  offset: number;
+  stride: number;
+  step: number;
+}
+
+/** Copies a picture out of the decoder's hands into a free buffer, and closes it whatever happens. */
+export async function copySamples(frame: VideoFrame, free: Uint8Array[]): Promise<Samples> {
+  try {
+    const { format } = frame;
+    const layout = format && PLANAR.test(format) ? "planar" : "rgb";
+    if (format && layout === "rgb" && !PIXELS.test(format))
+      throw new UnsupportedError(`this browser gives pictures as ${format}, from which luma cannot be read exactly`);
+    const options: VideoFrameCopyToOptions = format ? {} : { format: "RGBX" }; // null: only the GPU can read it
+    const bytes = frame.allocationSize(options);
+    const last = free.pop();
+    const data = last?.length === bytes ? last : new Uint8Array(bytes);
+    const [first] = await frame.copyTo(data, options);
+    const step = layout === "planar" ? 1 : PIXEL_BYTES;
+    return { layout, data, offset: first.offset + (step > 1 ? GREEN : 0), stride: first.stride, step };
+  } finally {
+    frame.close();
+  }
+}
+
+/** Puts luma of `width` × `height` samples line by line into `luma`, as the decoder made it. */
+export function readLuma(samples: Samples, width: number, height: number, inverses: Inverses, luma: Uint8Array): void {
+  const { data, offset, stride, step } = samples;
+  const inverse = inverses[samples.layout];
+  if (inverse === undefined)
+    throw new LayoutError(
+      `this browser gives some H.264 pictures as ${samples.layout} and others not: luma cannot be trusted`,
+    );
+  for (let line = 0; line < height; line++) {
+    const from = offset + line * stride;
+    const to = line * width;
+    if (step === 1 && !inverse) luma.set(data.subarray(from, from + width), to);
+    else
+      for (let x = 0; x < width; x++) luma[to + x] = inverse ? inverse[data[from + step * x]] : data[from + step * x];
   }
 }

@@ -1,16 +1,16 @@
 // Everything between the network and the renderer, whatever thread it runs on: fetch, check, decode.
+import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import { MissingTableError } from "../format/index.ts";
 import { Tables } from "../format/package.ts";
 import { isPacked, isTable, soundPath } from "../format/paths.ts";
-import { Recent } from "../format/recent.ts";
 import type { Canonical, CanonicalName, FileEntry, StateFrame } from "../format/types.ts";
 import { ATTEMPTS, HEADER_BYTES, MAX_TABLE_BYTES, POSTER_PATH, ROOT_PATH } from "../generated/constants.ts";
-import { Ahead } from "./ahead.ts";
 import { type FileAsk, fetchBatch } from "./batch.ts";
+import { Ahead } from "./bell.ts";
 import { aborted, fromWire, toWire } from "./errors.ts";
 import { checkReprDigest, FileClient } from "./http.ts";
-import type { Calls, Opened, Poster, WireBatch } from "./messages.ts";
+import type { Calls, Poster, WireBatch } from "./messages.ts";
 import { PictureDecoder } from "./pictures.ts";
 import { type Probe, probeBrowser } from "./probe.ts";
 import { decodeCanonical, decodeStates, type Positions, type ReadFile } from "./spaces.ts";
@@ -28,7 +28,7 @@ export class Engine {
   /** Files that were fetched, tables aside: what is played again is not fetched again. */
   readonly #kept: Recent<string, Uint8Array>;
   readonly #spaces = new Recent<string, Positions>(MOST_SPACES);
-  readonly #ahead: Ahead;
+  readonly ahead: Ahead;
   readonly #keys: PictureDecoder;
   readonly #states: PictureDecoder;
 
@@ -39,17 +39,17 @@ export class Engine {
     { aheadBytes, keptBytes }: Pick<Calls["open"]["args"], "aheadBytes" | "keptBytes">,
   ) {
     this.#kept = new Recent(keptBytes, (bytes) => bytes.length);
-    this.#ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
+    this.ahead = new Ahead(aheadBytes, MOST_SEGMENTS);
     this.#keys = new PictureDecoder(probe);
     this.#states = new PictureDecoder(probe);
   }
 
-  /** Fetches airgs.json and the poster, and sees what the browser can do. Throws FormatError, TransportError, UnsupportedError. */
+  /** Fetches airgs.json and the poster, probes the browser. Throws FormatError, TransportError, UnsupportedError. */
   static async open(
     { url, attempts, ...limits }: Calls["open"]["args"],
     { signal, emit }: Pick<Context<Poster>, "signal" | "emit">,
     onPassing?: (words: string) => void,
-  ): Promise<{ engine: Engine; opened: Opened }> {
+  ): Promise<{ engine: Engine; opened: Calls["open"]["value"] }> {
     const probing = probeBrowser();
     probing.catch(() => {}); // it is waited for below
     const client = new FileClient(url, onPassing);
@@ -96,7 +96,6 @@ export class Engine {
     return fetchRoot(this.client, attempts, true, signal, (bytes) => this.tables.grow(bytes));
   }
 
-  /** The file with the sound of a group, which has some. */
   async sound({ group }: Calls["sound"]["args"], { signal }: Context<never>): Promise<Uint8Array> {
     const path = soundPath(group + 1);
     return (await this.#gather([path], signal))(path).slice();
@@ -116,7 +115,7 @@ export class Engine {
     context: Context<Calls["segment"]["event"]>,
   ): Promise<number> {
     const { id, signal, emit } = context;
-    await this.#ahead.place(signal);
+    await this.ahead.place(signal);
     if (signal.aborted) throw aborted();
     const { start, stop } = this.tables.segment(index);
     const [where] = this.tables.stateFiles(index, level);
@@ -129,19 +128,11 @@ export class Engine {
     const file = { ...of, segment: index, level, positions, bytes: read(where), where };
     const give = (t: number, frame: StateFrame) => {
       const { luma, means, bases } = frame;
-      this.#ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
+      this.ahead.give(id, t, luma.length + means.byteLength + (bases?.slopes?.byteLength ?? 0));
       emit({ t, frame });
     };
-    await decodeStates(this.tables, file, this.#states, give, { signal, room: () => this.#ahead.room(id, signal) });
+    await decodeStates(this.tables, file, this.#states, give, { signal, room: () => this.ahead.room(id, signal) });
     return stop - start;
-  }
-
-  taken(id: number, t: number): void {
-    this.#ahead.taken(id, t);
-  }
-
-  drop(id: number): void {
-    this.#ahead.drop(id);
   }
 
   /** Throws FormatError, MissingTableError for a file that no table leads to. */
@@ -166,7 +157,7 @@ export class Engine {
       if (bytes) found.set(path, bytes);
       else asks.push(this.#ask(path, ATTEMPTS, found));
     }
-    const { refused } = await fetchBatch(this.client, asks, signal, () => {});
+    const { refused } = await fetchBatch(this.client, asks, signal);
     if (signal.aborted) throw aborted();
     for (const refusal of refused.values()) throw refusal;
     return (path) => {
@@ -192,7 +183,7 @@ async function fetchPoster(
     emit({ poster: bytes, seconds: (performance.now() - beganMs) / 1e3 });
   };
   const ask = { path: POSTER_PATH, limit: entry.bytes, attempts: 1, patient: false, changing: false, accept };
-  await fetchBatch(client, [ask], signal, () => {});
+  await fetchBatch(client, [ask], signal);
 }
 
 /** Fetches airgs.json, which `take` takes in; `patient`: waits for a server that is away. */
@@ -210,6 +201,6 @@ async function fetchRoot(
     tables.push([ROOT_PATH, bytes]);
   };
   const ask = { path: ROOT_PATH, limit: MAX_TABLE_BYTES, attempts, patient, changing: true, accept };
-  const batch = await fetchBatch(client, [ask], signal, () => {});
+  const batch = await fetchBatch(client, [ask], signal);
   return { ...batch, refused: [...batch.refused].map(([path, error]) => [path, toWire(error)]), tables };
 }

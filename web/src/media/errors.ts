@@ -11,12 +11,10 @@ export class UnsupportedError extends Error {
   override name = "UnsupportedError";
 }
 
-/** An error as a message between threads. */
 export type WireError =
   | { name: "FormatError"; reason: Reason; where: string; detail: string }
   | { name: string; message: string };
 
-/** An error, or anything else that was thrown, as a message. */
 export function toWire(error: unknown): WireError {
   if (error instanceof FormatError) {
     const { reason, where, detail } = error;
@@ -26,7 +24,6 @@ export function toWire(error: unknown): WireError {
   return { name: "Error", message: String(error) };
 }
 
-/** The error of a message, of the class that it had. */
 export function fromWire(wire: WireError): Error {
   if ("reason" in wire) return new FormatError(wire.reason, wire.where, wire.detail);
   const { name, message } = wire;

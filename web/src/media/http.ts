@@ -1,9 +1,9 @@
 // Single files over HTTP: asked for again, later and later, until what comes is right or it is no use.
 //
 // A server that cannot be reached, or says that it is busy, is waited for, and people are told. Any other fault is the
-// file's: after some of them the file cannot be had, as one with status 404 at once. Redirects are followed, as a browser does: what other
+// file's: after some of them the file cannot be had, as one with status 404 at once. Redirects are followed: what other
 // origins answer is read only where their CORS headers allow it, without cookies, and is checked like all else.
-import { concat } from "../format/concat.ts";
+import { concat } from "../format/collections.ts";
 import { FormatError, type Reason } from "../format/errors.ts";
 import {
   BACKOFF_S,
@@ -14,19 +14,11 @@ import {
   LONGEST_PAUSE_S,
   TIMEOUT_S,
 } from "../generated/constants.ts";
-import { untilOnline } from "./bell.ts";
+import { following, untilOnline } from "./bell.ts";
 import { TransportError } from "./errors.ts";
 
 const MOST_AFTER_S = 3600; // a server that wants more is asked before
-const TO_ASK_AGAIN: readonly Reason[] = GARBLED;
 
-export interface Retry {
-  path: string;
-  why: string;
-  bytes: number;
-}
-
-/** What is asked for, and who is told what comes. */
 export interface Ask {
   path: string;
   /** The most bytes that the file may have; of a longer one, a byte more is read. */
@@ -43,7 +35,6 @@ export interface Ask {
   onAsk(url: string): void;
   /** So many bytes have come, headers included. */
   onBytes(bytes: number): void;
-  onRetry(retry: Retry): void;
 }
 
 /** An answer that did not come whole: another may. */
@@ -61,7 +52,6 @@ class PassingError extends FormatError {
 }
 
 export class FileClient {
-  /** When the server last gave an answer that was its own. */
   #answeredMs = Number.NEGATIVE_INFINITY;
 
   /** `base` is the address of the folder, with a slash at the end of its path; its query goes with every file. */
@@ -74,23 +64,16 @@ export class FileClient {
   async get(ask: Ask): Promise<FormatError | null> {
     const { path, attempts, patient, signal } = ask;
     for (let tries = 0, faults = 0; ; tries++) {
-      let bytes = 0;
-      const onBytes = (more: number) => {
-        bytes += more;
-        ask.onBytes(more);
-      };
       const askedMs = performance.now();
-      const error = await this.#fault({ ...ask, onBytes }, tries > 0);
+      const error = await this.#fault(ask, tries > 0);
       if (!error || signal.aborted) return null;
-      const cause = error instanceof PassingError ? error.away : null;
+      const passing = error instanceof PassingError ? error : null;
       // A server that has answered others since is not away: the fault is the file's.
-      const away = cause === "busy" || (cause === "unreachable" && this.#answeredMs < askedMs);
+      const away = passing?.away === "busy" || (passing?.away === "unreachable" && this.#answeredMs < askedMs);
       if (away && !patient) throw new TransportError(`${this.base.split("?")[0]}${path}: ${error.detail}`);
       if (!away) faults++;
-      const passing = error instanceof PassingError ? error : null;
-      if (faults === attempts || !(passing || TO_ASK_AGAIN.includes(error.reason)))
+      if (faults === attempts || !(passing || (GARBLED as readonly Reason[]).includes(error.reason)))
         return new FormatError(error.reason, error.where, error.detail);
-      ask.onRetry({ path, why: error.detail, bytes });
       if (passing) this.onPassing(`${path}: ${error.detail}, trying again`);
       const longestS = Math.min(LONGEST_PAUSE_S, BACKOFF_S * 2 ** tries);
       const pauseS = Math.max(passing?.afterS ?? 0, longestS * (0.5 + 0.5 * Math.random())); // not the same for all
@@ -119,20 +102,14 @@ export class FileClient {
   }
 }
 
-/** Asks once for a file, and takes its whole answer; `again`: no cached one, which may be what was wrong.
- *
- * Throws PassingError, FormatError(missing_file).
- */
+/** Asks once for a file; `again`: for no cached one. Throws PassingError, FormatError(missing_file). */
 async function receive(
   url: URL,
   { path, limit, changing, signal, onAsk, onBytes }: Ask,
   again: boolean,
   onAnswer: () => void,
 ): Promise<{ bytes: Uint8Array; headers: Headers }> {
-  const ending = new AbortController();
-  const end = () => ending.abort();
-  signal.addEventListener("abort", end);
-  if (signal.aborted) end();
+  const ending = following(signal);
   let patience: ReturnType<typeof setTimeout> | undefined;
   let silent = false;
   let came = 0; // of the next LEAST_BYTES
@@ -140,7 +117,7 @@ async function receive(
     clearTimeout(patience);
     patience = setTimeout(() => {
       silent = true;
-      end();
+      ending.abort();
     }, 1e3 * TIMEOUT_S);
     came = 0;
   };
@@ -174,11 +151,10 @@ async function receive(
       parts.push(value);
       size += value.length;
     }
-    return { bytes: parts.length === 1 ? parts[0] : concat(parts, Uint8Array), headers: response.headers };
+    return { bytes: parts.length === 1 ? parts[0] : concat(Uint8Array, parts), headers: response.headers };
   } finally {
     clearTimeout(patience);
-    signal.removeEventListener("abort", end);
-    end(); // of an answer that is not wanted, nothing more is read
+    ending.abort(); // of an answer that is not wanted, nothing more is read
   }
 }
 

@@ -5,7 +5,6 @@ import type { WireError } from "./errors.ts";
 
 export interface WireBatch extends Omit<Batch, "refused"> {
   refused: [string, WireError][];
-  /** Path and bytes of the tables among the files. */
   tables: [string, Uint8Array][];
 }
 
@@ -15,17 +14,12 @@ export interface Poster {
   seconds: number;
 }
 
-export interface Opened {
-  luma: "exact" | "invertible";
-  batch: WireBatch;
-}
-
 /** What the page can ask for: arguments, what comes on the way, and the answer. */
 export interface Calls {
   open: {
     args: { url: string; aheadBytes: number; keptBytes: number; attempts: number };
     event: Poster;
-    value: Opened;
+    value: { luma: "exact" | "invertible"; batch: WireBatch };
   };
   fetch: { args: { paths: string[]; attempts: number }; event: { bytes: number; expected: number }; value: WireBatch };
   refreshRoot: { args: { attempts: number }; event: never; value: WireBatch };
@@ -39,7 +33,6 @@ export interface Calls {
 }
 export type Call = keyof Calls;
 
-/** What the page says without expecting an answer. */
 export interface Note {
   /** Call that is given up, also when its answer is there. */
   cancel?: number;

@@ -3,21 +3,16 @@ import { atlasSamples, checkLuma } from "../format/atlas.ts";
 import { FormatError } from "../format/errors.ts";
 import type { Sample } from "../format/mp4.ts";
 import type { Atlas } from "../format/types.ts";
-import { type DecodeOptions, LumaDecoder } from "./decoder.ts";
-import { readLuma, type Samples } from "./luma.ts";
+import { type DecodeOptions, LumaDecoder, readLuma, type Samples } from "./decoder.ts";
 import type { Probe } from "./probe.ts";
 
 export interface PictureFile {
   pages: Sample[][];
-  /** Of the luma of each of these, in display order. */
   checksums: Uint32Array;
   atlas: Atlas;
   frames: number;
   where: string;
 }
-
-/** What becomes of picture `t`: samples of all its pages, one after the other. */
-export type TakeLuma = (t: number, luma: Uint8Array) => void;
 
 /** Decodes files of pictures one after the other, by what a probe of the browser found. */
 export class PictureDecoder {
@@ -27,11 +22,15 @@ export class PictureDecoder {
     this.#decoder = new LumaDecoder(probe.acceleration);
   }
 
-  /** Decodes a file, and gives its pictures in order, each when its last page is there.
+  /** Decodes a file, and gives the samples of each picture `t`, its pages one after the other, when the last is there.
    *
    * Throws FormatError(bad_picture) for pictures of another number or size, or whose luma differs from its checksum.
    */
-  async decode(file: PictureFile, take: TakeLuma, options: DecodeOptions = {}): Promise<void> {
+  async decode(
+    file: PictureFile,
+    take: (t: number, luma: Uint8Array) => void,
+    options: DecodeOptions = {},
+  ): Promise<void> {
     const { atlas, frames, pages, checksums, where } = file;
     const { width, height } = atlas;
     const gathered = new Map<number, Uint8Array>();

@@ -1,22 +1,19 @@
 // What this browser makes of H.264: whether luma can be had as it was coded.
 import { BLOCK, BRIGHTEST, DARKEST } from "../generated/constants.ts";
+import type { Inverses, Samples } from "./decoder.ts";
 import { LumaDecoder } from "./decoder.ts";
 import { UnsupportedError } from "./errors.ts";
-import type { Inverses, Samples } from "./luma.ts";
 import { PROBE_BLOCKS, PROBE_CLIP } from "./probe-clip.ts";
 
 const SIDE = PROBE_BLOCKS * BLOCK;
 const VALUES = 256;
 
 /** What the probe found: luma as it is coded, or changed by a table that can be undone. */
-export interface Probe extends Verdict {
-  /** What to ask decoders for, so that they do the same. */
-  acceleration: HardwareAcceleration;
-}
-
-export interface Verdict {
+export interface Probe {
   luma: "exact" | "invertible";
   inverses: Inverses;
+  /** What to ask decoders for, so that they do the same. */
+  acceleration: HardwareAcceleration;
 }
 
 /** Throws UnsupportedError where a page of this browser cannot decode H.264 with WebCodecs at all. */
@@ -26,8 +23,8 @@ export function checkBrowser(): void {
   }
   if (typeof VideoDecoder === "undefined") {
     throw new UnsupportedError(
-      "this browser has no WebCodecs (VideoDecoder); Chrome, Edge, Safari from 16.4 on and, but for Android, Firefox from " +
-        "130 on have it",
+      "this browser has no WebCodecs (VideoDecoder); Chrome, Edge, Safari from 16.4 on and, but for Android, Firefox " +
+        "from 130 on have it",
     );
   }
 }
@@ -43,25 +40,25 @@ export async function probeBrowser(): Promise<Probe> {
 }
 
 async function probe(acceleration: HardwareAcceleration): Promise<Probe> {
-  const found: Probe[] = [];
+  let found: Probe | null = null;
   const decoder = new LumaDecoder(acceleration);
   try {
     const data = Uint8Array.from(atob(PROBE_CLIP), (letter) => letter.charCodeAt(0));
     const clip = { samples: [{ data, time: 0, duration: 1 }], width: SIDE, height: SIDE, where: "the probe" };
     await decoder.decode(clip, (samples) => {
-      found.push({ ...judge(samples), acceleration });
+      found = { ...judge(samples), acceleration };
     });
+    if (found) return found;
   } catch (error) {
     if (error instanceof UnsupportedError) throw error;
     throw new UnsupportedError(`this browser does not decode H.264: ${(error as Error).message}`);
   } finally {
     decoder.close();
   }
-  if (!found.length) throw new UnsupportedError("this browser does not decode H.264: it gave no picture");
-  return found[0];
+  throw new UnsupportedError("this browser does not decode H.264: it gave no picture");
 }
 
-export function judge(samples: Samples): Verdict {
+export function judge(samples: Samples): Omit<Probe, "acceleration"> {
   const seen = Uint8Array.from({ length: VALUES }, (_, value) => blockValue(samples, value));
   const inverse = invert(seen);
   const same = seen.every((got, value) => got === value || value < DARKEST || value > BRIGHTEST);

@@ -1,7 +1,7 @@
 // What is decoded: canonical spaces (sidecars and key files, those of a base too) and segments over them (state files).
 // N rows of a group, n of a level.
 import { planeCorner, slopeCodes } from "../format/atlas.ts";
-import { concat } from "../format/concat.ts";
+import { concat } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
 import { type Bases, checkCount, type KeyTier, levelRows, readKeyTier, readStates } from "../format/files.ts";
 import type { Tables } from "../format/package.ts";
@@ -13,7 +13,6 @@ import type { PictureDecoder } from "./pictures.ts";
 
 export type Positions = Pick<Canonical, "means" | "units" | "depths">;
 
-/** Gives the bytes of a file. Throws FormatError(missing_file). */
 export type ReadFile = (path: string) => Uint8Array;
 
 /** A canonical space, luma included. Throws FormatError. */
@@ -43,19 +42,13 @@ export async function decodeCanonical(
     parts.push({ ...part, difference });
     const rows = Uint32Array.from(key.depths, (_, row) => row);
     const scaled = steps.map((step) => step * key.factor);
-    const moved = difference ? movedMeans(tier, rows, key.bases, scaled, difference) : tier.means;
+    const moved = difference ? movedMeans(tier, rows, key.bases, scaled, difference.luma) : tier.means;
     if (!moved.every(Number.isFinite)) throw new FormatError("bad_value", key.where, "means are not finite");
     means.push(moved);
   }
-  const depths = concat(
-    keys.map((key) => key.depths),
-    Uint8Array,
-  );
-  const units = concat(
-    whole.map((tier) => tier.units),
-    Float32Array,
-  );
-  return { ...name, means: concat(means, Float32Array), units, depths, parts };
+  const [depths, units] = [keys.map((key) => key.depths), whole.map((tier) => tier.units)];
+  const space = { means: concat(Float32Array, means), units: concat(Float32Array, units) };
+  return { ...name, ...space, depths: concat(Uint8Array, depths), parts };
 }
 
 function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: CanonicalName): KeyTier[] {
@@ -71,7 +64,7 @@ function readTiers(tables: Tables, read: ReadFile, { group, quality, tiers }: Ca
 
 const AXES = 3; // the first state channels: means
 
-/** A state file and the canonical space that it changes, as far as `positions` have its tiers; segments count from 0. */
+/** A state file and the canonical space that it changes, as far as `positions` have tiers; segments count from 0. */
 export interface StateFile extends CanonicalName {
   segment: number;
   level: number;
@@ -104,19 +97,21 @@ export async function decodeStates(
   const show = (t: number, luma: Uint8Array) => {
     const time = line ? (2 * t) / (frames - 1) - 1 : 0;
     const changes = bases.next(t, t ? null : slopes?.slice()); // the page gets them, others stay here
-    const means = movedMeans(positions, carried, bases, steps, { luma, slopes, time });
+    const means = movedMeans(positions, carried, bases, steps, luma, slopes, time);
     take(t, { luma, bases: changes, time, means });
   };
   await decoder.decode({ ...states, where }, show, options);
 }
 
-/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are its atlas's. */
+/** (3N) means that a picture moves, whose bases are those of now, with slopes at a time; `rows` are of its atlas. */
 function movedMeans(
   { means: before, units }: Pick<Positions, "means" | "units">,
   rows: Uint32Array,
   { atlas, now, offsets }: Bases,
   steps: Float32Array,
-  { luma, slopes, time }: { luma: Uint8Array; slopes?: Int32Array | null; time?: number },
+  luma: Uint8Array,
+  slopes: Int32Array | null = null,
+  time = 0,
 ): Float32Array {
   const means = before.slice();
   const add = (i: number, axis: number, code: number) => {
@@ -130,7 +125,7 @@ function movedMeans(
     const corner = plane < 0 ? 0 : planeCorner(atlas, plane);
     for (let i = 0; i < rows.length; i++) {
       const at = corner + offsets[i];
-      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time! * slopes[at] : 0));
+      add(i, axis, plane < 0 ? centre : luma[at] - GREY + centre + (slopes ? time * slopes[at] : 0));
     }
   }
   for (const [sample, base] of now) {

@@ -33,17 +33,14 @@ async function respond(request: Request): Promise<void> {
   say(reply);
 }
 
-function heed({ cancel, taken }: Note): void {
-  if (cancel !== undefined) {
-    underWay.get(cancel)?.abort();
-    engine?.drop(cancel);
-  }
-  if (taken) engine?.taken(taken.id, taken.t);
-}
-
 export function run(): void {
   globalThis.onmessage = ({ data }: MessageEvent<Request | Note>) => {
-    if ("call" in data) respond(data);
-    else heed(data);
+    if ("call" in data) return respond(data);
+    const { cancel, taken } = data;
+    if (cancel !== undefined) {
+      underWay.get(cancel)?.abort();
+      engine?.ahead.drop(cancel);
+    }
+    if (taken) engine?.ahead.taken(taken.id, taken.t);
   };
 }

@@ -2,25 +2,22 @@
 // session and a link, simulated or real.
 //
 // Times are seconds of the downloader's clock.
-import type { FormatError } from "../format/errors.ts";
-import { type Batch, filesOf } from "./offers.ts";
+import { FormatError } from "../format/errors.ts";
+import { CHECK_S, ROOT_PATH } from "../generated/constants.ts";
+import { following, waitFor } from "../media/bell.ts";
+import type { Fetched, Media } from "../media/client.ts";
+import { type Batch, filesOf, type Offers } from "./offers.ts";
 import type { Playout } from "./playout.ts";
 
-/** What a batch was requested for: tables (airgs.json, pages of the index, tables of groups); the next segment with
- * keys of its group; the next segment, whose keys are decoded; a better rung of a buffered segment.
- */
-export type BatchKind = "tables" | "group" | "state" | "replacement";
-
 export interface Request {
-  kind: BatchKind;
-  /** Of the segment in the session. */
+  /** Requested were tables (airgs.json, pages of the index, tables of groups); the next segment with keys of its group;
+   * the next segment, whose keys are decoded; a better rung of a buffered segment.
+   */
+  kind: "tables" | "group" | "state" | "replacement";
   position: number;
   rung: number;
   batch: Batch;
-  /** No earlier than this. */
   sentS: number;
-  /** From then, or from the end of the batch before if that is later, to the first byte. */
-  latencyS: number;
 }
 
 export interface Arrival {
@@ -32,14 +29,12 @@ export interface Arrival {
   bytes: number;
   /** Files that came whole and are what the tables say, in order. */
   whole: readonly string[];
-  /** Files that came and cannot be used. */
   refused: ReadonlyMap<string, FormatError>;
   abandoned: boolean;
   /** It came from a cache and tells nothing of the link. */
   cached: boolean;
 }
 
-/** Whether every file of a batch can be used. */
 export const isComplete = (arrival: Arrival): boolean => arrival.whole.length === filesOf(arrival.request.batch).length;
 
 /** The files that are of use: a state segment whose batch is not complete is dropped. */
@@ -60,9 +55,6 @@ export type GiveUp = (partial: Partial) => boolean;
 export interface Downloader {
   /** Seconds from a request to its first byte on an idle link. */
   readonly rttS: number;
-  /** Whether a request may be sent before the batch before it has arrived. */
-  readonly pipelines: boolean;
-  /** Seconds of a clock that never goes back. */
   now(): number;
   /** Wait until a moment; less long where the playout changes, or the signal aborts. Infinity: for that alone. */
   wait(untilS: number, playout: Playout, signal: AbortSignal): Promise<void>;
@@ -77,28 +69,6 @@ export interface Arrived {
   arrival: Arrival;
   /** The estimate when the batch was requested. */
   throughputBps: number;
-}
-
-/** A replacement took the place of a buffered segment; `before` and `after` are rungs. */
-export interface Replaced {
-  type: "replaced";
-  position: number;
-  before: number;
-  after: number;
-}
-
-/** No rung of a segment can be had. */
-export interface Lost {
-  type: "lost";
-  position: number;
-  atS: number;
-}
-
-/** A session ends before its package says so. */
-export interface Cut {
-  type: "cut";
-  atS: number;
-  why: string;
 }
 
 /** A segment's final time on the screen; rung null: it was lost, the last picture stands. */
@@ -119,4 +89,101 @@ export interface Shown {
   psnr: number | null;
 }
 
-export type SessionEvent = Arrived | Replaced | Lost | Cut | Shown;
+export type SessionEvent =
+  | Arrived
+  | Shown
+  /** A replacement took the place of a buffered segment; `before` and `after` are rungs. */
+  | { type: "replaced"; position: number; before: number; after: number }
+  /** No rung of a segment can be had. */
+  | { type: "lost"; position: number; atS: number }
+  /** The session ends before its package says so. */
+  | { type: "cut"; atS: number; why: string };
+
+const LONGEST_MS = 2 ** 31 - 1; // of timers of browsers
+
+/** What a downloader needs of an open package. Where a fetch is given up, the files that are whole count. */
+export type Source = Pick<Media, "opened" | "fetch" | "refreshRoot">;
+
+export class HttpDownloader implements Downloader {
+  private shortestS = Infinity;
+  private opened: Fetched | null;
+
+  constructor(private readonly source: Source) {
+    this.opened = source.opened;
+  }
+
+  /** The shortest wait for a first byte so far, in seconds; 0 before there is any. */
+  get rttS(): number {
+    return this.shortestS < Infinity ? this.shortestS : 0;
+  }
+
+  now(): number {
+    return performance.now() / 1000;
+  }
+
+  wait(untilS: number, playout: Playout, signal: AbortSignal): Promise<void> {
+    const leftMs = Math.min(1000 * (untilS - this.now()), LONGEST_MS);
+    return leftMs > 0 ? waitFor(leftMs, signal, (end) => playout.onChange(end)) : Promise.resolve();
+  }
+
+  /** Answers the first request for airgs.json with what came when the package was opened. */
+  async fetch(request: Request, giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
+    const paths = filesOf(request.batch);
+    if (paths[0] !== ROOT_PATH) return this.batch(request, paths, giveUp, signal);
+    const came = this.opened ?? (await this.root(signal));
+    this.opened = null;
+    return arrival(request, came, false);
+  }
+
+  private async root(signal: AbortSignal): Promise<Fetched> {
+    try {
+      return await this.source.refreshRoot({ signal });
+    } catch (error) {
+      if (!(error instanceof FormatError)) throw error;
+      const nowS = this.now();
+      const refused = new Map([[ROOT_PATH, error]]);
+      return { firstByteS: nowS, endS: nowS, bytes: 0, cached: true, whole: [], refused };
+    }
+  }
+
+  /** Looks at a download every CHECK_S from its first byte on, and ends it where it is given up. */
+  private async batch(request: Request, paths: string[], giveUp: GiveUp | null, signal: AbortSignal): Promise<Arrival> {
+    const sentS = this.now();
+    const ending = following(signal);
+    let timer: ReturnType<typeof setInterval> | undefined;
+    let bytes = 0;
+    let expectedBytes = 0;
+    const onProgress = (come: number, expected: number) => {
+      [bytes, expectedBytes] = [come, expected];
+      const firstS = this.now();
+      const look = (atS: number) => giveUp?.({ atS, elapsedS: atS - firstS, bytes, expectedBytes }) && ending.abort();
+      if (giveUp) timer ??= setInterval(() => look(this.now()), 1000 * CHECK_S);
+    };
+    try {
+      const came = await this.source.fetch(paths, { signal: ending.signal, onProgress });
+      if (!came.cached && came.bytes > 0) this.shortestS = Math.min(this.shortestS, came.firstByteS - sentS);
+      return arrival(request, came, came.whole.length + came.refused.size < paths.length);
+    } finally {
+      clearInterval(timer);
+      ending.abort();
+    }
+  }
+}
+
+function arrival(request: Request, came: Fetched, abandoned: boolean): Arrival {
+  const whole = filesOf(request.batch).filter((path) => came.whole.includes(path));
+  const { firstByteS, endS: atS, refused, cached } = came;
+  return { request, firstByteS, atS, bytes: Math.max(1, came.bytes), whole, refused, abandoned, cached };
+}
+
+/** Let a session over a growing package begin with its newest group, whose place pages may have to tell. */
+export async function joinNewest(offers: Offers, source: Source): Promise<void> {
+  if (!offers.live) return;
+  const { index } = offers.tables;
+  for (const path of index.pagesTo("segments", index.segments - 1)) {
+    if (index.hasPage(path)) continue;
+    const { refused } = await source.fetch([path]);
+    for (const error of refused.values()) throw error;
+  }
+  offers.first = index.entry(index.groups - 1).firstSegment;
+}

@@ -4,7 +4,7 @@ import { POLICY_NAMES } from "../generated/constants.ts";
 import { untilOnline } from "../media/bell.ts";
 import { TransportError } from "../media/errors.ts";
 import type { SessionEvent } from "./downloader.ts";
-import { HttpDownloader, type Source } from "./http-downloader.ts";
+import { HttpDownloader, type Source } from "./downloader.ts";
 import type { Offers } from "./offers.ts";
 import { fixedPolicy, ROBUST_MPC } from "./policies/mpc.ts";
 import type { OTHERS } from "./policies/named.ts";
@@ -14,12 +14,11 @@ import { Session, type Shared } from "./session.ts";
 /** Policies but for the default one are beside this script. */
 const MORE = "./airgs-more.js";
 
-/** A session that lost its server is begun again so much later, seconds, if the browser does not say that it is back. */
+/** Seconds after which a session that lost its server begins again, unless the browser says before that it is back. */
 const RETRY_S = 5;
 
 export interface FeedParts extends Shared {
   media: Source;
-  /** The name of the policy of the next session. */
   policy: () => string;
   onEvent: (event: SessionEvent) => void;
   /** Something went wrong; `fatal`: nothing more will come. */
@@ -31,7 +30,6 @@ export class Feed {
   readonly #downloader: HttpDownloader;
   #stop = new AbortController();
   #running: Promise<void> = Promise.resolve();
-  /** The position that the session under way began with. */
   from = 0;
 
   constructor(parts: FeedParts) {

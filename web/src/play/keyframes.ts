@@ -1,13 +1,10 @@
 // Camera paths: what a camera does over time, as keyframes in JSON; airgs_codec/scene/keyframes.py is the same, and says
 // what the JSON looks like. The ten values of a view are position, focus, up and fov_y, degrees.
-import { cross, length, minus, unit, type Vector, vector } from "../format/vector.ts";
+import { makesView, minus, unit, type Vector, vector } from "../format/vector.ts";
 
 const MOST_DEGREES = 170;
-/** Sine of the angle between a view and what is up in it. */
-const LEAST_SLANT = 1e-6;
 const KNOWN = ["t", "position", "focus", "up", "fov_y", "name"];
 
-/** A player waits no longer for a path. */
 const LONGEST_MS = 5000;
 
 type Row = readonly number[];
@@ -36,7 +33,6 @@ export class CameraPath {
     });
   }
 
-  /** Seconds from the first keyframe to the last. */
   get duration(): number {
     return this.times[this.times.length - 1];
   }
@@ -110,8 +106,7 @@ function checked(where: string, row: readonly unknown[]): Row {
   const numbers = row as Row;
   const [position, focus, up] = [1, 4, 7].map((i) => vector(numbers.slice(i))) as [Vector, Vector, Vector];
   const [ahead, fovY] = [minus(focus, position), numbers[10]];
-  if (!(length(ahead) > 0 && length(up) > 0 && length(cross(unit(ahead), unit(up))) > LEAST_SLANT))
-    throw new Error(`${where} looks nowhere, or along what is up`);
+  if (!makesView(ahead, up)) throw new Error(`${where} looks nowhere, or along what is up`);
   if (!(0 < fovY && fovY <= MOST_DEGREES))
     throw new Error(`${where} has a fov_y of ${fovY}, expected more than 0 and at most ${MOST_DEGREES} degrees`);
   return [numbers[0], ...position, ...focus, ...unit(up), fovY];

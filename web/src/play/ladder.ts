@@ -1,15 +1,10 @@
 // The paper's level selection (arXiv 2512.20943, Algorithm 1), with its undefined cases defined.
 //
-// Where Algorithm 1 divides by zero, returns a level that does not fit or leaves its answer undefined, the comment
-// names the case: first drop zero (1, 2), tiny (3), quality that rises when pruning (4), slow slides (5), the first
-// level (6), nothing fits (7, 8), sizes that do not fall (9), one level (10), infinite quality (11), negative
-// budgets (12), units (13: everything here is bytes), the level that sends nothing (14: not in a ladder), key tiers
-// (15: chosen over the buffer, see the session), level 0 (16: no different from the others).
+// Numbers in comments are those of the undefined cases, which airgs_codec/play/ladder.py lists.
 import { CLIFF_DB, DEFAULT_BETA, EPS_DB, PSNR_CAP } from "../generated/constants.ts";
 
 /** One of the things that can be chosen: its size in bytes on the wire and the quality that it shows. */
 export interface Option {
-  /** In the caller's list, such as a level or a rung. */
   index: number;
   sizeBytes: number;
   /** dB */

@@ -2,13 +2,17 @@
 //
 // Q key qualities, L levels. A rung is a key quality with a level; rungs are numbered quality by quality. A position is a
 // segment of a session, which may play the sequence several times. Wire bytes are those of files with their headers.
+import { Recent } from "../format/collections.ts";
 import type { GroupIndex } from "../format/index.ts";
 import type { Tables } from "../format/package.ts";
-import { Recent } from "../format/recent.ts";
 import type { Root, Segment } from "../format/types.ts";
 import { HEADER_BYTES, OVER_BUDGET, ROOT_PATH } from "../generated/constants.ts";
 import { type Option, savedShares } from "./ladder.ts";
-import { ConfigError } from "./settings.ts";
+
+/** Settings that cannot work, or a policy that does not exist. */
+export class ConfigError extends Error {
+  override name = "ConfigError";
+}
 
 /** More than a buffer holds and a policy looks at. */
 const MOST_OFFERS = 1024;
@@ -32,13 +36,12 @@ export interface RungOffer {
   readonly level: number;
   /** dB; 0 where it was not measured. */
   readonly psnr: number;
-  /** That it shows. */
   readonly gaussians: number;
   /** Whether the budget has as many, and its level is offered. */
   readonly allowed: boolean;
   /** Share of the first level's state bytes that its level saves. */
   readonly saved: number;
-  /** In the order of fetching: sound, then each tier of the group with files, followed by that of the base it reuses. */
+  /** In the order of fetching: sound, then each tier of the group with files, followed by that of its base. */
   readonly keys: readonly KeyOffer[];
   readonly state: readonly string[];
   readonly stateBytes: number;
@@ -76,7 +79,6 @@ export const sizesOf = ({ rungs }: SegmentOffer, decoded: Keys): Float64Array =>
       : OVER_BUDGET,
   );
 
-/** Every rung that is allowed, by its number. */
 export function optionsOf(offer: SegmentOffer, decoded: Keys): Option[] {
   const sizes = sizesOf(offer, decoded);
   const all = offer.rungs.map(({ psnr, saved }, index) => ({ index, sizeBytes: sizes[index], quality: psnr, saved }));
@@ -101,18 +103,17 @@ export interface OfferTables
   entry(path: string): { bytes: number };
 }
 
-/** Makes the offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
+/** Offers of a package, whose tables grow under it; a session over a growing one begins with `first`. */
 export class Offers {
-  /** (key quality, level) of every rung. */
+  /** (key quality, level) */
   readonly rungs: readonly (readonly [number, number])[];
-  /** The name of every rung, such as Q1+L2. */
+  /** Such as Q1+L2. */
   readonly names: readonly string[];
   readonly fps: number;
   first = 0;
   #made = new Recent<number, SegmentOffer>(MOST_OFFERS);
   #finest = 0;
 
-  /** `budget`: the most Gaussians that a rung may show. */
   constructor(
     readonly tables: OfferTables,
     readonly headerBytes = HEADER_BYTES,
@@ -124,7 +125,6 @@ export class Offers {
     this.fps = frame_rate[0] / frame_rate[1];
   }
 
-  /** The finest level that is offered. */
   get finest(): number {
     return this.#finest;
   }
@@ -164,7 +164,6 @@ export class Offers {
     return Object.freeze({ segment, start, stop, seconds, group, base: tables.base(group), startsGroup, rungs });
   }
 
-  /** A key tier of a group, and that of the base, as far as they have files. */
   #keys(group: number, quality: number, tier: number): KeyOffer[] {
     const { tables } = this;
     const { qualities, tiers } = tables.root;
@@ -188,7 +187,6 @@ export class Offers {
     return this.tables.root.frames / this.fps;
   }
 
-  /** Whether every rung of every segment has a quality. */
   get measured(): boolean {
     return this.tables.root.views.reference !== "none";
   }
@@ -210,11 +208,6 @@ export class Offers {
     return this.#hasTable(segment) ? this.tables.segment(segment) : this.tables.index.guessSpan(segment);
   }
 
-  secondsAt(position: number): number {
-    const { start, stop } = this.span(position);
-    return (stop - start) / this.fps;
-  }
-
   /** Throws ConfigError where every rung at a position shows more Gaussians than the budget has. */
   checkBudget(position: number): void {
     const segment = this.index(position);
@@ -222,7 +215,6 @@ export class Offers {
     if (least > this.budget) throw new ConfigError(`budget: expected ${least} Gaussians or more, got ${this.budget}`);
   }
 
-  /** The segment of the package that a session plays at a position. */
   index(position: number): number {
     return this.place(position).segment;
   }

@@ -1,6 +1,6 @@
 // Decoding ahead of the screen: the segments of the schedule, one after another, a second of play at most.
+import { Recent } from "../format/collections.ts";
 import { FormatError } from "../format/errors.ts";
-import { Recent } from "../format/recent.ts";
 import type { Atlas, Canonical, StateFrame } from "../format/types.ts";
 import type { Media } from "../media/client.ts";
 import type { Slot } from "./playout.ts";
@@ -13,7 +13,6 @@ const MOST_SPACES = 2; // canonical spaces: of the group on the screen and of th
 /** A segment that is decoded, or about to be. */
 export interface Clip {
   readonly position: number;
-  /** Number of the rung whose files it is made of. */
   readonly rung: number;
   readonly level: number;
   readonly canonical: Canonical;
@@ -41,7 +40,6 @@ export class Pipeline {
 
   constructor(private readonly parts: PipelineParts) {}
 
-  /** The clip of a position in the session, if it is decoded or on its way. */
   clip(position: number): Clip | undefined {
     return this.#clips.get(position);
   }
@@ -135,7 +133,6 @@ export class Pipeline {
     }
   }
 
-  /** The canonical space of the group of a position, of all tiers that are there. */
   async #space(position: number, quality: number, signal: AbortSignal): Promise<Canonical> {
     const { media, offers, stores } = this.parts;
     const group = media.tables.groupOf(offers.index(position));

@@ -1,30 +1,26 @@
 // An open package on its way to the canvas: files are fetched by a session, decoded ahead by a pipeline, and shown by a
 // screen when their time has come. The schedule (`Playout`) is what these three agree on.
-import type { ViewState } from "../format/region.ts";
 import type { Media } from "../media/client.ts";
 import { TransportError } from "../media/errors.ts";
-import type { TargetFormat } from "../render/target.ts";
+import type { TargetFormat } from "../render/textures.ts";
 import type { SessionEvent } from "./downloader.ts";
 import { Feed } from "./feed.ts";
-import { Held } from "./held.ts";
 import type { Offers } from "./offers.ts";
 import { type Clip, Pipeline } from "./pipeline.ts";
-import { EARLY, Playout } from "./playout.ts";
+import { EARLY, Playout, sessionSettings } from "./playout.ts";
 import { wishedPolicy } from "./policies/mpc.ts";
 import { RungTotals } from "./rungs.ts";
 import type { Lack } from "./schedule.ts";
 import { Screen } from "./screen.ts";
-import { sessionSettings } from "./settings.ts";
 import type { PlayerStats, Statistics } from "./statistics.ts";
 import { Stores } from "./stores.ts";
-import { Waits } from "./waits.ts";
+import { Held, Waits } from "./waits.ts";
 
 const TIME_EVENT_S = 0.25;
 
 export interface PlayerOptions {
   /** Name of a policy: robust-mpc (default), throughput, bola, paper, paper-literal; both also with -no-cliff. */
   policy?: string;
-  /** Whether the sequence begins again at its end; default true. */
   loop?: boolean;
   /** Most media time that is fetched ahead, seconds; default 10. */
   bufferS?: number;
@@ -40,27 +36,19 @@ export interface PlayerOptions {
 }
 
 /** What the viewer wants; it may change at any time. */
-export interface Wishes extends PlayerOptions {
-  policy: string;
-  /** "auto": what the policy chooses; else the name of a rung. */
-  quality: string;
-  loop: boolean;
-  paused: boolean;
-  speed: number;
-  muted: boolean;
-  volume: number;
-  readonly bufferS: number;
-}
+export type Wishes = PlayerOptions &
+  Required<Pick<PlayerOptions, "policy" | "loop" | "muted" | "volume" | "bufferS">> & {
+    /** "auto": what the policy chooses; else the name of a rung. */
+    quality: string;
+    paused: boolean;
+    speed: number;
+  };
 
 /** The sound of a package, which is loaded where there is some: sound.ts. */
 export interface Voice {
-  /** Whether the browser lets it be heard. */
   readonly allowed: boolean;
-  /** Whether it is heard, so that pictures follow it. */
   readonly leads: boolean;
-  /** Take in whether it is wanted, and how loud; somebody may have touched the page. */
   follow(): void;
-  /** Play what is due, and keep the pictures beside it; `calm`: these were in time lately. */
   step(nowS: number, calm: boolean): void;
   close(): void;
 }
@@ -92,14 +80,12 @@ export class Playback {
   headset: XRSession | null = null;
   /** Leads the pictures while it is heard; null: there is none, or it is not loaded yet. */
   sound: Voice | null = null;
+  ended = false;
   readonly #end = new AbortController();
   #shown: { clip: Clip; frame: number } | null = null;
-  /** What follows what is on the screen; null: whatever was sought. */
   #next: { position: number; frame: number } | null = { position: 0, frame: 0 };
   #sought: number | null = null;
-  /** The place of what is sought is not known yet. */
   #locating = false;
-  #ended = false;
   #waiting = false;
   #timeTold = Number.NEGATIVE_INFINITY;
 
@@ -113,7 +99,7 @@ export class Playback {
     readonly tell: (type: string, detail?: Problem) => void,
   ) {
     const { bufferS, target } = wishes;
-    const settings = sessionSettings({ bufferS, pipelined: false });
+    const settings = sessionSettings({ bufferS });
     const stores = new Stores(offers);
     this.#stores = stores;
     if (media.first) stores.first = media.first;
@@ -136,7 +122,7 @@ export class Playback {
       onProblem: (error) => this.#problem(error, false),
     });
     this.screen = new Screen(canvas, media.tables, {
-      ...(target && { target }),
+      target,
       onLost: () => {
         this.headset?.end(); // its layer is lost as well
         this.tell("lost");
@@ -152,7 +138,6 @@ export class Playback {
     document.addEventListener("visibilitychange", () => this.follow(), { signal: this.#end.signal });
   }
 
-  /** Fetch and show from the beginning, or from the newest group of a growing package. */
   begin(): void {
     this.follow();
     this.#feed.run(0);
@@ -169,10 +154,6 @@ export class Playback {
     this.media.close();
   }
 
-  look(view: ViewState): void {
-    this.screen.look(view);
-  }
-
   resize(width: number, height: number): void {
     if (this.screen.resize(width, height)) this.#held.restart();
   }
@@ -185,13 +166,10 @@ export class Playback {
       this.playout.setSpeed(now, speed);
       this.#held.restart();
     }
-    const hold = (why: "pause" | "hidden", held: boolean) =>
-      held ? this.playout.freeze(now, why) : this.playout.thaw(now, why);
-    hold("pause", paused);
-    hold("hidden", document.hidden && !this.headset); // a page that nobody sees shows nothing
+    this.playout.hold(now, "pause", paused);
+    this.playout.hold(now, "hidden", document.hidden && !this.headset); // a page that nobody sees shows nothing
   }
 
-  /** Choose anew what follows, and fetch again what is not on its way to the screen. */
   async choose(): Promise<void> {
     this.#held.offer();
     if (this.#locating) return this.seek(this.#sought ?? 0);
@@ -233,10 +211,6 @@ export class Playback {
     }
   }
 
-  get ended(): boolean {
-    return this.#ended;
-  }
-
   get seeking(): boolean {
     return this.#sought !== null;
   }
@@ -269,7 +243,6 @@ export class Playback {
     this.tell("progress");
   }
 
-  /** Make scenes of groups that come next, and free those that have passed. */
   #prepare(): void {
     const clips = [...this.#pipeline.clips];
     for (const clip of clips) if (clip.frames[0] !== undefined) this.screen.prepare(clip);
@@ -305,8 +278,8 @@ export class Playback {
     const over = !lack && this.playout.done(now);
     this.#tellWaiting((lack !== null && begins) || (this.playout.waits(now) && !over));
     const ended = over && !this.statistics.waiting;
-    if (ended && !this.#ended) this.tell("ended");
-    this.#ended = ended;
+    if (ended && !this.ended) this.tell("ended");
+    this.ended = ended;
   }
 
   /** What a frame lacks; null: it is on the screen, or nothing can be shown in its place but what is there. */

@@ -3,7 +3,7 @@ import { firstView, levelled, type ViewState } from "../format/region.ts";
 import type { Region, World } from "../format/types.ts";
 import { DEFAULT_POLICY, HEADER_BYTES, SESSION } from "../generated/constants.ts";
 import { Media } from "../media/client.ts";
-import { joinNewest } from "./http-downloader.ts";
+import { joinNewest } from "./downloader.ts";
 import { Offers } from "./offers.ts";
 import { Playback, type PlayerOptions, type Problem, problemOf, type Wishes } from "./playback.ts";
 import type { RungInfo } from "./rungs.ts";
@@ -11,7 +11,6 @@ import type { Sound } from "./sound.ts";
 import { type PlayerStats, Statistics } from "./statistics.ts";
 import type { enter } from "./vr.ts";
 
-/** Where somebody stands who has not opened a package. */
 const NOWHERE: ViewState = { position: [0, 0, 0], forward: [0, 0, 1], up: [0, -1, 0], fovY: 50, near: 0.01 };
 
 /** Parts that few need, beside this script: for headsets, and for packages with sound. */
@@ -22,7 +21,8 @@ const SOUND = "./airgs-sound.js";
  *
  * Events: "open" (tables are there), "firstpicture", "play", "pause", "time" (four times a second), "progress"
  * (something was fetched), "rung" (another rung is on the screen), "stall" and "resume", "ended", "vr" (a headset shows
- * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context), and "problem" (detail: `Problem`).
+ * it, or does no more), "volumechange" (of the sound, also when it comes), "lost" and "restored" (the WebGL context),
+ * "problem" (detail: `Problem`).
  */
 export class Player extends EventTarget {
   readonly #wishes: Wishes;
@@ -41,8 +41,7 @@ export class Player extends EventTarget {
     this.#wishes = { ...given, quality: "auto", speed: 1, paused: true };
   }
 
-  /** Open a package by the address of its folder, its airgs.json or its manifest.mpd. Its first picture is shown; it moves after
-   * `play`.
+  /** Open a package by the address of its folder, its airgs.json or its manifest.mpd; it moves after `play`.
    *
    * Throws FormatError for what is no package, TransportError where it cannot be fetched, UnsupportedError where the
    * browser cannot play it. Where another package is opened meanwhile, or the player is closed, nothing comes of it.
@@ -89,13 +88,11 @@ export class Player extends EventTarget {
     this.#playback = null;
   }
 
-  /** Call at every event of a type; the function that is returned ends that. */
   on(type: string, listener: (event: Event) => void): () => void {
     this.addEventListener(type, listener);
     return () => this.removeEventListener(type, listener);
   }
 
-  /** Go on, after the end from the beginning. */
   play(): void {
     const { ended } = this;
     if (!this.paused && !ended) return;
@@ -131,7 +128,6 @@ export class Player extends EventTarget {
     return this.#playback?.seeking ?? false;
   }
 
-  /** Whether more is to come. */
   get live(): boolean {
     return this.#playback?.offers.live ?? false;
   }
@@ -155,7 +151,6 @@ export class Player extends EventTarget {
     this.#playback?.follow();
   }
 
-  /** Whether the package has sound that this browser plays. */
   get hasSound(): boolean {
     return !!this.#playback?.sound;
   }
@@ -207,7 +202,6 @@ export class Player extends EventTarget {
     return this.#playback?.rungs.read() ?? [];
   }
 
-  /** The number of the rung on the screen. */
   get rung(): number | null {
     return this.#playback?.rung ?? null;
   }
@@ -242,14 +236,13 @@ export class Player extends EventTarget {
     return this.#playback?.media.tables.root.world ?? null;
   }
 
-  /** Where the viewer stands; drawn at the next frame of the display. */
   get camera(): ViewState {
     return this.#view ?? NOWHERE;
   }
 
   set camera(view: ViewState) {
     this.#view = view;
-    if (!this.vr) this.#playback?.look(view);
+    if (!this.vr) this.#playback?.screen.look(view);
   }
 
   /** Whether a headset shows the scene, from where its wearer looks. */
@@ -278,7 +271,6 @@ export class Player extends EventTarget {
     this.#playback?.headset?.end();
   }
 
-  /** From the page to a headset, or back. */
   #changeDisplay(): void {
     this.resize(this.#size.width, this.#size.height);
     this.camera = this.camera;

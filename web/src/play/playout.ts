@@ -3,16 +3,28 @@
 // The timeline holds segments of a session by position. Those before `firstWaiting` have a place in the schedule; the
 // others wait until enough media has arrived. Moments (`…S`) are seconds of the downloader's clock, places (`…At`)
 // those of the schedule, which stands still while it is held and passes at the speed of playing: see schedule.ts.
-import type { Offers } from "./offers.ts";
+import { SESSION } from "../generated/constants.ts";
+import { ConfigError, type Offers } from "./offers.ts";
 import { type Hold, Schedule } from "./schedule.ts";
-import type { SessionSettings } from "./settings.ts";
+
+type Rules = typeof SESSION;
+
+/** The rules of airgs_codec.play.settings, which says what each is. */
+export type SessionSettings = { [Name in keyof Rules]: Rules[Name] extends number ? number : boolean };
+
+/** Settings with defaults for what is not given. Throws ConfigError for a buffer that cannot work. */
+export function sessionSettings(given: Partial<SessionSettings> = {}): SessionSettings {
+  const settings = { ...SESSION, ...given };
+  const { bufferS } = settings;
+  if (!(bufferS > 0 && bufferS < Infinity)) throw new ConfigError(`buffer: expected more than 0 s, got ${bufferS}`);
+  return settings;
+}
 
 /** Seconds for which segments that were shown stay in the timeline. */
 const PAST_S = 60;
 /** A frame begins so much of a frame early, since seconds that stand for whole frames are rounded. */
 export const EARLY = 1e-6;
 
-/** A segment of the timeline. */
 export interface Slot {
   readonly position: number;
   rung: number | null;
@@ -29,11 +41,11 @@ export interface Slot {
 
 /** The timeline of a session up to the position `end`, so far where the package grows. */
 export class Playout {
-  /** Waits for media that has not come, and their seconds. */
   stalls = 0;
   stallS = 0;
   readonly schedule = new Schedule();
-  private timeline: Slot[] = [];
+  /** The timeline: segments that are shown, scheduled or wait, and those of the last minute, in order. */
+  slots: Slot[] = [];
   private firstWaiting = 0;
   private firstUnseen = 0; // of the timeline: those before it were given by `started`
   private skipS = 0;
@@ -46,13 +58,8 @@ export class Playout {
     public end: number,
   ) {}
 
-  /** Segments that are shown, scheduled or wait, and those of the last minute, in order. */
-  get slots(): readonly Slot[] {
-    return this.timeline;
-  }
-
   get last(): Slot | null {
-    return this.timeline.at(-1) ?? null;
+    return this.slots.at(-1) ?? null;
   }
 
   /** Frames whose time passed while the schedule waited for the decoder or the display. */
@@ -62,20 +69,14 @@ export class Playout {
     return { decoder: frames(decoder), display: frames(display) };
   }
 
-  /** Call when anything changes; the function that is returned ends that. */
   onChange(listener: () => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
   }
 
-  /** The schedule stands still from now on. */
-  freeze(nowS: number, why: Hold = "pause"): void {
-    if (this.schedule.hold(why, nowS)) this.changed();
-  }
-
-  /** The schedule goes on, unless there is another reason to stand still. */
-  thaw(nowS: number, why: Hold = "pause"): void {
-    if (this.schedule.release(why, nowS)) this.changed();
+  /** The schedule stands still for a reason from now on, or no longer for this one. */
+  hold(nowS: number, why: Hold, held: boolean): void {
+    if (this.schedule.hold(nowS, why, held)) this.changed();
   }
 
   /** So many seconds of media a second, more than 0, from now on. */
@@ -86,9 +87,9 @@ export class Playout {
 
   /** Drop the segments from a position on: another session fetches them, or others, again. */
   truncate(position: number): void {
-    this.timeline = this.timeline.filter((slot) => slot.position < position);
-    this.firstWaiting = Math.min(this.firstWaiting, this.timeline.length);
-    this.firstUnseen = Math.min(this.firstUnseen, this.timeline.length);
+    this.slots = this.slots.filter((slot) => slot.position < position);
+    this.firstWaiting = Math.min(this.firstWaiting, this.slots.length);
+    this.firstUnseen = Math.min(this.firstUnseen, this.slots.length);
     this.finished = false;
     this.changed();
   }
@@ -99,23 +100,22 @@ export class Playout {
     this.truncate(-Infinity);
   }
 
-  /** The decoding of the segment at a position begins: what it shows can no longer change. */
   commit(position: number): void {
-    const slot = this.timeline.find((one) => one.position === position);
+    const slot = this.slots.find((one) => one.position === position);
     if (slot) slot.committed = true;
   }
 
   /** The first position whose segment can still be dropped without a trace, begun and committed ones aside. */
   firstFree(nowS: number): number | null {
     const place = this.schedule.at(nowS);
-    const last = this.timeline.findLast((slot) => slot.committed || slot.startAt <= place);
-    return last ? last.position + 1 : (this.timeline[0]?.position ?? null);
+    const last = this.slots.findLast((slot) => slot.committed || slot.startAt <= place);
+    return last ? last.position + 1 : (this.slots[0]?.position ?? null);
   }
 
   /** The segment on the screen and the number of its frame; where playing waits, the last one. Null: nothing yet. */
   at(nowS: number): { slot: Slot; frame: number } | null {
     const place = this.schedule.at(nowS);
-    const slot = this.timeline.findLast((one) => one.startAt <= place);
+    const slot = this.slots.findLast((one) => one.startAt <= place);
     if (!slot) return null;
     return { slot, frame: Math.min(slot.frames - 1, Math.floor((place - slot.startAt) * this.offers.fps + EARLY)) };
   }
@@ -126,12 +126,10 @@ export class Playout {
   }
 
   done(nowS: number): boolean {
-    const whole =
-      this.finished || (!this.offers.live && (this.last?.position ?? Number.NEGATIVE_INFINITY) >= this.end - 1);
-    return whole && this.waits(nowS) && this.firstWaiting === this.timeline.length;
+    const whole = this.finished || (!this.offers.live && (this.last?.position ?? -Infinity) >= this.end - 1);
+    return whole && this.waits(nowS) && this.firstWaiting === this.slots.length;
   }
 
-  /** Seconds of media at hand that were not shown. */
   bufferS(nowS: number): number {
     return Math.max(0, this.dueAt(nowS) - this.schedule.at(nowS));
   }
@@ -140,7 +138,7 @@ export class Playout {
   buffered(nowS: number): { start: number; stop: number; rung: number }[] {
     const ranges: { start: number; stop: number; rung: number }[] = [];
     const place = this.schedule.at(nowS);
-    for (const slot of this.timeline) {
+    for (const slot of this.slots) {
       if (slot.rung === null || slot.startAt + slot.seconds <= place) continue;
       const span = this.offers.span(slot.position);
       const [start, stop] = [span.start / this.offers.fps, span.stop / this.offers.fps];
@@ -188,7 +186,7 @@ export class Playout {
     const [frames, seconds] = [stop - start, (stop - start) / this.offers.fps];
     const arrived = { position, rung, seconds, frames, readyS, readyAt: this.schedule.at(readyS) };
     const slot: Slot = { ...arrived, startAt: Infinity, stallS: 0, committed: false };
-    this.timeline.push(slot);
+    this.slots.push(slot);
     this.finished = false;
     this.place(slot);
     this.trim(arrivedS);
@@ -197,16 +195,15 @@ export class Playout {
 
   finish(nowS: number): void {
     this.finished = true;
-    if (this.firstWaiting < this.timeline.length) this.resume(this.schedule.at(nowS));
+    if (this.firstWaiting < this.slots.length) this.resume(this.schedule.at(nowS));
     this.changed();
   }
 
   /** Segments that `started` did not give yet, but for lost and committed ones: what they show can change. */
   pending(): Slot[] {
-    return this.timeline.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
+    return this.slots.slice(this.firstUnseen).filter((slot) => slot.rung !== null && !slot.committed);
   }
 
-  /** Show another rung of a segment. */
   replace(slot: Slot, rung: number): void {
     slot.rung = rung;
     this.changed();
@@ -214,7 +211,7 @@ export class Playout {
 
   /** A segment turns out to be of no use: the picture before it stands for its time. */
   lose(position: number): void {
-    const slot = this.timeline.find((one) => one.position === position);
+    const slot = this.slots.find((one) => one.position === position);
     if (slot) slot.rung = null;
     this.changed();
   }
@@ -223,38 +220,38 @@ export class Playout {
   started(beforeS: number | null): Slot[] {
     const before = beforeS === null ? Infinity : this.schedule.at(beforeS);
     const first = this.firstUnseen;
-    while (this.firstUnseen < this.firstWaiting && this.timeline[this.firstUnseen].startAt < before) this.firstUnseen++;
-    return this.timeline.slice(first, this.firstUnseen);
+    while (this.firstUnseen < this.firstWaiting && this.slots[this.firstUnseen].startAt < before) this.firstUnseen++;
+    return this.slots.slice(first, this.firstUnseen);
   }
 
   /** End of the last segment that has a place; −Infinity before playing begins. */
   private get scheduledEndAt(): number {
     if (!this.firstWaiting) return -Infinity;
-    const slot = this.timeline[this.firstWaiting - 1];
+    const slot = this.slots[this.firstWaiting - 1];
     return slot.startAt + slot.seconds;
   }
 
   private waitingS(): number {
-    const waiting = this.timeline.slice(this.firstWaiting);
+    const waiting = this.slots.slice(this.firstWaiting);
     const sum = waiting.reduce((seconds, slot) => seconds + slot.seconds, 0);
     return waiting.length && !this.firstWaiting ? sum - this.skipS : sum;
   }
 
   /** The latest segment that must have begun for another to fit the buffer, and seconds to be shown of it. */
   private blocking(position: number): { slot: Slot; restS: number } | null {
-    let ahead = this.offers.secondsAt(position);
+    const { start, stop } = this.offers.span(position);
+    let ahead = (stop - start) / this.offers.fps;
     const most = this.settings.bufferS;
-    for (let i = this.timeline.length - 1; i >= 0; i--) {
-      const slot = this.timeline[i];
+    for (let i = this.slots.length - 1; i >= 0; i--) {
+      const slot = this.slots[i];
       if (ahead + slot.seconds > most) return { slot, restS: slot.seconds - Math.max(0, most - ahead) };
       ahead += slot.seconds;
     }
     return null;
   }
 
-  /** The place of a segment that was appended, if it can have one. */
   private place(slot: Slot): void {
-    if (this.timeline.length - this.firstWaiting === 1 && slot.readyAt <= this.scheduledEndAt) {
+    if (this.slots.length - this.firstWaiting === 1 && slot.readyAt <= this.scheduledEndAt) {
       slot.startAt = this.scheduledEndAt;
       this.firstWaiting++;
       return;
@@ -266,30 +263,28 @@ export class Playout {
 
   /** Show what waits, one segment after another, from the place where all of it is ready. */
   private resume(earliestAt = -Infinity): void {
-    const waiting = this.timeline.slice(this.firstWaiting);
+    const waiting = this.slots.slice(this.firstWaiting);
     const dueAt = this.scheduledEndAt;
     let at = Math.max(dueAt, earliestAt, ...waiting.map((slot) => slot.readyAt));
-    if (this.firstWaiting) this.stall(waiting[0], (at - dueAt) / this.schedule.speed);
-    else at -= this.skipS;
+    if (this.firstWaiting) {
+      const stallS = (at - dueAt) / this.schedule.speed;
+      waiting[0].stallS = stallS;
+      this.stallS += stallS;
+      if (stallS > 0) this.stalls++;
+    } else at -= this.skipS;
     for (const slot of waiting) {
       slot.startAt = at;
       at += slot.seconds;
     }
-    this.firstWaiting = this.timeline.length;
-  }
-
-  private stall(slot: Slot, seconds: number): void {
-    slot.stallS = seconds;
-    if (seconds > 0) this.stalls++;
-    this.stallS += seconds;
+    this.firstWaiting = this.slots.length;
   }
 
   private trim(nowS: number): void {
     const longAgo = this.schedule.at(nowS) - PAST_S;
-    const past = this.timeline.findIndex((slot) => slot.startAt + slot.seconds >= longAgo);
+    const past = this.slots.findIndex((slot) => slot.startAt + slot.seconds >= longAgo);
     const count = Math.min(past, this.firstUnseen, this.firstWaiting - 1);
     if (count <= 0) return;
-    this.timeline.splice(0, count);
+    this.slots.splice(0, count);
     this.firstWaiting -= count;
     this.firstUnseen -= count;
   }

@@ -5,7 +5,6 @@ export interface RungInfo {
   name: string;
   /** dB, mean over the time of the segments whose tables are known; null: not measured. */
   psnr: number | null;
-  /** Mean over the same segments, headers included. */
   kbps: number;
   /** Whether the budget allows it, and no other rung that it allows has more quality at no more bytes. */
   onLadder: boolean;
@@ -61,7 +60,7 @@ export class RungTotals {
   }
 }
 
-/** Whether a rung has more quality at no more bytes, or the same at fewer; without qualities none beats another. */
+/** More quality at no more bytes, or the same at fewer; without qualities none beats another. */
 function beats(a: { psnr: number | null; kbps: number }, b: { psnr: number | null; kbps: number }): boolean {
   if (a.psnr === null || b.psnr === null) return false;
   return a.kbps <= b.kbps && a.psnr >= b.psnr && (a.kbps < b.kbps || a.psnr > b.psnr);

@@ -12,7 +12,6 @@ const EXCUSES: readonly Hold[] = ["pause", "hidden", "start"];
 export class Schedule {
   /** Seconds of media that would have passed meanwhile, up to the last change. */
   readonly missedS = { decoder: 0, display: 0 };
-  /** Seconds of the schedule a second, where it is not held. */
   speed = 1;
   private readonly holds = new Set<Hold>();
   private clockS = 0;
@@ -31,19 +30,12 @@ export class Schedule {
     return (this.held ? nowS : this.clockS) + (placeS - this.placeS) / this.speed;
   }
 
-  /** Stand still for a reason, beside others. False: it did for this one. */
-  hold(why: Hold, nowS: number): boolean {
-    if (this.holds.has(why)) return false;
+  /** Stand still for a reason, beside others, or no longer for this one. False: it is so already. */
+  hold(nowS: number, why: Hold, held: boolean): boolean {
+    if (this.holds.has(why) === held) return false;
     this.move(nowS);
-    this.holds.add(why);
-    return true;
-  }
-
-  /** Go on, unless there is another reason. False: it did not stand still for this one. */
-  release(why: Hold, nowS: number): boolean {
-    if (!this.holds.has(why)) return false;
-    this.move(nowS);
-    this.holds.delete(why);
+    if (held) this.holds.add(why);
+    else this.holds.delete(why);
     return true;
   }
 

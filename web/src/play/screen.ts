@@ -5,7 +5,7 @@ import type { Camera, Canonical, Group, Root } from "../format/types.ts";
 import { UnsupportedError } from "../media/errors.ts";
 import { Renderer, type Scene, type Surface } from "../render/renderer.ts";
 import { Sorter } from "../render/sorter.ts";
-import type { TargetFormat } from "../render/target.ts";
+import type { TargetFormat } from "../render/textures.ts";
 import type { Clip } from "./pipeline.ts";
 
 /** A canonical space on the GPU, and the clip of which it shows something. */
@@ -20,19 +20,18 @@ interface Stage {
   means: Float32Array | null;
 }
 
-/** What one eye in a headset sees, and where it is drawn. */
-export interface Eye {
+/** What an eye in a headset sees, and where it is drawn. */
+interface Eye {
   camera: Camera;
   surface: Surface;
 }
 
-export interface ScreenOptions {
-  target?: TargetFormat;
+interface ScreenOptions {
+  target: TargetFormat | undefined;
   /** The context is gone, or is back: what was shown must be shown again. */
-  onLost?: () => void;
-  onRestored?: () => void;
-  /** Nothing more can be shown. */
-  onFail?: (error: Error) => void;
+  onLost: () => void;
+  onRestored: () => void;
+  onFail: (error: Error) => void;
 }
 
 /** Shows frames of clips on a canvas. While the WebGL context is lost, nothing is shown and nothing fails. */
@@ -40,7 +39,6 @@ export class Screen {
   #renderer: Renderer | null;
   readonly #sorter: Sorter;
   readonly #stages = new Map<Canonical, Stage>();
-  /** null: nothing was shown yet. */
   #shown: Stage | null = null;
   #view: ViewState | null = null;
   #size = { width: 1, height: 1 };
@@ -51,16 +49,22 @@ export class Screen {
   constructor(
     readonly canvas: HTMLCanvasElement,
     readonly tables: { root: Root; group(number: number): Group },
-    readonly options: ScreenOptions = {},
+    readonly options: ScreenOptions,
   ) {
     this.#renderer = this.#makeRenderer();
-    const fail = (why: string) => options.onFail?.(new UnsupportedError(`the worker that sorts failed: ${why}`));
+    const fail = (why: string) => options.onFail(new UnsupportedError(`the worker that sorts failed: ${why}`));
     this.#sorter = new Sorter(undefined, fail);
     const { signal } = this.#end;
-    canvas.addEventListener("webglcontextlost", () => this.#lose(), { signal });
+    const lose = () => {
+      this.#renderer = null;
+      this.#stages.clear();
+      this.#shown = null;
+      options.onLost();
+    };
+    canvas.addEventListener("webglcontextlost", lose, { signal });
     const restore = () => {
       this.#renderer = this.#makeRenderer();
-      options.onRestored?.();
+      options.onRestored();
     };
     canvas.addEventListener("webglcontextrestored", restore, { signal });
   }
@@ -71,7 +75,6 @@ export class Screen {
     for (const stage of this.#stages.values()) this.#sort(stage);
   }
 
-  /** True: pictures have another size from now on. */
   resize(width: number, height: number): boolean {
     const before = this.#size;
     this.#size = { width: Math.max(1, Math.round(width)), height: Math.max(1, Math.round(height)) };
@@ -79,9 +82,7 @@ export class Screen {
     return this.#size.width !== before.width || this.#size.height !== before.height;
   }
 
-  /** Show a frame of a clip, which is decoded, from the next picture on. False: not yet, since its scene has no order; the
-   * old picture stays.
-   */
+  /** Show a decoded frame from the next picture on. False: its scene has no order yet; the old picture stays. */
   show(clip: Clip, frame: number): boolean {
     const stage = this.prepare(clip);
     if (!stage || !this.#renderer?.ready(stage.scene)) return false;
@@ -140,9 +141,8 @@ export class Screen {
   }
 
   #makeRenderer(): Renderer {
-    const { target } = this.options;
     const [r = 0, g = 0, b = 0] = this.tables.root.region.background ?? [];
-    return new Renderer(this.canvas, { background: [r, g, b], ...(target ? { target } : {}) });
+    return new Renderer(this.canvas, { background: [r, g, b], target: this.options.target });
   }
 
   /** Makes ready what a group begins with, so that its first frame can follow the one before without a pause. */
@@ -167,12 +167,5 @@ export class Screen {
     if (!rows || this.#stages.get(stage.canonical) !== stage || !this.#renderer) return;
     stage.scene.sort(rows);
     this.#dirty ||= this.#shown === stage;
-  }
-
-  #lose(): void {
-    this.#renderer = null;
-    this.#stages.clear();
-    this.#shown = null;
-    this.options.onLost?.();
   }
 }

@@ -36,7 +36,6 @@ export function seatOf(root: Root): Seat {
   return { origin: view.position, axes: [cross(up, back), up, back], metre, near: region.near };
 }
 
-/** What somebody sees of the scene whose eyes are at a pose of the room. */
 export function viewFrom({ origin, axes, metre, near }: Seat, pose: Float32Array): ViewState {
   const turned = (at: number): Vector =>
     axes.reduce<Vector>((sum, axis, i) => along(sum, axis, pose[at + i]), [0, 0, 0]);

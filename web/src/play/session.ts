@@ -1,14 +1,10 @@
 // A viewer: requests, arrivals, choices and what is on the screen, as a stream of events.
 //
-// One batch passes at a time: those key tiers of the chosen rung that are not decoded, one by one, then the state segment.
+// One batch passes at a time: those key tiers of the chosen rung that are not decoded, then the state segment.
 // When nothing more fits the buffer, a buffered segment may be replaced by a better rung that will be there in time. A
-// download that would come too late is abandoned when a smaller one would come sooner; key files that are whole are
-// used. A segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on.
-//
-// The sequence may be played several times: keys and states are fetched again, tables are not. One that grows is played
-// as it grows, until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
-
-import { isSound } from "../format/paths.ts";
+// segment none of whose rungs can be had, or whose table cannot, is lost, and the session goes on. A package that grows
+// is played until airgs.json says that nothing will follow, or nothing has followed for SILENCE_S.
+import { isPage, isSound } from "../format/paths.ts";
 import {
   LONGEST_POLL_S,
   POLL_S,
@@ -31,13 +27,11 @@ import {
   type Shown,
 } from "./downloader.ts";
 import type { Decision, Option } from "./ladder.ts";
-import { type Batch, filesOf, type Offers } from "./offers.ts";
-import type { Playout, Slot } from "./playout.ts";
+import { type Batch, ConfigError, filesOf, type Offers } from "./offers.ts";
+import type { Playout, SessionSettings, Slot } from "./playout.ts";
 import { type Download, estimateThroughput, type PlayerState, type Policy } from "./policies/state.ts";
-import { ConfigError, type SessionSettings } from "./settings.ts";
 import type { Stores } from "./stores.ts";
 
-/** What fetches and shows share of a package. */
 export interface Shared {
   offers: Offers;
   settings: SessionSettings;
@@ -71,17 +65,18 @@ export class Session {
     this.nowS = downloader.now();
   }
 
-  /** All events until the last segment is fetched or the signal aborts. Rejects with TransportError. */
   async *run(): Events {
-    const { downloader, playout, stores } = this.parts;
+    const { playout, stores } = this.parts;
     const { first } = this;
     if (stores.rootS === null) yield* this.fetchRoot(first, false);
     else if (this.parts.offers.live) yield* this.fetchPages(first);
     for (let position = first; !this.stopped; position++) {
       if (position >= playout.end && !(yield* this.grow(position))) break;
-      yield* this.fetchTables(position);
-      let latencyS = this.latencyS(position, yield* this.roomFor(position));
-      while (!this.stopped && !(yield* this.fetchNext(position, latencyS))) latencyS = downloader.rttS;
+      // A page first, then the tables that it leads to.
+      for (let paths = this.wantedTables(position); paths.length && !this.stopped; paths = this.wantedTables(position))
+        yield await this.receiveTables(paths, position);
+      yield* this.roomFor(position);
+      while (!this.stopped && !(yield* this.fetchNext(position)));
       if (!this.stopped) yield* this.shown(playout.started(this.nowS));
     }
     while (!this.stopped && (yield* this.replaceBest()));
@@ -92,13 +87,12 @@ export class Session {
     return this.signal.aborted;
   }
 
-  /** Replace what is buffered until there is room for another segment; gives the moment since when there is. */
-  private async *roomFor(position: number): Events<number> {
+  private async *roomFor(position: number): Events {
     const { playout } = this.parts;
     for (;;) {
       playout.makeRoom(position);
       const earliestS = playout.earliestRequestS(position, this.nowS);
-      if (this.nowS >= earliestS || this.stopped) return earliestS;
+      if (this.nowS >= earliestS || this.stopped) return;
       if (yield* this.replaceBest()) continue;
       await this.wait(earliestS);
     }
@@ -140,10 +134,10 @@ export class Session {
   }
 
   private async *fetchPages(position: number): Events {
-    const { playout, stores } = this.parts;
+    const { offers, playout, stores } = this.parts;
     const { tables, unusable } = stores;
     const from = Math.max(0, Math.min(playout.slots[0]?.position ?? position, position - 1));
-    const missing = () => tables.missingPages(from, position);
+    const missing = () => tables.missing(from, Math.min(position + 1, offers.end(1))).filter(isPage);
     for (let pages = missing(); pages.length && !this.stopped; pages = missing()) {
       yield await this.receiveTables(pages, position);
       if (pages.some((path) => unusable.has(path))) {
@@ -152,37 +146,16 @@ export class Session {
     }
   }
 
-  /** Fetch the tables that a position needs: a page first, then those that it leads to. */
-  private async *fetchTables(position: number): Events {
-    for (let wanted = this.wantedTables(position); wanted.length; wanted = this.wantedTables(position)) {
-      if (this.stopped) return;
-      yield await this.receiveTables(wanted, position);
-    }
-  }
-
-  /** Tables that the policy needs to choose at a position and that can be had. */
   private wantedTables(position: number): string[] {
     const { policy, playout, stores } = this.parts;
     const stop = Math.min(position + policy.horizon, playout.end);
     return stores.tables.missing(position, stop).filter((path) => !stores.unusable.has(path));
   }
 
-  /** The rest of the round trip when the link is free: pipelined, the request was sent before. */
-  private latencyS(position: number, earliestS: number): number {
-    const { rttS, pipelines } = this.parts.downloader;
-    if (this.parts.settings.pipelined && pipelines && position > this.first && earliestS < this.nowS)
-      return Math.max(0, rttS - (this.nowS - earliestS));
-    return rttS;
-  }
-
-  private sentS(latencyS: number): number {
-    return this.nowS - (this.parts.downloader.rttS - latencyS);
-  }
-
   /** Choose a rung of the next segment and fetch it; false: it did not come whole, choose again. */
-  private async *fetchNext(position: number, latencyS: number): Events<boolean> {
+  private async *fetchNext(position: number): Events<boolean> {
     const { offers, playout, policy, stores } = this.parts;
-    const state = stores.tables.has(position) ? this.state(position, latencyS) : null;
+    const state = stores.tables.has(position) ? this.state(position) : null;
     if (!state?.options.length) {
       if (position === this.first) offers.checkBudget(position);
       yield { type: "lost", position, atS: this.nowS };
@@ -195,8 +168,7 @@ export class Session {
     if (filesOf(batch).length) {
       // Without files nothing moves: the canonical space is decoded.
       const kind = batch.keys.length ? "group" : "state";
-      const sentS = this.sentS(latencyS);
-      const request: Request = { kind, position, rung: decision.index, batch, sentS, latencyS };
+      const request: Request = { kind, position, rung: decision.index, batch, sentS: this.nowS };
       const arrival = await this.receive(request, this.giveUp(state, decision));
       yield { type: "arrived", arrival, throughputBps: estimateThroughput(state.history) };
       if (arrival.abandoned) this.givenUp = { position, sizeBytes: decision.sizeBytes };
@@ -206,8 +178,8 @@ export class Session {
     return true;
   }
 
-  private state(position: number, latencyS: number): PlayerState {
-    const { offers, playout, policy, settings, stores } = this.parts;
+  private state(position: number): PlayerState {
+    const { downloader, offers, playout, policy, settings, stores } = this.parts;
     return {
       ahead: offers.upcoming(position, Math.min(position + policy.horizon, playout.end)),
       decoded: stores.keys.decoded(position),
@@ -215,14 +187,13 @@ export class Session {
       nowS: this.nowS,
       deadlineS: playout.deadlineS(playout.dueAt(this.nowS), this.nowS),
       bufferLimitS: settings.bufferS,
-      requestLatencyS: latencyS,
+      requestLatencyS: downloader.rttS,
       shownQuality: playout.last && slotQuality(offers, playout.last),
-      history: this.history(this.sentS(latencyS)),
+      history: this.history(),
       speed: playout.schedule.speed,
     };
   }
 
-  /** The rungs of the next segment that can be had and are smaller than what was given up. */
   private options(position: number): readonly Option[] {
     const { stores } = this.parts;
     const most = this.givenUp.position === position ? this.givenUp.sizeBytes : Infinity;
@@ -230,9 +201,7 @@ export class Session {
     return options.filter((p) => p.sizeBytes < most && usable(stores, stores.keys.missing(position, p.index)));
   }
 
-  /** Abandon a download that, at the rate so far, would come after its deadline, and after the smallest rung if that
-   * were requested now. A pause meanwhile puts the deadline off.
-   */
+  /** Abandon a download that would come late, and later than the smallest rung requested now; a pause puts that off. */
   private giveUp(state: PlayerState, decision: Decision): GiveUp | null {
     const { downloader, playout, policy, settings } = this.parts;
     const smallest = Math.min(...state.options.map((option) => option.sizeBytes));
@@ -248,7 +217,6 @@ export class Session {
     };
   }
 
-  /** Wait until a moment; less long where the playout changes, or the signal aborts. */
   private async wait(untilS: number): Promise<void> {
     await this.parts.downloader.wait(untilS, this.parts.playout, this.signal);
     this.nowS = this.parts.downloader.now();
@@ -256,19 +224,16 @@ export class Session {
 
   private async receiveTables(tables: readonly string[], position: number): Promise<Arrived> {
     const batch = { keys: [], state: [], tables };
-    const { rttS: latencyS } = this.parts.downloader;
-    const arrival = await this.receive({ kind: "tables", position, rung: 0, batch, sentS: this.nowS, latencyS }, null);
+    const arrival = await this.receive({ kind: "tables", position, rung: 0, batch, sentS: this.nowS }, null);
     return { type: "arrived", arrival, throughputBps: 0 };
   }
 
-  /** The last downloads that are over when a request is sent, oldest first; before there is one, the tables. */
-  private history(sentS: number): Download[] {
+  /** The last downloads, oldest first; before there is one, the tables. */
+  private history(): readonly Download[] {
     const { downloads, first } = this.parts.stores;
-    const past = downloads.slice(-REMEMBERED).filter(({ atS }) => atS <= sentS + SHORTEST_S);
-    return past.length ? past.map(({ download }) => download) : [first];
+    return downloads.length ? [...downloads] : [first];
   }
 
-  /** Fetch a batch and take in what is of use; time goes on. */
   private async receive(request: Request, giveUp: GiveUp | null): Promise<Arrival> {
     const { downloader, stores } = this.parts;
     const arrival = await downloader.fetch(request, giveUp, this.signal);
@@ -283,7 +248,7 @@ export class Session {
       return arrival;
     }
     if (!arrival.cached && !this.signal.aborted) {
-      stores.downloads.push({ atS, download: { bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) } });
+      stores.downloads.push({ bytes, seconds: Math.max(atS - firstByteS, SHORTEST_S) });
       if (stores.downloads.length > REMEMBERED) stores.downloads.shift();
     }
     stores.keys.add(arrival);
@@ -312,16 +277,15 @@ export class Session {
 
   /** Fetch the replacement that gains most for its bytes, if any will be in time; false if there is none. */
   private async *replaceBest(): Events<boolean> {
-    const { downloader, playout, policy, settings } = this.parts;
+    const { playout, policy, settings } = this.parts;
     if (!(settings.replace && policy.adapts)) return false;
-    const estimateBps = estimateThroughput(this.history(this.nowS));
+    const estimateBps = estimateThroughput(this.history());
     const best = estimateBps ? this.bestReplacement(SAFETY * estimateBps) : null;
     if (!best) return false;
     const { slot, rung } = best;
     const { position } = slot;
-    const [batch, latencyS] = [this.replacing(slot, rung), downloader.rttS];
-    const request: Request = { kind: "replacement", position, rung, batch, sentS: this.nowS, latencyS };
-    const arrival = await this.receive(request, null);
+    const batch = this.replacing(slot, rung);
+    const arrival = await this.receive({ kind: "replacement", position, rung, batch, sentS: this.nowS }, null);
     yield { type: "arrived", arrival, throughputBps: estimateBps };
     const late = slot.committed || this.nowS + settings.decodeFrameS > playout.startS(slot, this.nowS);
     if (this.stopped || !isComplete(arrival) || late) return true; // what it replaces stays
@@ -370,10 +334,8 @@ export class Session {
   }
 }
 
-/** Whether no file of a batch was found missing or corrupt. */
 const usable = (stores: Stores, batch: Batch): boolean =>
   !stores.unusable.size || filesOf(batch).every((path) => !stores.unusable.has(path));
 
-/** dB, null of a lost segment. */
 const slotQuality = (o: Offers, slot: Slot): number | null =>
   slot.rung === null ? null : o.of(o.index(slot.position)).rungs[slot.rung].psnr;

@@ -1,8 +1,7 @@
 // The sound of a package: decoded by WebCodecs ahead of the pictures, and played by an AudioContext, whose clock leads the
 // pictures while it is heard. It is heard at speed 1, while pictures are in time, once somebody has touched the page:
 // browsers allow no sound before. `…S` are seconds of the page's clock, places those of the schedule (schedule.ts).
-
-import { Recent } from "../format/recent.ts";
+import { Recent } from "../format/collections.ts";
 import { packetsOf, readSound } from "../format/sound.ts";
 import { PACKET_TICKS, SOUND_RATE, WARM_UP } from "../generated/constants.ts";
 import { UnsupportedError } from "../media/errors.ts";
@@ -16,10 +15,8 @@ const PULL = 0.05;
 const APART_S = 0.04;
 /** The clock of a context goes in steps: its least lag in such a time counts. */
 const WINDOW_S = 0.3;
-/** Groups whose packets are kept: of what is played, of what follows and of where people jump. */
 const MOST_GROUPS = 4;
 
-/** The sound of a segment of the schedule. */
 interface Piece {
   /** null: it is on its way, or silent. */
   buffer: AudioBuffer | null;
@@ -62,7 +59,6 @@ export class Sound {
     return this.#context?.state === "running";
   }
 
-  /** Whether it is heard, so that pictures follow it. */
   get leads(): boolean {
     return this.#zeroS !== null;
   }

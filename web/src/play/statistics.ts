@@ -1,5 +1,4 @@
 // Figures of a session, for viewers who want to see them.
-
 import type { Arrived } from "./downloader.ts";
 import type { Clip } from "./pipeline.ts";
 import type { Playout } from "./playout.ts";
@@ -12,15 +11,11 @@ export interface PlayerStats {
   throughputBps: number;
   bufferS: number;
   rung: number | null;
-  /** That came over the network, headers included. */
   bytes: number;
-  /** Frames of the sequence that were drawn. */
   framesShown: number;
   /** Times of frames that passed without a new one: by decoder and display, and in segments that were lost. */
   framesDropped: number;
-  /** The time of so many frames passed while one was not decoded. */
   droppedByDecoder: number;
-  /** So many were not drawn in their time, or waited for. */
   droppedByDisplay: number;
   displayFps: number;
   /** What the package claims of the segment on the screen in its rung, dB. */
@@ -40,7 +35,6 @@ export class Statistics {
   #shown = 0;
   #lost = 0;
   #late = 0;
-  /** A frame is to be drawn. */
   waiting = false;
   #drawn: number[] = [];
   #pictures = 0;

@@ -1,8 +1,8 @@
 // What a player has of a package beside states: which tables it has read, which key tiers it has decoded, what it knows
 // of the link. It outlives a session: after a seek another one goes on with it.
+import { Recent } from "../format/collections.ts";
 import type { FormatError } from "../format/errors.ts";
 import { groupPath, isSound, isTable } from "../format/paths.ts";
-import { Recent } from "../format/recent.ts";
 import { type Arrival, usableFiles } from "./downloader.ts";
 import type { Option } from "./ladder.ts";
 import { type Batch, filesOf, missing, type Offers, optionsOf } from "./offers.ts";
@@ -11,9 +11,7 @@ import type { Download } from "./policies/state.ts";
 /** Files that are known to have come; those of more were played long ago. */
 const MOST_PATHS = 4096;
 
-/** Pages of the index and tables of groups are fetched once, also where the sequence is played again, as long as the
- * tables have them.
- */
+/** Pages of the index and tables of groups, fetched once, as long as the tables have them. */
 export class TableStore {
   private readonly paths = new Recent<string, true>(MOST_PATHS);
 
@@ -27,55 +25,36 @@ export class TableStore {
     return this.next(this.offers.index(position)) === null;
   }
 
-  /** Lists pages that positions [start, stop) still need, and tables that pages that were read, or the root, lead to. */
+  /** Lists pages that positions [start, stop) still need, and tables that pages that are read, or the root, lead to. */
   missing(start: number, stop: number): string[] {
-    const wanted = new Set<string>();
-    for (let position = start; position < stop; position++) {
-      const path = this.next(this.offers.index(position));
-      if (path !== null) wanted.add(path);
-    }
-    return [...wanted];
+    const wanted = Array.from({ length: stop - start }, (_, i) => this.next(this.offers.index(start + i)) ?? []);
+    return [...new Set(wanted.flat())];
   }
 
-  /** Pages of the index with segments of positions from one to another. */
-  missingPages(from: number, to: number): string[] {
-    const { first, tables } = this.offers;
-    return tables.index.missingPages(first + from, first + to + 1, (path) => this.hasPage(path));
-  }
-
-  private hasPage(path: string): boolean {
-    return this.paths.has(path) && this.offers.tables.index.hasPage(path); // those last used stay, not all
-  }
-
-  /** The first that is missing of what leads to a segment, and then to the group whose rows its group keeps. */
   private next(segment: number): string | null {
-    const { tables } = this.offers;
-    const page = this.nextPage(tables.index.pagesTo("segments", segment));
-    if (page !== null) return page;
-    const group = tables.groupOf(segment);
-    const path = this.nextTable(group);
-    if (path !== null) return path;
-    const base = tables.base(group);
-    return base === null ? null : (this.nextPage(tables.index.pagesTo("groups", base)) ?? this.nextTable(base));
-  }
-
-  private nextPage(way: Iterable<string>): string | null {
-    for (const path of way) if (!this.hasPage(path)) return path;
+    // Of those that came, the tables that were last used stay.
+    for (const [path, there] of this.pathsTo(segment)) if (!there || !this.paths.has(path)) return path;
     return null;
   }
 
-  private nextTable(group: number): string | null {
-    const path = groupPath(group + 1);
-    return this.paths.has(path) && this.offers.tables.has(group) ? null : path; // those last used stay, not all
+  /** Tables that lead to a segment, then those to the base of its group; whether `offers.tables` have each. */
+  private *pathsTo(segment: number): Generator<[path: string, there: boolean]> {
+    const { tables } = this.offers;
+    const { index } = tables;
+    for (const path of index.pagesTo("segments", segment)) yield [path, index.hasPage(path)];
+    const group = tables.groupOf(segment);
+    yield [groupPath(group + 1), tables.has(group)];
+    const base = tables.base(group);
+    if (base === null) return;
+    for (const path of index.pagesTo("groups", base)) yield [path, index.hasPage(path)];
+    yield [groupPath(base + 1), tables.has(base)];
   }
 }
 
 /** Key tiers of a loop that are known; more were played long ago. */
 const MOST_KEYS = 32768;
 
-/** Key tiers are decoded once a loop over the sequence: a group that is played again is asked for again, and comes from
- * what is kept as far as there is room.
- */
+/** Key tiers, decoded once a loop over the sequence. */
 export class KeyStore {
   private readonly loops = new Map<number, Recent<number, true>>();
 
@@ -87,7 +66,6 @@ export class KeyStore {
     for (const loop of this.loops.keys()) if (loop < first) this.loops.delete(loop);
   }
 
-  /** The key tiers that are decoded in the loop of a position. */
   decoded(position: number): Recent<number, true> {
     const { loop } = this.offers.place(position);
     const keys = this.loops.get(loop) ?? new Recent<number, true>(MOST_KEYS);
@@ -104,17 +82,15 @@ export class KeyStore {
     return Math.min(tiers, ...wanted.map(({ tier }) => tier));
   }
 
-  /** The files that a rung of the segment at a position still needs. */
   missing(position: number, rung: number): Batch {
     return missing(this.offers.of(this.offers.index(position)), rung, this.decoded(position));
   }
 
-  /** Every rung of the segment at a position, with the bytes that it still needs. */
   options(position: number): Option[] {
     return optionsOf(this.offers.of(this.offers.index(position)), this.decoded(position));
   }
 
-  /** Take in what arrived: a key tier counts once its files are there, and sound that cannot be had, which is silence. */
+  /** Take in what arrived: a key tier counts once its files are there; sound that cannot be had is silence. */
   add(arrival: Arrival): void {
     const { position, rung } = arrival.request;
     const segment = this.offers.index(position);
@@ -128,11 +104,9 @@ export class KeyStore {
 export class Stores {
   readonly tables: TableStore;
   readonly keys: KeyStore;
-  /** With their arrivals, oldest first. */
-  readonly downloads: { atS: number; download: Download }[] = [];
+  readonly downloads: Download[] = [];
   /** The fastest of tables and poster, the wait for its first byte included. */
   first: Download = { bytes: 0, seconds: 1 };
-  /** Files that cannot be had, and why. */
   readonly unusable = new Map<string, FormatError>();
   /** When airgs.json was asked for; null: not yet. */
   rootS: number | null = null;

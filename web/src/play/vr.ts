@@ -3,10 +3,7 @@
 import type { Playback } from "./playback.ts";
 import { eyeCamera, seatOf, viewFrom } from "./seat.ts";
 
-/** Puts the headset on, for as long as its wearer likes; call `left` then. `select`: he pulled a trigger.
- *
- * Throws DOMException where the browser gives no session.
- */
+/** Puts the headset on; `left`: it is off again, `select`: a trigger was pulled. Throws DOMException without one. */
 export async function enter(playback: Playback, left: () => void, select: () => void): Promise<void> {
   const { screen } = playback;
   const gl = screen.canvas.getContext("webgl2");
@@ -34,7 +31,7 @@ function show(playback: Playback, session: XRSession, layer: XRWebGLLayer, room:
   const seat = seatOf(playback.media.tables.root);
   playback.resize(layer.framebufferWidth, layer.framebufferHeight);
   const look = ({ transform, views }: XRViewerPose): boolean => {
-    playback.look(viewFrom(seat, transform.matrix));
+    screen.look(viewFrom(seat, transform.matrix));
     const eyes = views.flatMap((view) => {
       const { x, y, width, height } = layer.getViewport(view) ?? { x: 0, y: 0, width: 0, height: 0 };
       if (!width || !height) return []; // an eye that the headset leaves out

@@ -1,7 +1,11 @@
 // Pictures that are not there when they are due: the schedule waits for them, and the time that this takes is counted as
 // frames that were dropped. A stall is something else: the wait for bytes.
+import type { Offers } from "./offers.ts";
+import type { Clip } from "./pipeline.ts";
 import type { Playout } from "./playout.ts";
+import { DropRule } from "./policies/drops.ts";
 import type { Lack } from "./schedule.ts";
+import type { PlayerStats, Statistics } from "./statistics.ts";
 
 /** Of a longer time without a chance to show something, the schedule waits for the rest, seconds. */
 const LONGEST_TICK_S = 0.25;
@@ -25,11 +29,10 @@ export class Waits {
   /** The page has the chance to show something, whenever the display takes it. */
   tick(nowS: number): void {
     const sinceS = this.#tickedS + LONGEST_TICK_S;
-    if (sinceS < nowS && !this.playout.waits(sinceS) && !this.sounds()) this.playout.freeze(sinceS, "display");
+    if (sinceS < nowS && !this.playout.waits(sinceS) && !this.sounds()) this.playout.hold(sinceS, "display", true);
     this.#tickedS = nowS;
   }
 
-  /** Whether pictures came in time lately. */
   calm(nowS: number): boolean {
     return nowS - this.#stoppedS > CALM_S;
   }
@@ -39,9 +42,52 @@ export class Waits {
     this.#lackedS = what && what !== "start" ? Math.min(this.#lackedS, nowS) : Number.POSITIVE_INFINITY;
     const isLong = nowS - this.#lackedS > PATIENCE_S;
     if (isLong) this.#stoppedS = nowS;
-    if (what && (what === "start" || isLong || !this.sounds())) this.playout.freeze(nowS, what);
+    if (what && (what === "start" || isLong || !this.sounds())) this.playout.hold(nowS, what, true);
     for (const other of ["decoder", "display", "start"] as const) {
-      if (other !== what) this.playout.thaw(nowS, other);
+      if (other !== what) this.playout.hold(nowS, other, false);
     }
+  }
+}
+
+export class Held {
+  readonly #rule: DropRule;
+  #before: ReturnType<Statistics["dropped"]>;
+
+  constructor(
+    private readonly offers: Offers,
+    private readonly playout: Playout,
+    private readonly statistics: Statistics,
+    private readonly wishes: { readonly quality: string },
+  ) {
+    this.#rule = new DropRule(offers.tables.root.levels.map(({ tiers }) => tiers));
+    this.#before = statistics.dropped(playout);
+  }
+
+  /** Pictures are of another size, or play has another speed. */
+  restart(): void {
+    this.#rule.restart();
+  }
+
+  /** A new frame was drawn. True: what is buffered is too slow. */
+  drawn({ rung }: Clip): boolean {
+    const { offers, playout, statistics } = this;
+    const [before, all] = [this.#before, statistics.dropped(playout)];
+    this.#before = all;
+    if (this.wishes.quality !== "auto") return false;
+    const dropped = { decoder: all.decoder - before.decoder, display: all.display - before.display };
+    const was = offers.finest;
+    if (this.#rule.add({ level: offers.rungs[rung][1], rate: offers.fps * playout.schedule.speed, dropped }))
+      this.offer();
+    return offers.finest > was;
+  }
+
+  offer(): void {
+    this.offers.finest = this.wishes.quality === "auto" ? this.#rule.finest : 0;
+  }
+
+  get told(): PlayerStats["held"] {
+    const { finest: rung } = this.offers; // the one with the finest keys
+    const { cause: by } = this.#rule;
+    return rung && by ? { rung, by } : null;
   }
 }

@@ -12,11 +12,9 @@ interface Compiled {
   source: Source;
   program: WebGLProgram;
   shaders: WebGLShader[];
-  /** null until it was first used. */
   uniforms: Map<string, WebGLUniformLocation> | null;
 }
 
-/** Where the uniforms of a program in use are, by their names. */
 export type Uniforms = (name: string) => WebGLUniformLocation | null;
 
 export class Programs {

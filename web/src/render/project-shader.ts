@@ -72,7 +72,6 @@ void colour(ivec2 t, bool moved, ivec2 at) {
 `;
 }
 
-/** Adds up what every coefficient gives in the direction d. */
 function harmonics(degree: number): string {
   const coefficient = (n: number, axis: number) => `u[${(3 * n + axis) >> 2}].${"xyzw"[(3 * n + axis) & 3]}`;
   const terms = BASIS.slice(0, degree + 1).flat();
@@ -87,7 +86,8 @@ function harmonics(degree: number): string {
  * parallelogram (u, v) in [−1, 1]², dy = h v, d = w u bounds where α is 1/255 or more. first: its centre, w and h;
  * second: shear, reach, colour in half floats.
  */
-export function projection(degree: number, channels: number, layers: number): string {
+export function projection(degree: number, channels: number): string {
+  const layers = Math.ceil(channels / 4);
   return `${HEAD}${CODES}${TURNS}${tints(channels)}${COLOURS}${ATTRIBUTES}${VIEW}${SPACE}${coefficients(layers)}
 layout(location = 0) out uvec4 first;
 layout(location = 1) out uvec4 second;

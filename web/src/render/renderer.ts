@@ -4,19 +4,17 @@
 // Passes: key (once a scene), projection (once a picture or camera), splats, and the canvas. N rows of a group.
 import { colourChannels } from "../format/steps.ts";
 import type { Camera, Canonical, Group, Root } from "../format/types.ts";
-import { prepareKeys, setCodes } from "./key-passes.ts";
 import { Programs } from "./programs.ts";
 import { projection, setView } from "./project-shader.ts";
-import { Scene } from "./scene.ts";
+import { prepareKeys, Scene, setCodes } from "./scene.ts";
 import { QUADS, ROW_WIDTH, SHOW, SPLAT_FRAGMENT, SPLAT_VERTEX, WHOLE } from "./shaders.ts";
-import { Target, type TargetFormat, targetFormat } from "./target.ts";
-import { RenderError, type Texture, texture } from "./textures.ts";
+import { RenderError, Target, type TargetFormat, type Texture, targetFormat, texture } from "./textures.ts";
 
 export { RenderError, Scene };
 
 export interface RendererOptions {
   /** What splats are blended into; default "rgba16f" where the browser can. */
-  target?: TargetFormat;
+  target?: TargetFormat | undefined;
   /** r, g, b of 0 … 1 behind the Gaussians; default black. */
   background?: readonly [number, number, number];
 }
@@ -78,7 +76,6 @@ export class Renderer {
     this.#programs.prepare("canvas", () => ({ vertex: WHOLE, fragment: SHOW, samplers: ["picture"] }));
   }
 
-  /** Whether it can draw no more: the context was lost, or it was disposed of. */
   get lost(): boolean {
     return this.#disposed || this.#wasLost || this.#gl.isContextLost();
   }
@@ -93,56 +90,52 @@ export class Renderer {
     return false;
   }
 
-  prepare(degree: number): void {
-    if (this.lost) return;
-    const channels = colourChannels(degree);
-    const fragment = () => projection(degree, channels, Math.ceil(channels / 4));
-    this.#programs.prepare(PROJECTION + degree, () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS }));
-    prepareKeys(this.#programs, degree);
-  }
-
-  /** A group in a key quality, as far as its tiers were fetched. It shows the canonical space, once it has an order.
-   *
-   * Throws RenderError for more rows or pages than this machine's textures hold.
-   */
+  /** A group, of which it shows the canonical space first. Throws RenderError for more than the textures here hold. */
   scene(root: Root, group: Group, canonical: Canonical): Scene {
-    this.prepare(root.sh_degree);
+    if (!this.lost) {
+      const fragment = () => projection(root.sh_degree, colourChannels(root.sh_degree));
+      const source = () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS });
+      this.#programs.prepare(PROJECTION + root.sh_degree, source);
+      prepareKeys(this.#programs, root.sh_degree);
+    }
     const scene = new Scene(this.#gl, root, group, canonical);
     scene.freed = this.lost;
     this.#scenes.add(scene);
     return scene;
   }
 
-  /** Whether `draw` would draw it: it has an order, and its programs are compiled. Ask from time to time until it is:
-   * the key passes run, in a task of their own, when somebody asks after their programs were compiled.
+  /** Whether `draw` would draw it: it has an order, and its programs are compiled, after which the first to ask has the
+   * key passes run. Ask from time to time.
    */
   ready(scene: Scene): boolean {
     if (this.lost || scene.freed || !this.#finishKeys(scene) || !scene.ordered) return false;
     return this.#programs.done([PROJECTION + scene.degree, "splats", "canvas"]);
   }
 
-  /** The whole canvas. */
-  get canvas(): Surface {
-    const { drawingBufferWidth: width, drawingBufferHeight: height } = this.#gl;
-    return { framebuffer: null, x: 0, y: 0, width, height };
-  }
-
-  /** Draws a scene, if it is ready; else the picture stays as it is. */
-  draw(scene: Scene, camera: Camera, surface = this.canvas): boolean {
+  /** Draws a scene on a surface, by default the whole canvas, if it is ready; else the picture stays as it is. */
+  draw(scene: Scene, camera: Camera, surface?: Surface): boolean {
     if (!this.ready(scene)) return false;
     const gl = this.#gl;
-    const { framebuffer, x, y, width, height } = surface;
+    const { drawingBufferWidth, drawingBufferHeight } = gl;
+    const whole = { framebuffer: null, x: 0, y: 0, width: drawingBufferWidth, height: drawingBufferHeight };
+    const { framebuffer, x, y, width, height } = surface ?? whole;
     this.#project(scene, camera, [width, height]);
-    this.#clear(width, height);
+    const held = this.#picture?.picture;
+    if (held?.width !== width || held.height !== height) {
+      this.#picture?.free();
+      this.#picture = new Target(gl, this.target, [width, height]);
+    }
+    const picture = this.#picture!;
+    picture.clear(this.background);
     this.#splat(scene, [width, height]);
     gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
     gl.viewport(x, y, width, height);
     gl.disable(gl.BLEND);
     gl.bindVertexArray(null);
-    const at = this.#programs.use("canvas", [this.#picture!.picture]);
+    const at = this.#programs.use("canvas", [picture.picture]);
     gl.uniform2i(at("corner"), x, y);
-    gl.uniform1f(at("brightest"), this.#picture!.brightest);
-    gl.uniform3f(at("background"), ...this.#picture!.behind(this.background));
+    gl.uniform1f(at("brightest"), picture.brightest);
+    gl.uniform3f(at("background"), ...picture.behind(this.background));
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.deleteSync(this.#drawing);
     this.#drawing = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
@@ -173,7 +166,6 @@ export class Renderer {
     gl.deleteSync(this.#drawing);
   }
 
-  /** Runs the key passes if their programs are there. Gives whether the canonical space is there. */
   #finishKeys(scene: Scene): boolean {
     if (!scene.keys || this.lost) return !this.lost;
     if (!this.#programs.done(prepareKeys(this.#programs, scene.degree))) return false;
@@ -206,15 +198,6 @@ export class Renderer {
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
-  #clear(width: number, height: number): void {
-    const held = this.#picture?.picture;
-    if (held?.width !== width || held.height !== height) {
-      this.#picture?.free();
-      this.#picture = new Target(this.#gl, this.target, [width, height]);
-    }
-    this.#picture!.clear(this.background);
-  }
-
   #splat(scene: Scene, [width, height]: [number, number]): void {
     if (!scene.visible) return;
     const gl = this.#gl;
@@ -229,7 +212,6 @@ export class Renderer {
   }
 }
 
-/** Two triangles for each parallelogram of an instance. */
 function quads(gl: WebGL2RenderingContext, corners: WebGLBuffer | null): WebGLVertexArrayObject | null {
   const all = Uint16Array.from({ length: 6 * QUADS }, (_, i) => 4 * Math.floor(i / 6) + [0, 1, 2, 2, 1, 3][i % 6]);
   const made = gl.createVertexArray();

@@ -5,7 +5,7 @@ import type { Atlas, BaseChanges } from "../format/types.ts";
 import { BLOCK } from "../generated/constants.ts";
 import { RenderError, type Texture, texture, write } from "./textures.ts";
 
-/** Bases and slopes, two numbers a sample, go to the GPU with `upload`, in strips of 16 lines that changed: few samples jump in a frame. */
+/** Bases and slopes, two numbers a sample, go to the GPU with `upload`, in strips of 16 lines: few change a frame. */
 export class Samples {
   readonly #width: number;
   readonly #height: number;
@@ -91,7 +91,6 @@ export interface CodeTable {
   layout: [number, number];
   /** (4 · channels before colour) x and y of the plane's corner, x -1 without a plane; centre; bits of the step. */
   entries: Int32Array;
-  /** (4 T) the same of colour channels. */
   tints: Int32Array;
   /** (T) which colour channel each is. */
   tintChannels: Int32Array;

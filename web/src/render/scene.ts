@@ -1,29 +1,144 @@
-// What the GPU holds of a group: the canonical space, the picture of a state, an order. N rows, C colour channels.
+// What the GPU holds of a group: the canonical space, which passes over key pictures draw once, the picture of a state,
+// an order. N rows, C colour channels.
 //
 // A row takes 88 bytes and 16 for each four colours: 280 with spherical harmonics of degree 3.
-import {
-  colourChannels,
-  colourMatrix,
-  colourSteps,
-  differenceSteps,
-  gridUnit,
-  keySteps,
-  stateSteps,
-} from "../format/steps.ts";
-import type { Atlas, BaseChanges, Canonical, Group, Root } from "../format/types.ts";
-import { STATE_AT, STATIC } from "../generated/constants.ts";
-import { KeyPasses } from "./key-passes.ts";
+import { colourChannels, colourMatrix, differenceSteps, gridUnit, keySteps, stateSteps } from "../format/steps.ts";
+import type { Atlas, BaseChanges, Canonical, Group, KeyPart, Root } from "../format/types.ts";
+import { KEY_AT, STATE_AT, STATIC } from "../generated/constants.ts";
+import type { Programs, Uniforms } from "./programs.ts";
 import { type CodeTable, codeTable, Samples } from "./samples.ts";
-import { ROW_WIDTH } from "./shaders.ts";
+import { KEY_GEOMETRY, keyColours, LAYERS_A_PASS, ROW_WIDTH, WHOLE } from "./shaders.ts";
 import { framebuffer, RenderError, type Texture, texture, write, writeRows } from "./textures.ts";
 
 const NO_RANK = 0xffffffff;
 
-export interface LevelView {
+interface LevelView {
   readonly level: number;
   readonly atlas: Atlas;
   readonly samples: Samples;
   readonly codes: CodeTable;
+}
+
+interface Part {
+  /** The key, then what is added to it; no samples: codes of 0. */
+  pictures: { samples: Samples | null; codes: CodeTable }[];
+  first: number;
+  rows: number;
+}
+
+const SAMPLERS = ["luma", "bases", "luma2", "bases2", "transform"];
+
+/** Colour layers of passes: [first, first + count). */
+function layerRuns(degree: number): { name: string; first: number; count: number }[] {
+  const layers = Math.ceil(colourChannels(degree) / 4);
+  return Array.from({ length: Math.ceil(layers / LAYERS_A_PASS) }, (_, n) => {
+    const first = n * LAYERS_A_PASS;
+    return { name: `key colours ${degree}, ${first}`, first, count: Math.min(LAYERS_A_PASS, layers - first) };
+  });
+}
+
+/** Begins to compile what `KeyPasses.run` needs; gives the names. */
+export function prepareKeys(programs: Programs, degree: number): string[] {
+  programs.prepare("key geometry", () => ({ vertex: WHOLE, fragment: KEY_GEOMETRY, samplers: SAMPLERS }));
+  const runs = layerRuns(degree);
+  for (const { name, first, count } of runs) {
+    const fragment = () => keyColours(colourChannels(degree), first, count);
+    programs.prepare(name, () => ({ vertex: WHOLE, fragment: fragment(), samplers: SAMPLERS }));
+  }
+  return ["key geometry", ...runs.map(({ name }) => name)];
+}
+
+/** Uploads key pictures when it is made, and draws the canonical space from them when the programs are there. */
+class KeyPasses {
+  readonly #parts: Part[] = [];
+
+  constructor(
+    private readonly gl: WebGL2RenderingContext,
+    private readonly into: Scene,
+    root: Root,
+    private readonly group: Group,
+    { parts, quality }: Canonical,
+  ) {
+    const [steps, changes] = [keySteps(root, group, quality), differenceSteps(root, group, quality)];
+    let first = 0;
+    for (const part of parts) {
+      const { atlas, factor, difference } = part;
+      const read = (key: KeyPart | null, of: Atlas, steps: Float32Array, colour: number) => {
+        const scaled = steps.map((step) => step * factor);
+        return { samples: key && uploaded(gl, key), codes: codeTable(of, scaled, colour) };
+      };
+      const none = { ...atlas, centres: [...changes].fill(0), planes: [] };
+      const own = read(part, atlas, steps, KEY_AT.colour);
+      const added = read(difference, difference?.atlas ?? none, changes, STATE_AT.colour);
+      this.#parts.push({ pictures: [own, added], first, rows: atlas.rows });
+      first += atlas.rows;
+    }
+  }
+
+  /** Draws the row textures and lets go of the pictures. `noLuma` and `noBases` stand in where a tier has none. */
+  run(programs: Programs, noLuma: Texture, noBases: Texture): void {
+    const { gl } = this;
+    const { rotations, sizes, layers, degree, transform } = this.into;
+    const textures = ({ pictures }: Part) => [
+      ...pictures.flatMap(({ samples }) => [samples?.luma ?? noLuma, samples?.bases ?? noBases]),
+      transform,
+    ];
+    gl.bindVertexArray(null);
+    gl.disable(gl.BLEND);
+    gl.enable(gl.SCISSOR_TEST);
+    this.#pass(framebuffer(gl, [rotations, sizes]), (part) => programs.use("key geometry", textures(part)));
+    for (const { name, first, count } of layerRuns(degree)) {
+      const run = Array.from({ length: count }, (_, l) => first + l);
+      const target = framebuffer(gl, new Array<Texture>(count).fill(layers), run);
+      this.#pass(target, (part) => programs.use(name, textures(part)));
+    }
+    gl.disable(gl.SCISSOR_TEST);
+    this.free();
+  }
+
+  free(): void {
+    for (const { pictures } of this.#parts) for (const { samples } of pictures) samples?.free();
+    this.#parts.length = 0;
+  }
+
+  #pass(into: WebGLFramebuffer, use: (part: Part) => Uniforms): void {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, into);
+    gl.viewport(0, 0, ROW_WIDTH, this.into.places.height);
+    for (const part of this.#parts) {
+      const at = use(part);
+      const { pictures, first, rows } = part;
+      pictures.forEach(({ codes, samples }, n) => {
+        setCodes(gl, (name) => at(name + (n ? 2 : "")), codes, samples);
+      });
+      gl.uniform2f(at("tintSteps"), ...tintSteps(this.group.key_steps));
+      gl.uniform1f(at("unit"), Math.log(gridUnit(this.group)));
+      gl.uniform2i(at("span"), first, rows);
+      const line = Math.floor(first / ROW_WIDTH);
+      gl.scissor(0, line, ROW_WIDTH, Math.ceil((first + rows) / ROW_WIDTH) - line);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+    }
+    gl.deleteFramebuffer(into);
+  }
+}
+
+function uploaded(gl: WebGL2RenderingContext, { atlas, luma, bases }: KeyPart): Samples {
+  const samples = new Samples(gl, atlas);
+  samples.setLuma(luma);
+  if (bases) samples.change(bases);
+  samples.upload();
+  return samples;
+}
+
+/** The uniforms of CODES and `colours` in shaders.ts. */
+export function setCodes(gl: WebGL2RenderingContext, at: Uniforms, codes: CodeTable, samples: Samples | null): void {
+  gl.uniform2i(at("layout_"), ...codes.layout);
+  gl.uniform1i(at("escaped"), samples?.bases ? 1 : 0);
+  gl.uniform4iv(at("entries"), codes.entries);
+  gl.uniform1i(at("tintCount"), codes.tintChannels.length);
+  if (!codes.tintChannels.length) return;
+  gl.uniform4iv(at("tints"), codes.tints);
+  gl.uniform1iv(at("tintChannels"), codes.tintChannels);
 }
 
 /** A group on the GPU, in a key quality. Made by `Renderer.scene`, released by `Renderer.free`. */
@@ -40,11 +155,10 @@ export class Scene {
   readonly firsts: Texture;
   readonly seconds: Texture;
   readonly projection: WebGLFramebuffer;
-  /** Steps of SH DC and SH rest in states. */
   readonly tintSteps: [number, number];
   /** Passes that have yet to run; null: the canonical space is there. */
   keys: KeyPasses | null;
-  /** The level of the picture that is shown, if one is. */
+  /** The level of the picture that is shown. */
   shown: LevelView | null = null;
   /** Whether `shown` has a picture, or the canonical space is shown. */
   moving = false;
@@ -55,7 +169,6 @@ export class Scene {
   /** Camera of what is in `firsts` and `seconds`; null: out of date. */
   projectedFor: string | null = null;
   freed = false;
-  /** The level of the pictures that come next. */
   #next: LevelView | null = null;
 
   constructor(
@@ -80,18 +193,10 @@ export class Scene {
     this.seconds = texture(gl, "RGBA32UI", size);
     this.projection = framebuffer(gl, [this.firsts, this.seconds]);
     writeRows(gl, this.places, interleave(canonical), 4);
-    this.tintSteps = dcAndRest(group.state_steps, channels);
-    const coding = {
-      steps: keySteps(root, group, canonical.quality),
-      unit: Math.log(gridUnit(group)),
-      differenceSteps: differenceSteps(root, group, canonical.quality),
-      tintSteps: dcAndRest(group.key_steps, channels),
-      transform: this.transform,
-    };
-    this.keys = new KeyPasses(gl, this, canonical.parts, coding);
+    this.tintSteps = tintSteps(group.state_steps);
+    this.keys = new KeyPasses(gl, this, root, group, canonical);
   }
 
-  /** Whether nothing can be changed any more: it was released, or the context was lost. */
   get #gone(): boolean {
     return this.freed || this.gl.isContextLost();
   }
@@ -114,13 +219,12 @@ export class Scene {
     if (!this.#gone) this.#coming?.samples.change(bases);
   }
 
-  /** The level that pictures are of. */
   get #coming(): LevelView | null {
     return this.#next ?? this.shown;
   }
 
   /** The picture that is shown from now on, with slopes at a time: luma of all pages of the level's atlas, whose bases
-   * were told before. null: the canonical space, where a level has no picture. Throws RenderError for a picture of another atlas.
+   * were told before; null: the canonical space. Throws RenderError for a picture of another atlas.
    */
   state(atlas: Atlas, luma: Uint8Array | null, time = 0): void {
     if (this.#gone) return;
@@ -177,7 +281,6 @@ function rowSize(gl: WebGL2RenderingContext, rows: number): [number, number] {
   throw new RenderError(`a group: expected at most ${most} Gaussians on this machine, got ${rows}`);
 }
 
-/** Mean and motion unit of each row, as bits. */
 function interleave({ means, units }: Canonical): Uint32Array {
   const places = new Float32Array(4 * units.length);
   for (let i = 0, at = 0, from = 0; i < units.length; i++) {
@@ -199,13 +302,10 @@ function transformOf(gl: WebGL2RenderingContext, group: Group, channels: number)
   return made;
 }
 
-/** The place of each row among those that a level carries. */
 function ranksOf(depths: Uint8Array, level: number): Uint32Array {
   let next = 0;
   return Uint32Array.from(depths, (depth) => (depth >= level && depth !== STATIC ? next++ : NO_RANK));
 }
 
-function dcAndRest(steps: { sh_dc: number; sh_rest: number }, channels: number): [number, number] {
-  const all = colourSteps(steps, channels);
-  return [all[0], all[channels - 1]];
-}
+/** Steps of SH DC and SH rest. */
+const tintSteps = (steps: { sh_dc: number; sh_rest: number }): [number, number] => [steps.sh_dc, steps.sh_rest];

@@ -20,11 +20,9 @@ uniform float time; // how often slopes count; 0 but for states
 export const three = (first: number) =>
   `vec3(${[0, 1, 2].map((axis) => `decode(entries[${first + axis}], at)`).join(", ")})`;
 
-/** GLSL of log-scales and α. */
 export const size = ({ log_scales, opacity }: { log_scales: number; opacity: number }) =>
   `vec4(${three(log_scales)}, decode(entries[${opacity}], at))`;
 
-/** A triangle that covers the target. */
 export const WHOLE = `#version 300 es
 void main() { gl_Position = vec4(gl_VertexID == 1 ? 3.0 : -1.0, gl_VertexID == 2 ? 3.0 : -1.0, 0.0, 1.0); }`;
 
@@ -63,7 +61,7 @@ float decode(ivec4 entry, ivec2 at) {
 export const TURNS = `
 vec4 turn(vec3 v) { // rotation vector -> quaternion w x y z
   float angle = length(v);
-  return vec4(cos(0.5 * angle), v * (angle > ${SMALL_ANGLE} ? sin(0.5 * angle) / angle : 0.5)); // below, both are 1/2 in float32
+  return vec4(cos(0.5 * angle), v * (angle > ${SMALL_ANGLE} ? sin(0.5 * angle) / angle : 0.5)); // in float32
 }
 vec4 product(vec4 p, vec4 q) { // turns by q first
   return vec4(p.x * q.x - dot(p.yzw, q.yzw), p.x * q.yzw + q.x * p.yzw + cross(p.yzw, q.yzw));
@@ -105,7 +103,6 @@ export const COLOURS = "uniform sampler2D transform; uniform vec2 tintSteps;"; /
 /** Layer l holds the colours 4 l to 4 l + 3: the first three are SH DC. */
 export const layerSteps = (layer: number) => (layer ? "tintSteps.y" : "vec4(tintSteps.xxx, tintSteps.y)");
 
-/** The colour layers [first, first + count) of `channels` colours. */
 export const keyColours = (
   channels: number,
   first: number,

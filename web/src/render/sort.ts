@@ -13,7 +13,6 @@ export interface DepthView {
 const DIGIT = 16;
 const BUCKETS = 1 << DIGIT;
 
-/** The depth axis of a camera: the third line of its matrix. */
 export function depthView(camera: Camera): DepthView {
   const m = camera.worldToCamera;
   return { axis: [m[8], m[9], m[10], m[11]], near: camera.near };
@@ -77,7 +76,6 @@ export class DepthSorter {
   }
 }
 
-/** How many there are of each digit -> the place of the first of each. */
 function firstPlaces(counts: Uint32Array): void {
   let before = 0;
   for (let digit = 0; digit < BUCKETS; digit++) {
@@ -87,34 +85,25 @@ function firstPlaces(counts: Uint32Array): void {
   }
 }
 
-/** Means of a key, which stay until others come for it. `view`: sort them; null: forget them. */
 export interface SortRequest {
   key: string;
+  /** null: those that were given last for this key. */
   means: Float32Array | null;
+  /** null: forget the means. */
   view: DepthView | null;
 }
 
 /** What comes of a request with a view: the rows, or null where no means were given for its key. */
 export type SortAnswer = Uint32Array<ArrayBuffer> | null;
 
-/** The global scope of a worker, which the types of pages do not have. */
-interface Scope {
-  onmessage: (event: MessageEvent<SortRequest>) => void;
-  postMessage(answer: SortAnswer, transfer: Transferable[]): void;
-}
-
 export function run(): void {
   const sorter = new DepthSorter();
   const known = new Map<string, Float32Array>();
-  const scope = globalThis as unknown as Scope;
-  scope.onmessage = ({ data: { key, means, view } }) => {
+  globalThis.onmessage = ({ data: { key, means, view } }: MessageEvent<SortRequest>) => {
     if (means) known.set(key, means);
-    if (!view) {
-      known.delete(key);
-      return;
-    }
     const last = known.get(key);
-    const rows = last ? sorter.order(last, view) : null;
-    scope.postMessage(rows, rows ? [rows.buffer] : []);
+    const rows = last && view ? sorter.order(last, view) : null;
+    if (view) postMessage(rows, { transfer: rows ? [rows.buffer] : [] });
+    else known.delete(key);
   };
 }

@@ -33,11 +33,9 @@ export class Sorter {
     };
   }
 
-  /** Rows far to near for `camera`, as `Renderer.order` takes them.
+  /** Rows far to near for `camera`; null where a newer request came, no means were given, or it was closed.
    *
-   * `means` (3N) are those of the frame that is shown, world units; they are copied. null: those that were given last
-   * for this `key`, which names the scene. Gives null where a newer request came, no means were given, or it was
-   * closed.
+   * `means` (3N) are of the frame that is shown, world units; null: those given last for this `key`, a scene's.
    */
   order(means: Float32Array | null, key: string, camera: Camera): Promise<SortAnswer> {
     if (this.#closed) return Promise.resolve(null);

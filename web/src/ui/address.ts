@@ -1,5 +1,5 @@
 // A moment in words that an address can hold: t=1.5&view=px,py,pz,fx,fy,fz[,ux,uy,uz]&rung=Q0+L1&speed=0.5
-import { cross, length, minus, unit, type Vector } from "../format/vector.ts";
+import { length, makesView, minus, unit, type Vector } from "../format/vector.ts";
 
 /** From where to what, world units; `up` where it is not that of the scene. */
 export interface Stance {
@@ -12,7 +12,6 @@ export interface Moment {
   /** Seconds. */
   t?: number;
   view?: Stance;
-  /** The name of a rung, or auto. */
   rung?: string;
   speed?: number;
 }
@@ -24,8 +23,6 @@ const EXPECTED = {
   speed: "a number above 0",
 } as const;
 
-/** More of a slant than this is between a view and what is up in it: the sine of the angle. */
-const LEAST_SLANT = 1e-6;
 const DIGITS = 7;
 /** After the point: the time of a frame is told so well that it is not that of the one before. */
 const TIME_DIGITS = 9;
@@ -40,10 +37,8 @@ function stanceOf(text: string): Stance | undefined {
   if (![6, 9].includes(numbers.length) || !numbers.every(Number.isFinite)) return undefined;
   const [position, focus, up] = [0, 3, 6].map((i) => numbers.slice(i, i + 3) as unknown as Vector);
   const ahead = minus(focus, position);
-  if (!(length(ahead) > 0)) return undefined;
-  if (numbers.length === 6) return { position, focus };
-  const slanted = length(cross(unit(ahead), unit(up, unit(ahead)))) > LEAST_SLANT;
-  return slanted ? { position, focus, up: unit(up) } : undefined;
+  if (numbers.length === 6) return length(ahead) > 0 ? { position, focus } : undefined;
+  return makesView(ahead, up) ? { position, focus, up: unit(up) } : undefined;
 }
 
 function readPart(name: keyof Moment, text: string): Moment[keyof Moment] {
@@ -76,7 +71,6 @@ function inShort(numbers: readonly number[]): string {
   return numbers.map((x) => Number((step > 0 ? step * Math.round(x / step) : x).toPrecision(DIGITS))).join(",");
 }
 
-/** The same moment as text. */
 export function writeAddress({ t, view, rung, speed }: Moment): string {
   const parts = {
     t: t === undefined ? "" : String(Number(t.toFixed(TIME_DIGITS))),

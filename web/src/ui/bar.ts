@@ -32,31 +32,11 @@ export class Bar {
     readonly openMenu: (page: Page, opener: HTMLElement) => void,
   ) {
     this.timeline = new Timeline(desk);
-    const row = make(
-      "div",
-      { class: "row" },
-      this.play,
-      this.#sound,
-      this.#live,
-      this.#time,
-      make("span", { class: "gap" }),
-      this.#speed,
-      this.#quality,
-      this.#loop,
-      this.#free,
-      this.#home,
-      this.#link,
-      this.#settings,
-      this.info,
-      this.#vr,
-      this.#full,
-    );
-    this.node = make(
-      "div",
-      { class: "bar", part: "controls", role: "group", "aria-label": "Controls" },
-      this.timeline.node,
-      row,
-    );
+    const left = [this.play, this.#sound, this.#live, this.#time, make("span", { class: "gap" })];
+    const chosen = [this.#speed, this.#quality, this.#loop, this.#free, this.#home, this.#link, this.#settings];
+    const row = make("div", { class: "row" }, ...left, ...chosen, this.info, this.#vr, this.#full);
+    const attributes = { class: "bar", part: "controls", role: "group", "aria-label": "Controls" };
+    this.node = make("div", attributes, this.timeline.node, row);
     this.#listen();
   }
 
@@ -68,11 +48,8 @@ export class Bar {
     relabel(this.#sound, player.muted ? "mute" : "sound", player.muted ? "Sound on" : "Mute");
     this.#loop.ariaPressed = String(player.loop);
     this.#free.ariaPressed = String(orbit.free);
-    relabel(
-      this.#free,
-      orbit.free ? "free" : "bounded",
-      orbit.free ? "Stay inside the viewing region" : "Leave the viewing region",
-    );
+    if (orbit.free) relabel(this.#free, "free", "Stay inside the viewing region");
+    else relabel(this.#free, "bounded", "Leave the viewing region");
     this.#vr.hidden = !headset;
     this.#vr.ariaPressed = String(player.vr);
     relabel(this.#vr, "vr", player.vr ? "Leave VR" : "Enter VR");

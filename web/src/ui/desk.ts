@@ -6,22 +6,17 @@ import { readAddress, writeAddress } from "./address.ts";
 import type { Orbit } from "./orbit.ts";
 
 /** `Player`, or one that only pretends, in tests. */
-export type PlayerLike = EventTarget &
-  Pick<Player, "open" | "play" | "pause" | "seek" | "close" | "paused" | "ended" | "live" | "loop" | "speed"> &
-  Pick<Player, "currentTime" | "duration" | "fps" | "buffered" | "rungs" | "rung" | "quality" | "policy"> &
-  Pick<Player, "region" | "camera" | "stats" | "resize" | "vr" | "enterVr" | "leaveVr"> &
-  Pick<Player, "hasSound" | "muted" | "volume">;
+export type PlayerLike = Omit<Player, "canvas" | "on" | "seeking" | "world">;
 
 export type PlayerSettings = Pick<PlayerOptions, "policy" | "loop" | "budget" | "muted" | "volume">;
 
 /** A part of the time line, in seconds, and the number of its rung. */
 export type Part = Player["buffered"][number];
 
-/** What a player tells. */
-export const EVENTS =
-  "open poster firstpicture rung stall resume time progress ended vr volumechange pause play problem lost restored".split(
-    " ",
-  );
+export const EVENTS = [
+  ...["open", "poster", "firstpicture", "rung", "stall", "resume", "time", "progress", "ended", "vr", "volumechange"],
+  ...["pause", "play", "problem", "lost", "restored"],
+];
 
 /** The view as its parts know it. */
 export interface Desk {
@@ -60,7 +55,6 @@ export interface Desk {
   wake(): void;
 }
 
-/** The moment that is shown, as text. */
 export function momentOf({ player, orbit }: Desk): string {
   const { currentTime: t, quality, speed } = player;
   const [rung, other] = [quality === "auto" ? {} : { rung: quality }, speed === 1 ? {} : { speed }];

@@ -76,7 +76,6 @@ export function iconButton(outlines: string, label: string, attributes: Attribut
   return make("button", { type: "button", "aria-label": label, "data-tip": label, ...attributes }, icon(outlines));
 }
 
-/** Another icon, name and state for a button that is there. */
 export function relabel(button: HTMLButtonElement, name: keyof typeof ICONS, label: string): void {
   if (button.dataset.icon === name && button.ariaLabel === label) return;
   button.dataset.icon = name;

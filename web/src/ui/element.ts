@@ -1,8 +1,7 @@
 // The element itself: attributes, properties, methods; one view at a time.
-
 import type { PlayerLike, PlayerSettings } from "./desk.ts";
 import { make } from "./dom.ts";
-import { showTrouble } from "./more.ts";
+import { showTrouble } from "./shell.ts";
 import STYLE from "./style.css";
 import { type Owner, View } from "./view.ts";
 
@@ -11,23 +10,11 @@ const Base = globalThis.HTMLElement ?? (class {} as typeof HTMLElement);
 
 /** Attributes that properties of the same name reflect: those that are there or not, and texts with their defaults. */
 const FLAGS = ["autoplay", "controls", "hash", "loop", "muted"] as const;
-const TEXTS = new Map([
-  ["path", ""],
-  ["policy", ""],
-  ["poster", ""],
-  ["quality", "auto"],
-  ["split", ""],
-]);
-
-/** What the player is asked for, and the answer without one. */
-const ASKED = { paused: true, ended: false, duration: 0 } as const;
+const TEXTS = { path: "", policy: "", poster: "", quality: "auto", split: "" };
 
 /** An element with a player and its controls; a subclass says which player. */
 export abstract class PlayerElement extends Base implements Owner {
-  static readonly observedAttributes = ["budget", "view-region", "src", ...FLAGS, ...TEXTS.keys()];
-  declare readonly paused: boolean;
-  declare readonly ended: boolean;
-  declare readonly duration: number;
+  static readonly observedAttributes = ["budget", "view-region", "src", ...FLAGS, ...Object.keys(TEXTS)];
   declare autoplay: boolean;
   declare controls: boolean;
   declare hash: boolean;
@@ -45,19 +32,26 @@ export abstract class PlayerElement extends Base implements Owner {
 
   abstract create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
 
-  /** Whether this browser, or the page, cannot play anything. */
   lacks(): boolean {
-    return (
-      !window.isSecureContext || typeof VideoDecoder === "undefined" || typeof WebGL2RenderingContext === "undefined"
-    );
+    const known = typeof VideoDecoder !== "undefined" && typeof WebGL2RenderingContext !== "undefined";
+    return !window.isSecureContext || !known;
   }
 
   connectedCallback(): void {
-    this.#start();
+    if (!this.src) return;
+    try {
+      if (this.lacks()) this.#refuse(null);
+      else this.#view = new View(this, this.#root);
+    } catch (error) {
+      this.#refuse(error);
+    }
   }
 
   disconnectedCallback(): void {
-    this.#stop();
+    this.#view?.close();
+    this.#view = null;
+    this.#end.abort();
+    this.#root.replaceChildren();
   }
 
   attributeChangedCallback(name: string, before: string | null, now: string | null): void {
@@ -65,13 +59,13 @@ export abstract class PlayerElement extends Base implements Owner {
     if (name === "loop" || name === "muted") this.#view?.apply({ [name]: this[name] });
     else if (name === "policy") this.#view?.apply(now ? { policy: now } : {});
     else if (name === "quality") this.#view?.apply({ quality: this.quality });
-    else if (name === "view-region") this.#view?.apply({ free: this.viewRegion === "free" });
+    else if (name === "view-region") this.#view?.apply({}, this.viewRegion === "free");
     else this.again();
   }
 
   again(): void {
-    this.#stop();
-    this.#start();
+    this.disconnectedCallback();
+    this.connectedCallback();
   }
 
   get player(): PlayerLike | null {
@@ -88,6 +82,18 @@ export abstract class PlayerElement extends Base implements Owner {
 
   seek(seconds: number): void {
     this.player?.seek(seconds);
+  }
+
+  get paused(): boolean {
+    return this.player?.paused ?? true;
+  }
+
+  get ended(): boolean {
+    return this.player?.ended ?? false;
+  }
+
+  get duration(): number {
+    return this.player?.duration ?? 0;
   }
 
   get currentTime(): number {
@@ -133,41 +139,10 @@ export abstract class PlayerElement extends Base implements Owner {
     this.setAttribute("view-region", viewRegion);
   }
 
-  #start(): void {
-    if (!this.src) return;
-    if (this.lacks()) {
-      this.#refuse(null);
-      return;
-    }
-    const { src, autoplay, controls, poster, quality, split, loop, muted, volume, policy, hash: linked } = this;
+  get settings(): PlayerSettings {
+    const { loop, muted, volume, policy } = this;
     const budget = Number(this.getAttribute("budget") ?? Infinity);
-    const settings = { loop, muted, volume, budget, ...(policy ? { policy } : {}) };
-    const free = this.viewRegion === "free";
-    const plan = {
-      src,
-      path: this.path && new URL(this.path, this.baseURI).href,
-      autoplay,
-      controls,
-      poster,
-      quality,
-      split,
-      settings,
-      free,
-      linked,
-      at: linked ? location.hash.slice(1) : "",
-    };
-    try {
-      this.#view = new View(this, plan, this.#root);
-    } catch (error) {
-      this.#refuse(error);
-    }
-  }
-
-  #stop(): void {
-    this.#view?.close();
-    this.#view = null;
-    this.#end.abort();
-    this.#root.replaceChildren();
+    return { loop, muted, volume, budget, ...(policy ? { policy } : {}) };
   }
 
   #refuse(error: unknown): void {
@@ -188,20 +163,13 @@ for (const name of FLAGS) {
     },
   });
 }
-for (const [name, otherwise] of TEXTS) {
+for (const [name, otherwise] of Object.entries(TEXTS)) {
   Object.defineProperty(PlayerElement.prototype, name, {
     get: function (this: HTMLElement) {
       return this.getAttribute(name) || otherwise;
     },
     set: function (this: HTMLElement, text: string) {
       this.setAttribute(name, text);
-    },
-  });
-}
-for (const [name, otherwise] of Object.entries(ASKED) as [keyof typeof ASKED, unknown][]) {
-  Object.defineProperty(PlayerElement.prototype, name, {
-    get: function (this: PlayerElement) {
-      return this.player?.[name] ?? otherwise;
     },
   });
 }

@@ -30,7 +30,6 @@ export interface GestureEvents {
   doubleTap(event: PointerEvent): void;
 }
 
-/** Follows pointers on an element until `signal` aborts. */
 export class Gestures {
   readonly #fingers = new Map<number, Finger>();
   #panning = false;

@@ -46,12 +46,10 @@ export const HELP =
   "Arrow keys turn the view, plus and minus zoom, W A S D move it, R goes back to where you began, Home to the first view, B begins here, O turns over. " +
   "Space plays and pauses, J and L skip, comma and period go frame by frame, F is full screen, M mutes.";
 
-/** A control that wants its keys for itself. */
 const own = (target: EventTarget | undefined, key: string): boolean =>
   target instanceof HTMLElement &&
   (target.matches("input, select, textarea") || (target.matches("button") && (key === " " || key === "enter")));
 
-/** Listens to the keys of an element until `signal` aborts. */
 export function listenToKeys(area: HTMLElement, desk: Desk, signal: AbortSignal): void {
   const down = new Set<string>();
   const drive = () => {
@@ -62,24 +60,21 @@ export function listenToKeys(area: HTMLElement, desk: Desk, signal: AbortSignal)
     down.clear();
     drive();
   };
-  area.addEventListener(
-    "keydown",
-    (event) => {
-      const key = event.key.toLowerCase();
-      if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
-      if (own(event.composedPath()[0], key)) return;
-      const command = COMMANDS[(event.shiftKey && key.startsWith("arrow") ? "shift+" : "") + key];
-      if (!command && !DRIVES[key]) return;
-      event.preventDefault();
-      if (command) {
-        if (!event.repeat || key === "," || key === ".") command(desk);
-      } else if (!event.repeat) {
-        down.add(key);
-        drive();
-      }
-    },
-    { signal },
-  );
+  const press = (event: KeyboardEvent) => {
+    const key = event.key.toLowerCase();
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (own(event.composedPath()[0], key)) return;
+    const command = COMMANDS[(event.shiftKey && key.startsWith("arrow") ? "shift+" : "") + key];
+    if (!command && !DRIVES[key]) return;
+    event.preventDefault();
+    if (command) {
+      if (!event.repeat || key === "," || key === ".") command(desk);
+    } else if (!event.repeat) {
+      down.add(key);
+      drive();
+    }
+  };
+  area.addEventListener("keydown", press, { signal });
   area.addEventListener("keyup", (event) => down.delete(event.key.toLowerCase()) && drive(), { signal });
   area.addEventListener("focusout", release, { signal });
   window.addEventListener("blur", release, { signal });

@@ -8,9 +8,7 @@ export type Page = "settings" | "quality" | "others" | "speed" | "policy";
 
 interface Item {
   label: string;
-  /** On the right, smaller. */
   note?: string;
-  /** After that, smaller still: what the package calls it. */
   name?: string;
   colour?: string;
   /** One of several that exclude each other, or on and off; undefined: leads to something. */
@@ -37,7 +35,6 @@ export class Menu {
     return this.#page !== null;
   }
 
-  /** Open a page of it for a button, or close it again. */
   toggle(page: Page, opener: HTMLElement): void {
     const again = this.#opener === opener && this.open;
     this.close();
@@ -67,11 +64,8 @@ export class Menu {
     const head = make("div", { class: "head" }, title);
     const up = this.#above(page);
     if (up) {
-      const leave = make(
-        "button",
-        { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 },
-        icon(OTHERS.back),
-      );
+      const attributes = { type: "button", role: "menuitem", "aria-label": "Back", tabindex: -1 };
+      const leave = make("button", attributes, icon(OTHERS.back));
       leave.addEventListener("click", () => this.#show(up));
       head.prepend(leave);
     }
@@ -124,13 +118,9 @@ export class Menu {
     const { player, rungs } = this.desk;
     const shown = player.rung === null ? undefined : rungs[player.rung];
     const auto = player.quality === "auto";
+    const note = auto && shown ? `now ${rungTitle(shown)}` : "";
     return [
-      {
-        label: "Auto",
-        ...(auto && shown ? { note: `now ${rungTitle(shown)}` } : {}),
-        checked: auto,
-        run: this.#pick("auto"),
-      },
+      { label: "Auto", note, checked: auto, run: this.#pick("auto") },
       ...this.#rungs(true),
       ...(rungs.every((rung) => rung.onLadder) ? [] : [{ label: "Others", run: () => this.#show("others") }]),
       { label: "How “Auto” chooses", run: () => this.#show("policy") },
@@ -169,11 +159,10 @@ export class Menu {
 
   #speeds(): Item[] {
     const { player } = this.desk;
-    const set = (speed: number) => () =>
-      this.#done(() => {
-        player.speed = speed;
-      });
-    return SPEEDS.map((speed) => ({ label: speedName(speed), checked: player.speed === speed, run: set(speed) }));
+    const set = (speed: number) => this.#done(() => Object.assign(player, { speed }));
+    return SPEEDS.map((speed) => {
+      return { label: speedName(speed), checked: player.speed === speed, run: () => set(speed) };
+    });
   }
 
   #done(change: () => void): void {

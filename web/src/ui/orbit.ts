@@ -58,7 +58,6 @@ const firstOf = ({ position, focus }: Place): Stance => ({ position: vector(posi
 export class Orbit {
   /** Whether viewers may leave the region. */
   free = false;
-  /** Whether a viewer holds the camera: then it does not slide back. */
   held = false;
   /** Whether motion ends at once, as people can ask for. */
   reduced = false;
@@ -86,7 +85,6 @@ export class Orbit {
     this.#stand(this.#start);
   }
 
-  /** Back to where the viewer began. */
   reset(): void {
     this.#way = null;
     this.#startGlide();
@@ -114,13 +112,11 @@ export class Orbit {
     this.#lens = view[9];
   }
 
-  /** What was up is down. */
   turnOver(): void {
     this.#way = null;
     this.#up = scaled(this.#up, -1);
   }
 
-  /** Where the viewer is, or goes to. */
   get stance(): Stance {
     const { position, forward } = this.#pose;
     const focus = along(position, forward, length(minus(this.#pivot, position)));
@@ -149,15 +145,18 @@ export class Orbit {
 
   /** Whether the viewer is where nobody promises anything. */
   get outside(): boolean {
-    if (!this.region) return false;
-    const inside = keepInside(this.region, this.#pose.position, this.#pose.forward);
-    const out = length(minus(this.#pose.position, inside.position));
-    return (
-      out > STILL * length(minus(inside.position, this.#pivot)) || angle(this.#pose.forward, inside.forward) > STILL
-    );
+    return this.#departure()?.far ?? false;
   }
 
-  /** In the viewer's hands: it stands still. */
+  /** The nearest pose in the region, and the way there: world units, radians; `far`: it can be seen. */
+  #departure(): { inside: Pose; out: number; off: number; far: boolean } | null {
+    if (!this.region) return null;
+    const { position, forward } = this.#pose;
+    const inside = keepInside(this.region, position, forward);
+    const [out, off] = [length(minus(position, inside.position)), angle(forward, inside.forward)];
+    return { inside, out, off, far: out > STILL * length(minus(inside.position, this.#pivot)) || off > STILL };
+  }
+
   stop(): void {
     this.#way = null;
     this.#halt();
@@ -210,14 +209,8 @@ export class Orbit {
   /** The view in a picture of an aspect: at least as wide and high as what the package was judged by. */
   view(aspect: number): ViewState {
     const { position, forward } = this.pose();
-    const right = unit(cross(forward, this.#up), [1, 0, 0]);
-    return {
-      position,
-      forward,
-      up: unit(cross(right, forward)),
-      fovY: this.#fov(aspect),
-      near: this.region?.near ?? NEAR,
-    };
+    const up = unit(cross(unit(cross(forward, this.#up), [1, 0, 0]), forward));
+    return { position, forward, up, fovY: this.#fov(aspect), near: this.region?.near ?? NEAR };
   }
 
   pose(): Pose {
@@ -228,11 +221,8 @@ export class Orbit {
     const share = left * left * (3 - 2 * left);
     const [here, there] = [pose.position, from.position].map((point) => minus(point, this.#pivot)) as [Vector, Vector];
     const size = length(here) + share * (length(there) - length(here));
-    const direction = between(unit(here), unit(there), share);
-    return {
-      position: along(this.#pivot, direction, size),
-      forward: between(pose.forward, from.forward, share),
-    };
+    const position = along(this.#pivot, between(unit(here), unit(there), share), size);
+    return { position, forward: between(pose.forward, from.forward, share) };
   }
 
   get #pivot(): Vector {
@@ -285,7 +275,6 @@ export class Orbit {
     this.#pose = { position: along(this.#pivot, offset, wanted / (away || 1)), forward };
   }
 
-  /** Turn about the focus of the place that the viewer has come to. */
   #follow(): void {
     if (!this.region || this.region.places.length < 2) return;
     const place = placeOf(this.region, this.#pose);
@@ -311,18 +300,14 @@ export class Orbit {
   }
 
   #ease(seconds: number): boolean {
-    if (!this.region || this.free) return false;
+    const departure = this.free ? null : this.#departure();
+    if (!departure || (departure.out === 0 && departure.off === 0)) return false;
     const { position, forward } = this.#pose;
-    const inside = keepInside(this.region, this.#pose.position, this.#pose.forward);
-    const out = length(minus(position, inside.position));
-    const off = angle(forward, inside.forward);
-    if (out === 0 && off === 0) return false;
-    const small = STILL * length(minus(inside.position, this.#pivot));
-    const share = out < small && off < STILL ? 1 : 1 - Math.exp(-seconds / BACK_S);
-    this.#pose = {
-      position: share === 1 ? inside.position : along(position, minus(inside.position, position), share),
-      forward: share === 1 ? inside.forward : between(forward, inside.forward, share),
-    };
+    const { inside, far } = departure;
+    const share = 1 - Math.exp(-seconds / BACK_S);
+    const way = minus(inside.position, position);
+    const pose = { position: along(position, way, share), forward: between(forward, inside.forward, share) };
+    this.#pose = far ? pose : inside;
     this.#pan = along([0, 0, 0], this.#pan, Math.exp(-seconds / REST_S));
     return true;
   }

@@ -1,15 +1,13 @@
 // The panel of figures, for those who want to know, with the last minute in a small picture.
 import type { RungInfo } from "../play/rungs.ts";
 import type { PlayerStats } from "../play/statistics.ts";
-import { ranked, stripes } from "./colours.ts";
 import type { Desk } from "./desk.ts";
 import { iconButton, make, OTHERS, write } from "./dom.ts";
-import { decibels, rate, rungTitle, SOURCES, size } from "./words.ts";
+import { decibels, ranked, rate, rungTitle, SOURCES, size, stripes } from "./words.ts";
 
 /** In words: how exactly this browser decodes (the player refuses to play where it does not). */
 const LUMA = { exact: "exact", invertible: "exact, by a table" } as const;
 
-/** In words: what drops frames. */
 const BY = { display: "this screen drops frames", decoder: "decoding is too slow" } as const;
 
 /** What is shown: its label, and its text; null: not at all. */
@@ -49,14 +47,15 @@ export class Panel {
   constructor(readonly desk: Desk) {
     const rows = ROWS.map(([label], i) => make("div", {}, make("dt", {}, label), this.#cells[i]));
     this.#history = new History(desk);
-    this.node = make(
-      "section",
-      { class: "panel", part: "panel", "aria-label": "Figures of playing", hidden: true, tabindex: -1 },
-      make("div", { class: "head" }, "Figures", this.close),
-      make("dl", {}, ...rows),
-      this.#history.node,
-      this.#legend,
-    );
+    const attributes = {
+      class: "panel",
+      part: "panel",
+      "aria-label": "Figures of playing",
+      hidden: true,
+      tabindex: -1,
+    };
+    const parts = [make("div", { class: "head" }, "Figures", this.close), make("dl", {}, ...rows)];
+    this.node = make("section", attributes, ...parts, this.#history.node, this.#legend);
   }
 
   get open(): boolean {

@@ -30,9 +30,7 @@ export class ScaleChooser {
   #before: { ms: number; scale: number } | null = null;
   #fast = 0;
   #wait = WAIT;
-  /** Windows since more pixels were tried. */
   #tried = PATIENCE;
-  /** Slow windows to sit out: pixels were not what was slow. */
   #idle = 0;
 
   /** A time from one picture to the next. True: the scale has changed. */
@@ -99,7 +97,6 @@ class Pace {
   #moving = 0;
   #playing = 0;
 
-  /** Begins anew: other pictures come next, or animation frames after a rest. */
   rest(): void {
     this.#start = 0;
     this.#moving = 0;
@@ -138,7 +135,6 @@ export class Sharpness {
 
   constructor(readonly changed: () => void) {}
 
-  /** The share of the display's pixels in each direction that is to be drawn. */
   get scale(): number {
     return this.#still ? 1 : this.#chooser.scale;
   }

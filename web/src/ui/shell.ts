@@ -3,7 +3,6 @@ import { Bar } from "./bar.ts";
 import type { Desk } from "./desk.ts";
 import { ICONS, icon, make, write } from "./dom.ts";
 import type { Menu } from "./menu.ts";
-import { loadMore, type More, showTrouble } from "./more.ts";
 import type { Panel } from "./panel.ts";
 import STYLE from "./style.css";
 
@@ -11,26 +10,20 @@ const HIDE_MS = 2800;
 const MISSING_MS = 7000;
 const MISSING = "This part of the player cannot be fetched now.";
 
-/** What is loaded later than the rest. */
-export interface Parts {
+interface Parts {
   readonly menu: Menu;
   readonly panel: Panel;
-  readonly Split: More["Split"];
 }
 
 export interface Looks {
   readonly controls: boolean;
-  readonly poster: string | null;
+  readonly poster: string;
   readonly src: string;
 }
 
 function nameOf(src: string): string {
-  const { pathname } = new URL(src);
-  const last =
-    pathname
-      .replace(/\/*(airgs\.json|manifest\.mpd)?\/*$/, "")
-      .split("/")
-      .pop() ?? "";
+  const folder = new URL(src).pathname.replace(/\/*(airgs\.json|manifest\.mpd)?\/*$/, "");
+  const last = folder.slice(folder.lastIndexOf("/") + 1);
   try {
     return decodeURIComponent(last).replace(/\.airgs$/, "");
   } catch {
@@ -41,7 +34,6 @@ function nameOf(src: string): string {
 export class Shell {
   readonly frame: HTMLElement;
   readonly canvas = make("canvas", { part: "picture" });
-  /** What is dragged and has the keyboard. */
   readonly scene: HTMLElement;
   readonly notes = new Notes();
   readonly bar: Bar;
@@ -50,44 +42,33 @@ export class Shell {
   readonly #big = make("button", { type: "button", class: "big", "aria-label": "Play" }, icon(ICONS.play));
   readonly #edge = make("div", { class: "edge" });
   readonly #help = make("span", { id: "help", hidden: true });
+  /** There was neither a picture nor a trouble yet. */
+  blank = true;
   #timer = 0;
-  #blank = true;
 
   constructor(
     readonly desk: Desk,
     readonly looks: Looks,
     root: ShadowRoot,
-    /** Called when the rest is there. */
     readonly added: (more: More) => void,
   ) {
     this.bar = new Bar(desk, (page, opener) => this.use(({ menu }) => menu.toggle(page, opener)));
     const view = { role: "application", "aria-label": "3D view", "aria-roledescription": "3D view" };
-    const told = { tabindex: 0, "aria-describedby": "help", ...view };
-    this.scene = make("div", { class: "scene", ...told }, this.canvas, this.#help);
+    const attributes = { tabindex: 0, "aria-describedby": "help", ...view };
+    this.scene = make("div", { class: "scene", ...attributes }, this.canvas, this.#help);
     if (looks.poster) this.#dress(looks.poster);
     else this.#poster.append(nameOf(looks.src));
     const spinner = make("div", { class: "spinner", role: "progressbar", "aria-label": "Loading" });
-    const above = looks.controls ? [this.#big, this.bar.node] : [];
-    this.frame = make(
-      "div",
-      { class: "frame waiting fresh" },
-      this.scene,
-      this.#poster,
-      this.#edge,
-      spinner,
-      this.notes.node,
-    );
-    this.frame.append(...above);
+    this.frame = make("div", { class: "frame waiting fresh" }, this.scene, this.#poster, this.#edge, spinner);
+    this.frame.append(this.notes.node, ...(looks.controls ? [this.#big, this.bar.node] : []));
     root.replaceChildren(make("style", {}, STYLE), this.frame);
     this.#listen();
   }
 
   update(): void {
     const { player } = this.desk;
-    this.frame.classList.toggle(
-      "fresh",
-      !this.desk.ready || (player.paused && player.currentTime === 0 && !this.#parts?.panel.open),
-    );
+    const began = !player.paused || player.currentTime !== 0 || this.#parts?.panel.open;
+    this.frame.classList.toggle("fresh", !this.desk.ready || !began);
     this.bar.update();
     this.bar.info.ariaPressed = String(!!this.#parts?.panel.open);
     this.#parts?.panel.update();
@@ -104,25 +85,22 @@ export class Shell {
   }
 
   #add(more: More): Parts {
-    const { Menu, Panel, Split, STYLE, HELP } = more;
+    const { Menu, Panel, STYLE, HELP } = more;
     const [menu, panel] = [new Menu(this.desk), new Panel(this.desk)];
     const on = { signal: this.desk.signal };
     this.frame.append(make("style", {}, STYLE));
     if (this.looks.controls) this.frame.append(panel.node, menu.node);
     panel.close.addEventListener("click", () => this.desk.toggleInfo(), on);
     this.scene.addEventListener("pointerdown", () => menu.close(), on);
-    panel.node.addEventListener(
-      "keydown",
-      (event) => {
-        if (event.key !== "Escape") return;
-        this.desk.toggleInfo();
-        this.bar.info.focus();
-      },
-      on,
-    );
+    const leave = (event: KeyboardEvent) => {
+      if (event.key !== "Escape") return;
+      this.desk.toggleInfo();
+      this.bar.info.focus();
+    };
+    panel.node.addEventListener("keydown", leave, on);
     write(this.#help, HELP);
     this.added(more);
-    return { menu, panel, Split };
+    return { menu, panel };
   }
 
   /** How far a viewer pulls at the wall, 0 … 1. */
@@ -135,12 +113,12 @@ export class Shell {
   }
 
   set waiting(waiting: boolean) {
-    this.frame.classList.toggle("waiting", waiting || this.#blank);
+    this.frame.classList.toggle("waiting", waiting || this.blank);
   }
 
   /** The poster of the package, in place of its name. */
   showPoster(poster: Blob): void {
-    if (!this.#blank || this.#poster.style.background) return;
+    if (!this.blank || this.#poster.style.background) return;
     const url = URL.createObjectURL(poster);
     this.desk.signal.addEventListener("abort", () => URL.revokeObjectURL(url));
     this.#dress(url);
@@ -151,24 +129,18 @@ export class Shell {
     this.#poster.style.background = `#000 url(${JSON.stringify(url)}) center / contain no-repeat`;
   }
 
-  /** Whether there was neither a picture nor a trouble yet. */
-  get blank(): boolean {
-    return this.#blank;
-  }
-
-  /** Takes back a trouble that there was before. */
   showPicture(): void {
     this.frame.classList.remove("broken");
     this.frame.querySelector(".card")?.remove();
     this.#poster.classList.add("gone");
-    this.#blank = false;
+    this.blank = false;
     this.waiting = false;
     this.stir();
     this.use(() => {});
   }
 
   showTrouble(error: unknown, again: () => void): void {
-    this.#blank = false;
+    this.blank = false;
     this.waiting = false;
     this.frame.classList.add("broken");
     showTrouble(this.frame, error, { src: this.looks.src, again, signal: this.desk.signal });
@@ -205,10 +177,8 @@ export class Shell {
   #listen(): void {
     const on = { signal: this.desk.signal };
     const stir = (event: Event) => {
-      if (
-        !(event instanceof PointerEvent && event.pointerType === "touch" && this.scene.contains(event.target as Node))
-      )
-        this.stir();
+      const touch = event instanceof PointerEvent && event.pointerType === "touch";
+      if (!touch || !this.scene.contains(event.target as Node)) this.stir();
     };
     for (const name of ["pointermove", "pointerdown", "keydown", "focusin"])
       this.frame.addEventListener(name, stir, on);
@@ -288,4 +258,28 @@ class Notes {
   #find(name: string): HTMLElement | null {
     return this.node.querySelector(`[data-name="${name}"]`);
   }
+}
+
+const MORE = "./airgs-more.js";
+
+export type More = typeof import("../airgs-more.ts");
+
+/** Throws TypeError where it cannot be fetched. */
+export const loadMore = (): Promise<More> => import(new URL(MORE, import.meta.url).href);
+
+/** Says on a frame what went wrong with what is at `src`; null: what this browser lacks to play anything. */
+export async function showTrouble(
+  frame: HTMLElement,
+  error: unknown,
+  { src, again, signal }: { src: string; again: () => void; signal: AbortSignal },
+): Promise<void> {
+  const more = await loadMore().catch(() => null);
+  if (signal.aborted || !frame.classList.contains("broken")) return; // meanwhile there is a picture
+  frame.querySelector(".card")?.remove();
+  if (!more) {
+    frame.append(make("div", { class: "card", role: "alert" }, String(error ?? "This browser cannot play it.")));
+    return;
+  }
+  const trouble = (error === null && more.lacking()) || more.troubleOf(error, src);
+  frame.append(make("style", {}, more.STYLE), more.card(trouble, again, signal));
 }

@@ -89,7 +89,6 @@ export class Split {
     this.follow();
   }
 
-  /** Look, play and be where the first player does and is. */
   follow(): void {
     const [first, second] = [this.desk.player, this.#player];
     if (!this.#open) return;
@@ -135,23 +134,17 @@ export class Split {
     };
     this.#player.addEventListener("problem", problem, on);
     seam.addEventListener("pointerdown", ({ pointerId }) => seam.setPointerCapture(pointerId), on);
-    seam.addEventListener(
-      "pointermove",
-      ({ pointerId, clientX }) => {
-        const { left, width } = frame.getBoundingClientRect();
-        if (seam.hasPointerCapture(pointerId)) this.#move((clientX - left) / width);
-      },
-      on,
-    );
+    const drag = ({ pointerId, clientX }: PointerEvent) => {
+      const { left, width } = frame.getBoundingClientRect();
+      if (seam.hasPointerCapture(pointerId)) this.#move((clientX - left) / width);
+    };
+    seam.addEventListener("pointermove", drag, on);
     const steps: Readonly<Record<string, number>> = { ArrowLeft: -STEP, ArrowRight: STEP, Home: -1, End: 1 };
-    seam.addEventListener(
-      "keydown",
-      (event) => {
-        if (!steps[event.key]) return;
-        event.preventDefault(); // the camera stays
-        this.#move(this.#at + steps[event.key]);
-      },
-      on,
-    );
+    const step = (event: KeyboardEvent) => {
+      if (!steps[event.key]) return;
+      event.preventDefault(); // the camera stays
+      this.#move(this.#at + steps[event.key]);
+    };
+    seam.addEventListener("keydown", step, on);
   }
 }

@@ -1,16 +1,13 @@
 // The time line: where we are, and what is there in which quality. `Scrub` is the way to go elsewhere.
-
-import { stripes } from "./colours.ts";
 import type { Desk, Part } from "./desk.ts";
 import { make } from "./dom.ts";
-import { spoken } from "./words.ts";
+import { spoken, stripes } from "./words.ts";
 
 export class Timeline {
   readonly node: HTMLElement;
   readonly #ahead = make("div", { class: "ahead" });
   readonly #played = make("div", { class: "played" });
   readonly #thumb = make("div", { class: "thumb" });
-  /** What was on the screen, in which rung: a player may forget it. */
   #seen: Part[] = [];
   /** The time that a hand drags it to, seconds; null: none does. */
   dragged: number | null = null;
@@ -18,12 +15,8 @@ export class Timeline {
 
   constructor(readonly desk: Desk) {
     const track = make("div", { class: "track" }, this.#ahead, this.#played);
-    this.node = make(
-      "div",
-      { class: "timeline", part: "timeline", role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 },
-      track,
-      this.#thumb,
-    );
+    const attributes = { role: "slider", tabindex: 0, "aria-label": "Seek", "aria-valuemin": 0 };
+    this.node = make("div", { class: "timeline", part: "timeline", ...attributes }, track, this.#thumb);
   }
 
   get scrubbing(): boolean {

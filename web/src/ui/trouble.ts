@@ -3,11 +3,9 @@ import type { FormatError, Reason } from "../format/errors.ts";
 import { icon, make, OTHERS, write } from "./dom.ts";
 
 export interface Trouble {
-  /** Its outlines. */
   readonly icon: string;
   readonly title: string;
   readonly text: string;
-  /** For those who are asked for help. */
   readonly details: string;
   readonly again: boolean;
 }
@@ -48,7 +46,6 @@ const REASONS: Readonly<Partial<Record<Reason, string>>> = {
   bad_picture: "holds pictures that cannot be decoded.",
 };
 
-/** Makes troubles with the same details. */
 const telling =
   (details: string) =>
   (icon: string, title: string, text: string, again = false): Trouble => ({ icon, title, text, details, again });
@@ -108,14 +105,8 @@ export function card(trouble: Trouble, again: () => void, signal: AbortSignal): 
     retry.addEventListener("click", again, { signal });
     buttons.prepend(retry);
   }
-  return make(
-    "div",
-    { class: "card", part: "card", role: "alert" },
-    icon(trouble.icon),
-    make("h2", {}, trouble.title),
-    make("p", {}, trouble.text),
-    buttons,
-  );
+  const words = [make("h2", {}, trouble.title), make("p", {}, trouble.text)];
+  return make("div", { class: "card", part: "card", role: "alert" }, icon(trouble.icon), ...words, buttons);
 }
 
 async function copyText(button: HTMLButtonElement, text: string): Promise<void> {

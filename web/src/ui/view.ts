@@ -1,15 +1,13 @@
 // One life of the element: from a source to a player, a camera and controls, until it is closed.
-
 import { FormatError } from "../format/errors.ts";
 import type { Problem } from "../play/playback.ts";
 import type { RungInfo } from "../play/rungs.ts";
-import { rungColours } from "./colours.ts";
 import { EVENTS, type PlayerLike, type PlayerSettings } from "./desk.ts";
-import { loadMore, type More } from "./more.ts";
 import { Orbit } from "./orbit.ts";
 import { pictureSize, type Sharpness } from "./sharpness.ts";
-import { type FullScreen, type Looks, type Parts, Shell } from "./shell.ts";
+import { type FullScreen, type Looks, loadMore, type More, Shell } from "./shell.ts";
 import type { Split } from "./split.ts";
+import { rungColours } from "./words.ts";
 
 const UPDATE_MS = 250;
 /** The figures of rungs change as tables come, and a player takes long to sum them up. */
@@ -27,27 +25,18 @@ const LOST = "The graphics card has been taken away. Waiting for it …";
 const READ_MS = 2500;
 const OUTSIDE = "Outside the viewing region: no quality is promised here.";
 
-/** A function that throws it, where somebody can tell of it. */
-const thrown = (error: Error) => () => {
-  throw error;
-};
-
-export interface Plan extends Looks {
+/** The element: what its attributes say, and what it does for its view. */
+export interface Owner extends HTMLElement, Looks {
   readonly autoplay: boolean;
-  readonly free: boolean;
+  readonly viewRegion: "bounded" | "free";
   readonly quality: string;
   /** Whether the address of the page is read, and offered. */
-  readonly linked: boolean;
-  /** What it says. */
-  readonly at: string;
-  readonly settings: PlayerSettings;
+  readonly hash: boolean;
   /** A rung that is shown beside the one that plays; "": none. */
   readonly split: string;
   /** The address of a camera path; "": none. */
   readonly path: string;
-}
-
-export interface Owner extends HTMLElement {
+  readonly settings: PlayerSettings;
   create(canvas: HTMLCanvasElement, settings: PlayerSettings): PlayerLike;
   again(): void;
 }
@@ -55,16 +44,14 @@ export interface Owner extends HTMLElement {
 export class View {
   readonly player: PlayerLike;
   orbit = new Orbit();
-  /** The rungs of the package, as they were known a moment ago, and the colour of each. */
   rungs: readonly RungInfo[] = [];
   colours: readonly string[] = [];
   ready = false;
-  /** Whether there is a headset to put on. */
   headset = false;
-  /** Pixels that are drawn. */
   picture: readonly [number, number] = [1, 1];
   readonly #end = new AbortController();
   readonly #shell: Shell;
+  readonly #began: string;
   /** These three come after the first picture. */
   #more: More | null = null;
   #full: FullScreen | null = null;
@@ -85,11 +72,11 @@ export class View {
 
   constructor(
     readonly owner: Owner,
-    readonly plan: Plan,
     root: ShadowRoot,
   ) {
-    this.#shell = new Shell(this, plan, root, (more) => this.#add(more));
-    this.player = owner.create(this.#shell.canvas, plan.settings);
+    this.#began = owner.hash ? location.hash.slice(1) : "";
+    this.#shell = new Shell(this, owner, root, (more) => this.#add(more));
+    this.player = owner.create(this.#shell.canvas, owner.settings);
     this.#listen();
     this.#watch.observe(this.#shell.frame);
     this.#shell.stir();
@@ -97,7 +84,6 @@ export class View {
     this.#open();
   }
 
-  /** Ends with this life of the element. */
   get signal(): AbortSignal {
     return this.#end.signal;
   }
@@ -106,7 +92,6 @@ export class View {
     return !!this.#full?.on;
   }
 
-  /** The share of the display's pixels in each direction that is drawn. */
   get scale(): number {
     return this.#sharpness?.scale ?? 1;
   }
@@ -147,7 +132,6 @@ export class View {
     this.seek(this.player.currentTime + count / this.player.fps);
   }
 
-  /** Back to where the viewer began; `first`: to the first place of the region, to begin there again. */
   home(first = false): void {
     if (first) this.orbit.begin(null);
     else this.orbit.reset();
@@ -164,14 +148,12 @@ export class View {
     this.#look();
   }
 
-  /** Whether the address of the page says where to begin, and copies of it can. */
   get linked(): boolean {
-    return this.plan.linked;
+    return this.owner.hash;
   }
 
-  /** The moment that is shown, as text. */
   get at(): string {
-    return this.ready && this.#more ? this.#more.momentOf(this) : this.plan.at;
+    return this.ready && this.#more ? this.#more.momentOf(this) : this.#began;
   }
 
   /** Go to a moment that is told as text. What cannot be done of it is said, and the rest done. */
@@ -214,18 +196,12 @@ export class View {
     });
   }
 
-  /** Changes an attribute of the element, and with it the player. */
   set(attribute: "loop" | "quality" | "policy" | "view-region" | "muted", value: string | boolean): void {
     if (typeof value === "string") this.owner.setAttribute(attribute, value);
     else this.owner.toggleAttribute(attribute, value);
   }
 
-  apply(
-    change: Partial<Pick<PlayerLike, "loop" | "quality" | "policy" | "speed" | "muted" | "volume">> & {
-      free?: boolean;
-    },
-  ): void {
-    const { free, ...settings } = change;
+  apply(settings: Partial<Pick<PlayerLike, "loop" | "quality" | "policy" | "muted" | "volume">>, free?: boolean): void {
     if (free !== undefined) this.orbit.setFree(free);
     try {
       Object.assign(this.player, settings);
@@ -235,59 +211,54 @@ export class View {
     this.wake();
   }
 
-  /** Something has changed: look at everything in the next animation frame. */
   wake(): void {
     if (!this.#request && !this.signal.aborted) this.#request = requestAnimationFrame((now) => this.#tick(now));
   }
 
-  /** A page may be forbidden to ask. */
   async #seekHeadset(): Promise<void> {
     this.headset = !!(await navigator.xr?.isSessionSupported("immersive-vr").catch(() => false));
     this.wake();
   }
 
   async #open(): Promise<void> {
-    const { player, plan } = this;
-    const path = plan.path
-      ? loadMore()
-          .then(({ fetchCameraPath }) => fetchCameraPath(plan.path))
-          .catch(thrown)
-      : null;
+    const { player, owner } = this;
+    const address = owner.path && new URL(owner.path, owner.baseURI).href;
+    const path = address ? loadMore().then(({ fetchCameraPath }) => fetchCameraPath(address)) : null;
+    path?.catch(() => {}); // it is waited for below
     try {
-      if (plan.quality !== "auto") player.quality = plan.quality;
-      await player.open(plan.src);
+      if (owner.quality !== "auto") player.quality = owner.quality;
+      await player.open(owner.src);
     } catch (error) {
       if (!this.signal.aborted) this.#fail(error);
       return;
     }
-    const read = await path;
+    await Promise.allSettled([path]);
     if (this.signal.aborted) return;
     this.ready = true;
     this.orbit = new Orbit(player.region);
-    this.orbit.free = plan.free;
+    this.orbit.free = owner.viewRegion === "free";
     try {
-      if (read) this.orbit.follow(read);
+      if (path) this.orbit.follow(await path);
     } catch (error) {
       this.#say("path", `The camera path cannot be used: ${(error as Error).message}`);
     }
     this.#list(performance.now());
     this.orbit.reduced = true; // nothing was seen yet that one could glide from
-    if (plan.at) await this.go(plan.at);
+    if (this.#began) await this.go(this.#began);
     else this.#look();
     this.orbit.reduced = this.#still.matches;
     if (player.region?.source === "orbit") this.#say("guess", GUESSED);
-    if (plan.split) this.#shell.use(({ Split }) => this.#beside(Split));
-    if (plan.autoplay) await player.play();
+    if (owner.split) this.#shell.use(() => this.#beside());
+    if (owner.autoplay) await player.play();
     this.#shell.update();
     this.wake();
   }
 
-  /** Show another rung beside the one that plays. */
-  #beside(Split: Parts["Split"]): void {
-    const { owner, plan } = this;
-    const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...plan.settings, muted: true });
-    const { frame } = this.#shell;
-    this.#split = Split.beside(this, frame, plan, create, (why) => this.#say("split", why));
+  #beside(): void {
+    const { owner } = this;
+    const create = (canvas: HTMLCanvasElement) => owner.create(canvas, { ...owner.settings, muted: true });
+    const failed = (why: string) => this.#say("split", why);
+    this.#split = this.#more!.Split.beside(this, this.#shell.frame, owner, create, failed);
   }
 
   #say(name: string, text: string): void {
@@ -363,7 +334,6 @@ export class View {
     if (this.linked) window.addEventListener("hashchange", () => this.go(location.hash.slice(1)), on);
   }
 
-  /** Keys and hands, once there is something to look at. */
   #add(more: More): void {
     const { FullScreen, Gestures, Scrub, Sharpness, listenToKeys } = more;
     this.#more = more;
@@ -388,7 +358,6 @@ export class View {
     );
   }
 
-  /** Shows what follows from an event of the player. */
   #hear(name: string, detail: unknown): void {
     const { notes } = this.#shell;
     if (name === "poster" && detail instanceof Blob) this.#shell.showPoster(detail);
@@ -409,7 +378,7 @@ export class View {
 
   /** A click plays and pauses, a finger shows and hides the controls, as players of videos do. */
   #tap(event: PointerEvent): void {
-    if (!this.plan.controls) return;
+    if (!this.owner.controls) return;
     if (event.pointerType === "touch" && !this.#shell.fresh) this.#shell.toggleControls();
     else this.#click = window.setTimeout(() => this.toggle(), CLICK_MS);
   }

@@ -1,4 +1,4 @@
-// Figures in words for people.
+// Figures in words and colours.
 import type { POLICY_NAMES } from "../generated/constants.ts";
 import type { RungInfo } from "../play/rungs.ts";
 import type { Desk } from "./desk.ts";
@@ -31,22 +31,15 @@ export function spoken(seconds: number): string {
   return said.join(" ") || "0 seconds";
 }
 
-/** Three digits: 0.52, 5.2, 52, 520. */
-function short(value: number): string {
-  return value.toFixed(value >= 9.95 ? 0 : value < 0.995 ? 2 : 1);
+/** Three digits, in thousands of a unit or more: 0.52 kB, 5.2, 52, 520. */
+function short(value: number, unit: string): string {
+  const power = value >= 1e9 ? 3 : value >= 1e6 ? 2 : 1;
+  const shown = value / 1000 ** power;
+  return `${shown.toFixed(shown >= 9.95 ? 0 : shown < 0.995 ? 2 : 1)} ${" kMG"[power]}${unit}`;
 }
 
-export function rate(bps: number): string {
-  if (!(bps > 0)) return "–";
-  if (bps >= 1e9) return `${short(bps / 1e9)} Gbit/s`;
-  return bps >= 1e6 ? `${short(bps / 1e6)} Mbit/s` : `${short(bps / 1e3)} kbit/s`;
-}
-
-export function size(bytes: number): string {
-  if (bytes >= 1e9) return `${short(bytes / 1e9)} GB`;
-  return bytes >= 1e6 ? `${short(bytes / 1e6)} MB` : `${short(bytes / 1e3)} kB`;
-}
-
+export const rate = (bps: number): string => (bps > 0 ? short(bps, "bit/s") : "–");
+export const size = (bytes: number): string => short(bytes, "B");
 export const decibels = (psnr: number | null): string => (psnr === null ? "–" : `${psnr.toFixed(1)} dB`);
 
 /** Names a rung by its quality, else by its name in the package. */
@@ -76,3 +69,48 @@ export const SOURCES: Readonly<Record<string, string>> = {
   orbit: "an orbit, guessed",
   file: "as given",
 };
+
+/** Viridis (Smith and van der Walt 2015) without its darkest part, which the dark time line would swallow. */
+const RAMP = [
+  [62, 84, 150],
+  [42, 120, 142],
+  [34, 168, 132],
+  [122, 209, 81],
+  [253, 231, 37],
+] as const;
+
+export function rampColour(share: number): string {
+  const place = Math.max(0, Math.min(1, share)) * (RAMP.length - 1);
+  const first = Math.min(Math.floor(place), RAMP.length - 2);
+  const mixed = RAMP[first].map((low, i) => Math.round(low + (place - first) * (RAMP[first + 1][i] - low)));
+  return `rgb(${mixed.join(" ")})`;
+}
+
+/** Numbers of rungs from the worst to the best: by what they claim, where nobody knows by what they cost. */
+export function ranked(rungs: readonly RungInfo[]): number[] {
+  const worth = (rung: number) => rungs[rung].psnr ?? 0;
+  return rungs.map((_, i) => i).sort((a, b) => worth(a) - worth(b) || rungs[a].kbps - rungs[b].kbps);
+}
+
+export function rungColours(rungs: readonly RungInfo[]): string[] {
+  const colours: string[] = [];
+  ranked(rungs).forEach((rung, rank) => {
+    colours[rung] = rampColour(rungs.length > 1 ? rank / (rungs.length - 1) : 1);
+  });
+  return colours;
+}
+
+/** A CSS picture of coloured parts of a line of some length, from left to right; nothing between them. */
+export function stripes(parts: readonly { start: number; stop: number; colour: string }[], total: number): string {
+  if (!(total > 0) || parts.length === 0) return "none";
+  const at = (seconds: number) => `${((100 * seconds) / total).toFixed(3)}%`;
+  const stops: string[] = [];
+  let end = 0;
+  for (const { start, stop, colour } of parts) {
+    if (start > end) stops.push(`#0000 ${at(end)} ${at(start)}`);
+    stops.push(`${colour} ${at(Math.max(start, end))} ${at(stop)}`);
+    end = Math.max(end, stop);
+  }
+  if (end < total) stops.push(`#0000 ${at(end)}`);
+  return `linear-gradient(to right, ${stops.join(", ")})`;
+}

@@ -1,12 +1,12 @@
 // What the media part does in a browser, task by task: /plan.json lists them, `window.report` is what came of each.
 
+import { openFrames } from "../../src/airgs-frames.ts";
 import { atlasSamples, basesAfter } from "../../src/format/atlas.ts";
 import { FormatError } from "../../src/format/errors.ts";
 import { readStates } from "../../src/format/files.ts";
 import { canonicalGaussians, shownGaussians } from "../../src/format/gaussians.ts";
 import { groupPath } from "../../src/format/paths.ts";
 import type { Atlas, BaseChanges, Canonical, CanonicalName, Gaussians, StateFrame } from "../../src/format/types.ts";
-import { FrameReader } from "../../src/frames.ts";
 import { type Fetched, Media } from "../../src/media/client.ts";
 import { PictureDecoder } from "../../src/media/pictures.ts";
 import { probeBrowser } from "../../src/media/probe.ts";
@@ -154,7 +154,7 @@ function compare(got: Gaussians, expected: Float32Array, worst: Record<string, n
 /** How far frames that are read in any order are from /expected files: of each attribute, the largest error. */
 async function reading(step: Step): Promise<unknown> {
   const { url, rung, frames, expected } = step as Step & { rung: string; frames: number[]; expected: string };
-  const reader = await FrameReader.open(url);
+  const reader = await openFrames(url);
   const worst = { means: 0, quaternions: 0, logScales: 0, alpha: 0, colours: 0, sorted: 0 };
   for (const frame of frames) {
     const got = await reader.gaussians(frame, rung);
@@ -264,7 +264,7 @@ async function mistakes({ url }: Step): Promise<unknown> {
 async function opening({ url }: Step): Promise<unknown> {
   const media = await Media.open(url, { attempts: 1 });
   media.close();
-  return { groups: media.tables.index.groups, bytes: media.opened.bytes, retries: media.opened.retries };
+  return { groups: media.tables.index.groups, bytes: media.opened.bytes };
 }
 
 /** What the player's decoder makes of state files in which one bit of a coded picture is flipped: no digest is looked at. */

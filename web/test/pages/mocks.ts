@@ -1,7 +1,6 @@
 // Browsers that give pictures otherwise than this one does: what the probe says of them, and what luma comes to.
 
-import { LumaDecoder } from "../../src/media/decoder.ts";
-import { type Inverses, readLuma } from "../../src/media/luma.ts";
+import { type Inverses, LumaDecoder, readLuma } from "../../src/media/decoder.ts";
 import { judge, probeBrowser } from "../../src/media/probe.ts";
 import { PROBE_CLIP } from "../../src/media/probe-clip.ts";
 

@@ -195,7 +195,6 @@ async function lost(data: Decoded) {
   extension.loseContext();
   await gone;
   const { renderer } = stage;
-  renderer.prepare(3);
   const dead = renderer.scene(data.root, group, canonical);
   for (const one of [scene, dead]) {
     one.begin(level);

@@ -3,8 +3,7 @@ import { FormatError, type Reason } from "../../src/format/errors.ts";
 import { CHECK_S } from "../../src/generated/constants.ts";
 import type { Arrival, Downloader, GiveUp, Request, Partial as UnderWay } from "../../src/play/downloader.ts";
 import { filesOf, type Offers } from "../../src/play/offers.ts";
-import { Playout } from "../../src/play/playout.ts";
-import { type SessionSettings, sessionSettings } from "../../src/play/settings.ts";
+import { Playout, type SessionSettings, sessionSettings } from "../../src/play/playout.ts";
 
 /** Rates that hold from their starts on; after the last second comes the first one. */
 export class Trace {
@@ -57,7 +56,6 @@ function lastUpTo(ascending: readonly number[], value: number): number {
 export interface SimulatedLink {
   trace: Trace;
   rttS: number;
-  pipelines?: boolean;
   /** Path → why a file cannot be used. */
   faults?: Record<string, Reason>;
 }
@@ -65,7 +63,6 @@ export interface SimulatedLink {
 /** Time is that of the trace; no clock is read. */
 export class SimulatedDownloader implements Downloader {
   readonly rttS: number;
-  readonly pipelines: boolean;
   /** What was asked for, in order. */
   readonly requests: Request[] = [];
   protected nowS = 0;
@@ -77,7 +74,6 @@ export class SimulatedDownloader implements Downloader {
     protected readonly offers: Offers,
   ) {
     this.rttS = link.rttS;
-    this.pipelines = link.pipelines ?? true;
     const faults = Object.entries(link.faults ?? {});
     this.faults = new Map(faults.map(([path, reason]) => [path, new FormatError(reason, path, "made up")]));
   }
@@ -95,7 +91,7 @@ export class SimulatedDownloader implements Downloader {
     const files = filesOf(request.batch);
     const sizes = files.map((path) => this.wireSize(path));
     const expected = sizes.reduce((a, b) => a + b, 0);
-    const firstS = Math.max(this.freeS, request.sentS) + request.latencyS;
+    const firstS = Math.max(this.freeS, request.sentS) + this.rttS;
     let [endS, passed] = [this.link.trace.arrivalS(expected, firstS), expected];
     const stopped = giveUp && this.looks(firstS, endS, expected).find(giveUp);
     if (stopped) [endS, passed] = [stopped.atS, stopped.bytes];

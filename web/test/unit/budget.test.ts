@@ -1,10 +1,9 @@
 // A budget of Gaussians: rungs that show more are neither fetched nor shown.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { NONE, Offers, optionsOf } from "../../src/play/offers.ts";
+import { ConfigError, NONE, Offers, optionsOf } from "../../src/play/offers.ts";
 import { RungTotals } from "../../src/play/rungs.ts";
 import { Session } from "../../src/play/session.ts";
-import { ConfigError } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables } from "../support/offers.ts";

@@ -68,7 +68,7 @@ test("morton codes", () => {
 for (const { name, grid, rows, data, classes, depths, wider, qualities } of positions.tiers) {
   test(`tier: ${name}`, () => {
     const coarsest = qualities.at(-1).coarser;
-    const shared = readSidecar(fromBase64(data), { count: rows, placed: rows }, grid, coarsest, "file");
+    const shared = readSidecar(fromBase64(data), rows, rows, grid, coarsest, "file");
     assert.deepEqual([...shared.classes], runs(classes));
     assert.deepEqual([...shared.depths], runs(depths));
     assert.deepEqual([...shared.wider], runs(wider));
@@ -89,7 +89,7 @@ for (const { name, grid, rows, data, classes, depths, wider, qualities } of posi
 for (const { name, grid, rows, data, coarser, coarsest, detail } of positions.refused) {
   test(`tier refused: ${name}`, () => {
     assert.throws(() => {
-      const shared = readSidecar(fromBase64(data), { count: rows, placed: rows }, grid, coarsest, "file");
+      const shared = readSidecar(fromBase64(data), rows, rows, grid, coarsest, "file");
       const reader = new ColumnReader(detail === undefined ? null : fromBase64(detail), "file");
       readDetail(reader, shared, grid, coarser, coarsest);
       reader.column(1, 0);

@@ -60,10 +60,6 @@ test("a viewer who stays for a day of groups of a second, looking each minute, h
   for (let count = 63; count <= 86_400; count += 60) {
     const position = count - 63;
     tables.grow(grown(count));
-    for (let paths = store.missingPages(Math.max(0, position - 5), position); paths.length; ) {
-      for (const path of paths) await come(path);
-      paths = store.missingPages(Math.max(0, position - 5), position);
-    }
     for (
       let paths = store.missing(position, position + 1);
       paths.length;

@@ -2,8 +2,8 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { TransportError } from "../../src/media/errors.ts";
+import type { Source } from "../../src/play/downloader.ts";
 import { Feed } from "../../src/play/feed.ts";
-import type { Source } from "../../src/play/http-downloader.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf } from "../support/link.ts";
@@ -18,7 +18,7 @@ function made() {
   const settings = rulesOf();
   const playout = playoutOf(offers, settings);
   const away = () => Promise.reject(new TransportError("away"));
-  const opened = { firstByteS: 0, endS: 0, bytes: 1, cached: false, whole: [], refused: new Map(), retries: [] };
+  const opened = { firstByteS: 0, endS: 0, bytes: 1, cached: false, whole: [], refused: new Map() };
   const media: Source = { opened, fetch: away, refreshRoot: away };
   const problems: [unknown, boolean][] = [];
   const told = new EventTarget();

@@ -115,7 +115,7 @@ test("the table of the other group may stand on a page that nobody has read", ()
   const { tables } = new Stores(new Offers(new NumberTables({ ...numbers, groups })));
   const read = (path: string) => {
     const batch = { keys: [], state: [], tables: [path] };
-    const request = { kind: "tables" as const, position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
+    const request = { kind: "tables" as const, position: 0, rung: 0, batch, sentS: 0 };
     const times = { firstByteS: 0, atS: 0, bytes: 1, abandoned: false, cached: false };
     tables.add({ request, ...times, whole: [path], refused: new Map() });
   };
@@ -139,7 +139,7 @@ test("another quality needs the other group in that quality", async () => {
 test("a tier is shown when what it keeps is there as well", async () => {
   const { offers, stores, downloader, playout } = new Viewer();
   const batch = stores.keys.missing(2, 0);
-  const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0, latencyS: 0 };
+  const request = { kind: "group" as const, position: 2, rung: 0, batch, sentS: 0 };
   const arrival = await downloader.fetch(request, null, new AbortController().signal);
   stores.keys.add({ ...arrival, whole: batch.keys.slice(0, 5) }); // no table of tier 1 of the other group
   const decoded = [0, 1, 4, 5].filter((number) => stores.keys.decoded(2).has(number));
@@ -154,7 +154,7 @@ test("however many loops are buffered, their keys are known until they have been
   const { offers, stores, downloader } = new Viewer();
   for (let position = 0; position < offers.end(200); position += offers.segments) {
     const batch = stores.keys.missing(position, 0);
-    const request = { kind: "group" as const, position, rung: 0, batch, sentS: 0, latencyS: 0 };
+    const request = { kind: "group" as const, position, rung: 0, batch, sentS: 0 };
     stores.keys.add(await downloader.fetch(request, null, new AbortController().signal));
   }
   const known = (loop: number) => stores.keys.decoded(loop * offers.segments).has(0);

@@ -4,7 +4,7 @@ import { mock, test } from "node:test";
 import { FormatError } from "../../src/format/errors.ts";
 import type { Fetched, FetchOptions } from "../../src/media/client.ts";
 import type { Partial, Request } from "../../src/play/downloader.ts";
-import { HttpDownloader, joinNewest, type Source } from "../../src/play/http-downloader.ts";
+import { HttpDownloader, joinNewest, type Source } from "../../src/play/downloader.ts";
 import { missing, NONE, Offers } from "../../src/play/offers.ts";
 import { Session } from "../../src/play/session.ts";
 import { Stores } from "../../src/play/stores.ts";
@@ -18,7 +18,7 @@ const never = new AbortController().signal;
 const nowS = () => performance.now() / 1000;
 
 const nothing = (): Fetched => {
-  return { firstByteS: nowS(), endS: nowS(), bytes: 0, cached: false, whole: [], refused: new Map(), retries: [] };
+  return { firstByteS: nowS(), endS: nowS(), bytes: 0, cached: false, whole: [], refused: new Map() };
 };
 
 /** Answers as the test tells it to; where a fetch is given up, with the first file alone. */
@@ -52,7 +52,7 @@ function made() {
 
 function request(offers: Offers, tables: string[] = []): Request {
   const batch = tables.length ? { keys: [], state: [], tables } : missing(offers.of(0), 0, NONE);
-  return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0, latencyS: 0 };
+  return { kind: tables.length ? "tables" : "group", position: 0, rung: 0, batch, sentS: 0 };
 }
 
 test("airgs.json was fetched when the package was opened; later another package is refused", async () => {
@@ -116,7 +116,7 @@ test("waits end when the playout changes, or the session is stopped", async () =
   const playout = playoutOf(offers, rulesOf());
   const stop = new AbortController();
   const paused = downloader.wait(Infinity, playout, stop.signal);
-  playout.freeze(nowS());
+  playout.hold(nowS(), "pause", true);
   await paused;
   const stopped = downloader.wait(Infinity, playout, stop.signal);
   stop.abort();

@@ -76,24 +76,6 @@ for (const one of readVectors("packages").index) {
   });
 }
 
-test("pages that are not there are asked for from the root on", () => {
-  const { index, pages } = longIndex(4500);
-  const places = new GroupIndex(index);
-  const there = new Set<string>();
-  const asked: string[][] = [];
-  for (;;) {
-    const missing = places.missingPages(4000, Infinity, (path) => there.has(path));
-    if (!missing.length) break;
-    asked.push(missing.sort());
-    for (const path of missing) {
-      places.addPage(path, pages.get(path)!);
-      there.add(path);
-    }
-  }
-  const late = [65, 66, 67, 68, 69, 70].map((number) => pagePath(1, number));
-  assert.deepEqual(asked, [[...late, pagePath(2, 1)], [63, 64].map((number) => pagePath(1, number))]);
-});
-
 test("a segment under a page that is not there is guessed", () => {
   const { index, pages } = longIndex(4097);
   const places = new GroupIndex(index);

@@ -26,7 +26,7 @@ for (const { name, data, columns } of readVectors("columns").cases) {
 }
 
 const GRID = { origin: [0, 0, 0], step: 1, finest: 0 };
-const readDepths = (data: Uint8Array, count: number) => readSidecar(data, { count, placed: 0 }, GRID, 0, "file");
+const readDepths = (data: Uint8Array, count: number) => readSidecar(data, count, 0, GRID, 0, "file");
 
 test("a sidecar of a difference has depths alone", () => {
   const { depths, classes } = readDepths(columnFile([column(1, 0, 1, 3)]), 3);

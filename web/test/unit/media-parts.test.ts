@@ -1,10 +1,10 @@
 // What of the media part needs no browser: how much is kept, how far decoding goes ahead, errors between threads.
 import assert from "node:assert/strict";
 import { mock, test } from "node:test";
+import { Recent } from "../../src/format/collections.ts";
 import { FormatError } from "../../src/format/errors.ts";
-import { Recent } from "../../src/format/recent.ts";
 import { LEAST_BYTES, TIMEOUT_S } from "../../src/generated/constants.ts";
-import { Ahead } from "../../src/media/ahead.ts";
+import { Ahead } from "../../src/media/bell.ts";
 import { aborted, fromWire, TransportError, toWire, UnsupportedError } from "../../src/media/errors.ts";
 import { checkReprDigest, FileClient } from "../../src/media/http.ts";
 import { buffersOf } from "../../src/media/messages.ts";
@@ -136,7 +136,6 @@ async function fetchSlowly(partBytes: number): Promise<[string | undefined, numb
       },
       onAsk: () => undefined,
       onBytes: () => undefined,
-      onRetry: () => undefined,
     });
     return [error?.detail, came];
   } finally {

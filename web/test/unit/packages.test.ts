@@ -15,7 +15,7 @@ for (const folder of [...folders("manifests/valid"), ...folders("tests/golden")]
 const OUT_OF_SIGHT = ["bad_mpd", "doctype", "foreign_file", "foreign_url", "mpd_mismatch"];
 
 /** Found when pictures are decoded. */
-const DECODED = ["bad_picture-checksum"];
+const DECODED = ["bad_picture-checksum", "bad_picture-size"];
 
 /** What the player says elsewhere, or otherwise. */
 const OTHERWISE: Record<string, { reason?: string; where?: string }> = {

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { setTimeout } from "node:timers/promises";
-import { Ahead } from "../../src/media/ahead.ts";
+import { Ahead } from "../../src/media/bell.ts";
 import type { Media } from "../../src/media/client.ts";
 import { Offers } from "../../src/play/offers.ts";
 import { Pipeline } from "../../src/play/pipeline.ts";
@@ -65,7 +65,7 @@ test("where a hold takes time back, segments are still decoded in their order", 
   for (let position = 0; position < SEGMENTS; position++) playout.enqueue(position, 0, beganS);
   pipeline.due(0, 0);
   await setTimeout(12e3 / FPS);
-  playout.freeze(beganS, "display");
+  playout.hold(beganS, "display", true);
   for (let position = 0; position < SEGMENTS; position++) {
     pipeline.due(position, 0);
     while (!pipeline.clip(position)?.frames[0]) await setTimeout(1);

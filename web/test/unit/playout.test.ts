@@ -66,11 +66,11 @@ test("playing begins with enough media, and goes on with enough after a stall", 
 
 test("a pause shifts what is to come by its length", () => {
   const made = filled(3);
-  made.freeze(1.5);
+  made.hold(1.5, "pause", true);
   assert.deepEqual(on(made, 100), [0, 5]);
   assert.equal(deadline(made, 100), 102.5); // as if it went on now
   assert.equal(made.earliestRequestS(3, 100), Infinity);
-  made.thaw(100.5);
+  made.hold(100.5, "pause", false);
   assert.deepEqual(on(made, 101.05), [1, 0]);
   assert.equal(made.startS(made.slots[2], 101), 102);
   assert.equal(made.earliestRequestS(3, 100.6), 101);
@@ -79,33 +79,33 @@ test("a pause shifts what is to come by its length", () => {
 
 test("what arrives in a pause follows without a stall", () => {
   const made = filled(1);
-  made.freeze(1.5);
+  made.hold(1.5, "pause", true);
   made.enqueue(1, 0, 50);
-  made.thaw(60);
+  made.hold(60, "pause", false);
   assert.deepEqual(on(made, 60.75), [1, 2]);
   assert.equal(made.stallS, 0);
 });
 
 test("frames whose time passes in a wait for the display are missed, unless the viewer pauses", () => {
   const made = filled(3);
-  made.freeze(1.5, "display");
-  made.freeze(1.75, "pause");
+  made.hold(1.5, "display", true);
+  made.hold(1.75, "pause", true);
   assert.deepEqual(on(made, 2), [0, 5]);
-  made.thaw(5.75, "pause");
+  made.hold(5.75, "pause", false);
   assert.ok(made.schedule.held);
-  made.thaw(6.25, "display");
+  made.hold(6.25, "display", false);
   assert.deepEqual(on(made, 6.3), [0, 5]);
   assert.deepEqual(made.missed, { decoder: 0, display: 7 });
-  made.thaw(7, "display"); // it does not wait: nothing happens
+  made.hold(7, "display", false); // it does not wait: nothing happens
   assert.deepEqual(made.missed, { decoder: 0, display: 7 });
   assert.deepEqual([made.stalls, made.stallS], [0, 0]);
 });
 
 test("a display that waits from the start on loses no picture", () => {
   const made = playout();
-  made.freeze(0, "display");
+  made.hold(0, "display", true);
   made.enqueue(0, 0, 3);
-  made.thaw(5, "display");
+  made.hold(5, "display", false);
   assert.deepEqual(on(made, 5), [0, 0]);
 });
 
@@ -203,9 +203,9 @@ test("listeners hear of changes until they leave", () => {
   const made = filled(1);
   let heard = 0;
   const leave = made.onChange(() => heard++);
-  made.freeze(1);
-  made.freeze(1); // already
-  made.thaw(2);
+  made.hold(1, "pause", true);
+  made.hold(1, "pause", true); // already
+  made.hold(2, "pause", false);
   made.setSpeed(2, 2);
   made.truncate(0);
   assert.equal(heard, 4);

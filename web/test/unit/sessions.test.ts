@@ -21,7 +21,6 @@ interface Play {
   rtt_s: number;
   settings: Record<string, number | boolean>;
   faults: Record<string, Reason>;
-  pipelines: boolean;
   growth: number[];
   events: Row[];
 }
@@ -63,9 +62,9 @@ async function played(play: Play): Promise<Row[]> {
   if (play.growth.length) offers.first = tables.index.entry(tables.index.groups - 1).firstSegment;
   const given = Object.fromEntries(Object.entries(play.settings).map(([name, value]) => [camel(name), value]));
   const settings = rulesOf(given);
-  const { pipelines, faults, rtt_s: rttS } = play;
+  const { faults, rtt_s: rttS } = play;
   const trace = new Trace(starts_s, rates_bps, duration_s);
-  const downloader = new GrowingDownloader({ trace, rttS, pipelines, faults }, offers);
+  const downloader = new GrowingDownloader({ trace, rttS, faults }, offers);
   downloader.growth = play.growth;
   const policy = makePolicy(play.policy, offers);
   const playout = playoutOf(offers, settings);

@@ -1,10 +1,9 @@
 // The parts of the controls that need no page: figures in words, colours, the time line, the choice of the scale.
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { rampColour, rungColours, stripes } from "../../src/ui/colours.ts";
 import { pictureSize, ScaleChooser } from "../../src/ui/sharpness.ts";
 import { seen } from "../../src/ui/timeline.ts";
-import { clock, rate, size, spoken } from "../../src/ui/words.ts";
+import { clock, rampColour, rate, rungColours, size, spoken, stripes } from "../../src/ui/words.ts";
 
 test("times read as on a clock, with hours where the whole has them", () => {
   const read = [clock(0), clock(83.9), clock(3599), clock(3600), clock(5, 7200), clock(-1), clock(Number.NaN)];

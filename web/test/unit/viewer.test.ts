@@ -4,8 +4,8 @@ import { test } from "node:test";
 import type { GiveUp, Request, SessionEvent } from "../../src/play/downloader.ts";
 import { Offers } from "../../src/play/offers.ts";
 import type { Playout } from "../../src/play/playout.ts";
+import { sessionSettings } from "../../src/play/playout.ts";
 import { Session } from "../../src/play/session.ts";
-import { sessionSettings } from "../../src/play/settings.ts";
 import { Stores } from "../../src/play/stores.ts";
 import { playoutOf, rulesOf, SimulatedDownloader, Trace } from "../support/link.ts";
 import { NumberTables, type PackageNumbers } from "../support/offers.ts";
@@ -107,12 +107,12 @@ test("a pause while the buffer is full ends the wait, and shifts the rest", asyn
     waits.push(untilS);
     const nowS = viewer.downloader.now();
     if (waits.length === 1) {
-      playout.freeze(nowS);
+      playout.hold(nowS, "pause", true);
       return nowS;
     }
     if (waits.length > 2) return untilS;
     assert.equal(untilS, Infinity);
-    playout.thaw(nowS + 100);
+    playout.hold(nowS + 100, "pause", false);
     return nowS + 100;
   };
   const events = await viewer.watch("fixed:0", 0);
@@ -122,7 +122,7 @@ test("a pause while the buffer is full ends the wait, and shifts the rest", asyn
 });
 
 test("a pause puts off when a download is given up", async () => {
-  const viewer = new Viewer({ replace: false, pipelined: false });
+  const viewer = new Viewer({ replace: false });
   const { playout, downloader } = viewer;
   const answers: boolean[] = [];
   downloader.before = ({ position, kind }, giveUp) => {
@@ -131,7 +131,7 @@ test("a pause puts off when a download is given up", async () => {
     // Two seconds are left of it, a second before its deadline.
     const partial = { atS: deadlineS - 1, elapsedS: 10, bytes: 1e9, expectedBytes: 1.2e9 };
     answers.push(giveUp(partial));
-    playout.freeze(downloader.now());
+    playout.hold(downloader.now(), "pause", true);
     answers.push(giveUp(partial));
   };
   await viewer.watch("throughput", 0, enqueued(5));

@@ -7,7 +7,7 @@
 
 export type Cause = "decoder" | "display";
 
-/** Frames, and seconds of play, that are looked at together: the element first tries fewer pixels, every 4 s at most. */
+/** Frames and seconds of play that are looked at together: the element first tries fewer pixels, every 4 s at most. */
 const FEWEST = 60;
 const WINDOW_S = 5;
 /** Shares of dropped frames: with more, it is too slow; with no more, all is well. */
@@ -15,7 +15,6 @@ const MANY = 0.15;
 const FEW = 0.03;
 /** Of a longer gap, such as the sleep of a computer, so many seconds count. */
 const LONGEST_S = 0.5;
-/** No display is asked for more pictures a second. */
 const MOST_FPS = 60;
 /** All is well for so long before a finer level is tried; twice as long after each one that was too much. */
 const PATIENCE_S = 30;
@@ -44,7 +43,6 @@ export class DropRule {
   /** `tiers`: how many key tiers each level shows. */
   constructor(private readonly tiers: readonly number[]) {}
 
-  /** Pictures are of another size, and what was counted says nothing of them. */
   restart(): void {
     this.#level = -1;
   }

@@ -15,8 +15,7 @@ import {
   SWITCH_DB,
 } from "../../generated/constants.ts";
 import { type Decision, select } from "../ladder.ts";
-import { type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
-import { ConfigError } from "../settings.ts";
+import { ConfigError, type Keys, NONE, type Offers, type SegmentOffer, sizesOf } from "../offers.ts";
 import {
   bufferS,
   type Download,
@@ -51,7 +50,6 @@ interface Model {
   gridS: Float64Array;
 }
 
-/** A segment that is looked at. */
 interface Step {
   seconds: number;
   /** (P · R) bytes of rung r after rung p of the segment before, at place p R + r. */
@@ -93,7 +91,6 @@ export function chooseRobustMpc(state: PlayerState): Decision {
 const downloadS = (model: Pick<Model, "latencyS" | "rateBps">, bytes: number): number =>
   (bytes > 0 ? model.latencyS : 0) + (8 * bytes) / model.rateBps;
 
-/** The segments looked at, the next one first. */
 function horizon(state: PlayerState): Step[] {
   const steps: Step[] = [];
   let total = 0;
@@ -166,7 +163,6 @@ function totals(
   }
 }
 
-/** (B) numbers from 0 to `stop`, evenly. */
 function grid(stop: number): Float64Array {
   const step = stop / (GRID_POINTS - 1);
   return Float64Array.from({ length: GRID_POINTS }, (_, i) => (i === GRID_POINTS - 1 ? stop : i * step));
@@ -194,9 +190,7 @@ export function wishedPolicy(wishes: { quality: string; policy: string }, { meas
   return measured ? wishes.policy : "fixed:0";
 }
 
-/** fixed:J (level J, finest keys), or fixed:RUNG, in the finest level that is offered. Throws ConfigError for other
- * names.
- */
+/** fixed:J (level J, finest keys) or fixed:RUNG, in the finest level offered. Throws ConfigError for other names. */
 export function fixedPolicy(name: string, offers: Offers): Policy {
   const rung = fixedRung(name, offers);
   const choose: Policy["choose"] = ({ options }) => {

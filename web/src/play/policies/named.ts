@@ -63,7 +63,6 @@ const CHOOSE: Record<Name, Policy["choose"]> = {
   bola: chooseBola,
 };
 
-/** All but the default one. */
 export const OTHERS: ReadonlyMap<string, Policy> = new Map(
   Object.entries(CHOOSE).map(([name, choose]) => [name, { name, choose, adapts: true, horizon: 1 }]),
 );

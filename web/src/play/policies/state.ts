@@ -16,14 +16,12 @@ export interface PlayerState {
   ahead: readonly { offer: SegmentOffer; loop: number }[];
   /** Key tiers that are decoded in the loop of the next segment. */
   decoded: Keys;
-  /** Every rung that can be had, with its wire bytes. */
   options: readonly Option[];
   nowS: number;
   /** When it must arrive to be shown in time; in the past when the player waits. */
   deadlineS: number;
   /** Most media time ahead of the playhead. */
   bufferLimitS: number;
-  /** From now to the first byte. */
   requestLatencyS: number;
   /** dB of the segment before it; null: none, or it was lost. */
   shownQuality: number | null;

@@ -1,4 +1,17 @@
-/** Values by their keys, of which the last used are there: at most so many, or so much by `sizeOf`, the newest aside. */
+// Arrays joined, and values of which the last used stay.
+
+/** Arrays of a kind one after another. */
+export function concat<T extends Uint8Array | Float32Array>(kind: new (length: number) => T, parts: readonly T[]): T {
+  const whole = new kind(parts.reduce((sum, part) => sum + part.length, 0));
+  let at = 0;
+  for (const part of parts) {
+    whole.set(part, at);
+    at += part.length;
+  }
+  return whole;
+}
+
+/** Values by their keys, of which the last used stay: at most so many, or so much by `sizeOf`, the newest aside. */
 export class Recent<Key, Value> {
   readonly #values = new Map<Key, Value>(); // its order is that of adding: the last used is the last
   #size = 0;
@@ -34,7 +47,6 @@ export class Recent<Key, Value> {
     this.#values.delete(key);
   }
 
-  /** The value of a key, which is made where it is not there. */
   of(key: Key, make: () => Value): Value {
     return this.get(key) ?? this.set(key, make());
   }

@@ -9,19 +9,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import airgs_codec as airgs
 from airgs_codec.analysis.flow import carry
-from airgs_codec.encoder import track
+from airgs_codec.trainer import track
 from tests import faces
 from tests.faces import EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, open_store, render
 from tests.support.mutations import read_files
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import predicted, random_gaussians, write_sequence
+from tests.support.training import files
 
 SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
 
 
 def turned(g, angle):
-    """A scene that turns about y and moves along x."""
     q = faces.from_rotation_vector(np.array([0.0, angle, 0.0]))
     means = g.means @ faces.to_matrices(q).T + [angle, 0, 0]
     quaternions = faces.multiply(q, g.quaternions.astype(np.float64))
@@ -33,7 +34,6 @@ def mse(a, b):
 
 
 def apart(frames):
-    """The frames as if each had been made by itself."""
     return [predicted(g, np.random.default_rng(t)) for t, g in enumerate(frames)]
 
 
@@ -50,8 +50,6 @@ def given(clean, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def tracked(given, made_once):
-    """A folder with the package and the work of the given frames."""
-
     def make(folder):
         encode(given, folder / "package.airgs", SETTINGS, work=Work(open_store(folder / "work")))
 
@@ -59,7 +57,6 @@ def tracked(given, made_once):
 
 
 def shown(place):
-    """Bytes of a top rung, its frames, and what was decided."""
     package = open_package(place)
     m = package.manifest
     return m.bytes_of(m.rung_files(0, 0)), [faces.decode(package, t) for t in range(m.frames)], m.decisions
@@ -128,20 +125,35 @@ def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_p
 
 
 def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path):
-    auto = EncodeSettings()
-    settings, line = track.decide(given, auto)
-    assert settings.track and "--no-track" in line
+    tracks, line = track.decide(given)
+    assert tracks and "--no-track" in line
     assert re.search(r"tracked first: about \d+ to \d+ s, then about \d\.\d to \d\.\d kB a frame", line), line
-    for left in (as_preview(auto), replace(auto, track=False), replace(auto, rows="match")):
-        settings, line = track.decide(given, left)
-        assert not settings.track and "coded one by one, about " in line and "--track" in line
+    for wanted, rows in ((as_preview(EncodeSettings()).track, "auto"), (False, "auto"), (None, "match")):
+        tracks, line = track.decide(given, wanted, rows)
+        assert not tracks and "coded one by one, about " in line and "--track" in line
     for rows in (clean, [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(clean)]):
-        settings, line = track.decide(GaussianSequence.from_arrays(rows), auto)
-        assert not settings.track and "track" not in line
+        tracks, line = track.decide(GaussianSequence.from_arrays(rows))
+        assert not tracks and "track" not in line
     with pytest.raises(faces.ConfigError, match=r"rows: expected auto with track, .* got keep"):
         replace(SETTINGS, rows="keep")
     assert faces.airgs_encode([str(given.folder), "--track", "--follow"]) == 2
     assert faces.airgs_encode([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
+
+
+def test_a_folder_of_frames_is_trained_into_a_model_that_encodes_as_it_is(given, clean, tmp_path, capsys, monkeypatch):
+    quick = replace(track.track_settings(given), key_iterations=20, frame_iterations=20)
+    for module in ("trainer.track", "cli.train"):
+        monkeypatch.setattr(f"airgs_codec.{module}.track_settings", lambda sequence: quick)
+    words = [str(given.folder), "-o", str(tmp_path / "m"), "--device", "cpu"]
+    assert faces.airgs_train([*words, "--sync", "off"]) == 2 and faces.airgs_train(words) == 0
+    out, err = capsys.readouterr()
+    assert "--sync: expected multi-view" in err and "tracked first: about" in err and "5 frames of 64x64, 32" in out
+    model = airgs.train(given, tmp_path / "p", device="cpu")
+    assert files(tmp_path / "p")[0] == files(tmp_path / "m")[0] and model.finished()
+    sequence = faces.open_sequence(tmp_path / "m")
+    assert len({header.count for header in sequence.headers}) == 1 and sequence.notes[-1].startswith("tracked: 1 key")
+    with pytest.raises(faces.SceneError, match="not tracked: its rows are in order already"):
+        airgs.train(GaussianSequence.from_arrays(clean[:2]), tmp_path / "o", device="cpu")
 
 
 def test_rows_go_where_the_frame_has_them_and_turn_with_their_neighbours_as_expected(clean):
