@@ -44,7 +44,7 @@ from airgs_codec.inspect.compare import (
     splits_of,
 )
 from airgs_codec.media.image import write_png
-from airgs_codec.media.metrics import Difference, Quality
+from airgs_codec.media.metrics import Difference
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.package.region import CHECKING, DECIDING, MEASURING, before_background, up_of
 from airgs_codec.places.whole import atomic_path
@@ -167,5 +167,5 @@ def _rung_cameras(options: Rungs, package: Package, original: GaussianSequence) 
     return before_background(region, compared_views(cameras, options.split))
 
 
-def _plain(qualities: Mapping[str, Quality | None]) -> dict[str, Any]:
+def _plain(qualities: Mapping[str, Any]) -> dict[str, Any]:
     return {name: quality and asdict(quality) for name, quality in qualities.items()}
