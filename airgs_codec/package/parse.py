@@ -263,6 +263,8 @@ def check_root(m: Root) -> None:
         _check_bounds(JSON_NAME, [("poster.bytes", m.poster.bytes, 1, tables.MAX_POSTER_BYTES)])
     if m.sound:
         _check_file(f"{JSON_NAME}.sound.init", m.sound.init, True)
+    sizes, wanted = [len(levels) for levels in m.rungs], [len(m.levels)] * len(m.qualities) if m.measured else []
+    expect(sizes == wanted, f"{JSON_NAME}.rungs", f"expected lists of {wanted} values, got {sizes}")
     _check_index(f"{JSON_NAME}.index", m)
 
 
