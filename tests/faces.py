@@ -36,13 +36,15 @@ from airgs_codec.analysis.grouping import closed_groups, plan_groups
 from airgs_codec.analysis.viewpoints import find_viewpoints
 from airgs_codec.analysis.region import region_around
 from airgs_codec.encoder.settings import APART, EncodeSettings, KEPT, LevelSettings, as_in_paper, as_preview
-from airgs_codec.encoder.survey import GroupSpan, ViewPlan, plan_views, survey_group
-from airgs_codec.encoder.plan import GroupLayout, keep_rows, lay_out
-from airgs_codec.encoder.search import DELTA_E, Goal, PSNR, SIZE
-from airgs_codec.encoder.batch import calibrate_sequence, encode_sequence, measure_encoded
+from airgs_codec.encoder.survey import Frames, Survey
+from airgs_codec.encoder.layout import GroupLayout, lay_out
+from airgs_codec.encoder.views import Views
+from airgs_codec.encoder.target import DELTA_E, Goal, PSNR, SIZE
+from airgs_codec.encoder.decide import decide
+from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.live import follow
-from airgs_codec.encoder.prepare import order_rows, prepare
-from airgs_codec.encoder.publish import EncodeReport, certainty_words, encode
+from airgs_codec.encoder.order import order_rows
+from airgs_codec.encoder.publish import EncodeReport, encode
 from airgs_codec.coding.atlas import from_codes, to_codes
 from airgs_codec.coding.channels import pack_matrix, unpack_matrix
 from airgs_codec.coding.motion import StepSettings, get_step, with_step
@@ -57,7 +59,7 @@ from airgs_codec.package.tables import (
     Sound, StateSteps, World, digest, file_entry,
 )  # fmt: skip
 from airgs_codec.package.manifest import (
-    GroupIndex, Groups, Manifest, build_index, count_groups, extend_index, on_ladder, pooled_quality,
+    GroupIndex, Groups, Manifest, build_index, count_groups, extend_index, on_ladder, quality_of,
 )  # fmt: skip
 from airgs_codec.package.mpd import LiveClock, Streams, check_mpd, largest_picture, still_files, write_mpd
 from airgs_codec.package.package import (
@@ -139,9 +141,8 @@ from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_bui
 from airgs_codec.serve.export import export_page
 
 # Work in jobs
-from airgs_codec.jobs.engines import InProcess, Processes
-from airgs_codec.jobs.job import Job, Stored, load
-from airgs_codec.jobs.work import Work, temporary_work
+from airgs_codec.jobs.executors import Processes
+from airgs_codec.jobs.work import Work
 
 # Commands
 from airgs_codec.cli.decode import main as airgs_decode
