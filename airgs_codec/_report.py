@@ -106,11 +106,14 @@ class Picture:
         assert self.draw, self.name
         with rc_context({"axes.grid": True, "grid.alpha": 0.3, "legend.fontsize": 8}):
             figure = Figure(figsize=self.size, layout="constrained")
+            known = sorted(figure.canvas.get_supported_filetypes())
+            if isinstance(target, Path) and target.suffix[1:].lower() not in known:
+                raise ConfigError(f"{target}: expected a name that ends in .{', .'.join(known)}")
             self.draw(figure)
             try:
                 figure.savefig(target, format=form, dpi=110)
-            except (OSError, ValueError) as error:  # no such place, no such form
-                raise ConfigError(f"{target}: cannot write the picture: {error}") from error
+            except OSError as error:
+                raise ConfigError(f"{target}: cannot write the picture: {error.strerror or error}") from error
 
     def to_html(self) -> str:
         kind, source, caption = "file", html.escape(self.name), html.escape(self.caption)

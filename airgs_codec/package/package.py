@@ -115,19 +115,22 @@ def check_repr_digest(where: str, data: bytes, header: str) -> None:
 
 def open_manifest(root: Root, read: Read) -> Manifest:
     """The tables of a package whose airgs.json is read; `read` gets pages and tables of groups when they are needed."""
+    groups = Groups(root.index, partial(_read_page, read), partial(_read_group, read, root))
+    return Manifest(**_shared(root), groups=groups)
 
-    def table(path: str, file: FileEntry) -> bytes:
-        if file.bytes > MAX_TABLE_BYTES:
-            raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
-        return read(path, file)
 
-    def page(path: str, entry: Entry) -> Spans:
-        return parse_page(table(path, entry.file), entry, path)
+def _read_page(read: Read, path: str, entry: Entry) -> Spans:
+    return parse_page(_read_table(read, path, entry.file), entry, path)
 
-    def group(number: int, entry: Entry) -> Group:
-        return parse_group(table(group_path(number + 1), entry.file), root, entry, number)
 
-    return Manifest(**_shared(root), groups=Groups(root.index, page, group))
+def _read_group(read: Read, root: Root, number: int, entry: Entry) -> Group:
+    return parse_group(_read_table(read, group_path(number + 1), entry.file), root, entry, number)
+
+
+def _read_table(read: Read, path: str, file: FileEntry) -> bytes:
+    if file.bytes > MAX_TABLE_BYTES:
+        raise FormatError("too_large", path, f"expected at most {MAX_TABLE_BYTES} bytes, got {file.bytes}")
+    return read(path, file)
 
 
 def root_of(m: Manifest) -> Root:
