@@ -1,24 +1,12 @@
-"""Jobs of small sequences in one group, and functions that workers can find: quickly, so little is imported here."""
+"""Functions that workers can find: quickly, so little is imported here."""
 
 from __future__ import annotations
 
 import os
 import pickle
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from airgs_codec.errors import FormatError
-
-if TYPE_CHECKING:
-    from airgs_codec.encoder.pipeline import PreparedSequence
-
-    from tests.faces import GaussianSequence, ViewPlan, Work
-
-
-def prepared_as_one_group(sequence: GaussianSequence, views: ViewPlan, work: Work) -> PreparedSequence:
-    from airgs_codec.encoder import pipeline, prepare
-
-    return pipeline.PreparedSequence(sequence, prepare.look_at_frames(sequence, work)[0], [(0, len(sequence))], views)
 
 
 def square(number: int, folder: str) -> int:

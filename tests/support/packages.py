@@ -60,13 +60,16 @@ class Encoded:
 
 
 def laid_out(
-    sequence: GaussianSequence, settings: EncodeSettings, views: faces.ViewPlan, span: faces.GroupSpan | None = None
+    sequence: GaussianSequence, settings: EncodeSettings, span: tuple[int, int] | None = None
 ) -> faces.GroupLayout:
-    """How a group, or all frames as one, is laid out where it is seen from these views."""
-    span = span or faces.GroupSpan(0, 0, len(sequence))
-    survey, loaded = faces.survey_group(sequence, span, views), sequence.load(range(span.start, span.stop))
-    rows = faces.keep_rows(loaded.frames, survey, settings.row_error)
-    return faces.lay_out(loaded, survey, rows, settings, sequence.fps)
+    """How a group, or all frames as one, is laid out."""
+    views = faces.choose_views(sequence, settings)[0]
+    settings = replace(settings, steps=settings.steps.at_scale(views.scale))
+    frames = faces.Frames(sequence, 0, (span or (0, len(sequence)),))
+    survey = faces.Survey.of(frames, views, faces.CPU)
+    written = survey.needed(settings.row_error if views.trusted else None)
+    loaded = faces.turn_least(sequence.load(range(frames.start, frames.stop)))
+    return faces.lay_out(loaded, frames, survey, written, views, settings)
 
 
 def fox(folder: Path) -> None:
