@@ -98,11 +98,11 @@ def encode(
         if plan is not None:
             raise ConfigError("goal: expected none with a plan, whose quality is chosen")
     expect_folder_name(path_argument("path", path), ENDING)
-    jobs = Work.of(executor, work, told(progress))
-    with staged_package(place_at(path)) as stage, closing(hold_frames(sequence)) as held:
+    jobs, sequence = Work.of(executor, work, told(progress)), hold_frames(sequence)
+    with staged_package(place_at(path)) as stage, closing(sequence):
         watch, place = Stopwatch(), Folder(stage, alone=True)
         surveys: Surveys = {}
-        ordered = order_rows(held, settings.rows, jobs.progress)
+        ordered = order_rows(sequence, settings.rows, jobs.progress)
         if plan is None:
             plan, surveys = choose(ordered, settings, goal, jobs.progress)
         plan = plan.of(ordered.sequence)
