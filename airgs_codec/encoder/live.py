@@ -98,7 +98,7 @@ class _Publisher:
             return m
         segments = m.segments_of(len(m.groups) - 1)
         self._seen.append(measure(Package(place, m, 0), sequence, plan.views, renderer, min(most, FIRST), segments))
-        return with_quality(m, self._seen, newest=True)
+        return with_quality(m, self._seen, newest=self.package is not None)
 
 
 def follow(
