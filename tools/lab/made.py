@@ -6,15 +6,15 @@ import math
 from pathlib import Path
 
 import numpy as np
-from airgs_codec.jobs.job import code_digest, digest
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.package.layout import JSON_NAME
+from airgs_codec.places.results import digest
 from airgs_codec.scene.camera import OPENGL_TO_OPENCV, Camera
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import open_sequence
-from tools.lab.results import content
+from tools.lab.results import code_digest, content
 
 
 def encoded(scene: str, folder: Path) -> Path:
@@ -25,7 +25,7 @@ def encoded(scene: str, folder: Path) -> Path:
     place, _, views = scene.partition("=")
     if (Path(place) / JSON_NAME).is_file():
         return Path(place)
-    made_of = digest(code_digest(encode), *(content(Path(path)) for path in (place, views) if path))
+    made_of = digest(code_digest(), *(content(Path(path)) for path in (place, views) if path))
     package = folder / f"{name_of(scene)}-{made_of[:8]}.airgs"
     if not package.is_dir():
         encode(open_sequence(place, views=views or None), package)

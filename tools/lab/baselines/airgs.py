@@ -11,7 +11,6 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.package import Package, open_package
 from airgs_codec.progress import Progress
@@ -41,8 +40,7 @@ class AirGS:
         """The frames from number `done` on. Raises what `train` and `encode` do."""
         model = train(self.scene, footage.folder / MODEL, self.training, resume=True, progress=progress)
         begun = time.perf_counter()
-        with temporary_work(progress) as work:
-            encode(open_sequence(model.folder), footage.folder / PACKAGE, self.encoding, work=work)
+        encode(open_sequence(model.folder), footage.folder / PACKAGE, self.encoding, progress=progress)
         encode_s = (time.perf_counter() - begun) / footage.frames
         package = open_package(footage.folder / PACKAGE)
         sizes = fetched_bytes(package)

@@ -6,16 +6,16 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from multiprocessing import get_context
 from pathlib import Path
-
-from airgs_codec.jobs.engines import Engine, InProcess, Processes
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
-from airgs_codec.jobs.work import Work
-from airgs_codec.places.results import open_store
+from airgs_codec.jobs.executors import prepare_worker
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, listed, seconds_of, setting
 from tools.lab.bench.soak_farm import same_files
@@ -54,23 +54,25 @@ def encodes(rows: int, frames: int) -> dict[str, float]:
         make_scene(rows, frames, folder / "scene")
         encode(open_sequence(folder / "scene"), folder / "warm", replace(SETTINGS, threads=1))  # compiles, reads files
         took = {
-            ONE: _seconds(folder, "one", 1, lambda: Processes(1, 1)),
-            DEFAULT: _seconds(folder, "default", os.cpu_count() or 1, InProcess),
-            TWO: _seconds(folder, "two", 1, lambda: Processes(WORKERS, 1)),
+            ONE: _seconds(folder, "one", 1, processes=1),
+            DEFAULT: _seconds(folder, "default", os.cpu_count() or 1),
+            TWO: _seconds(folder, "two", 1, processes=WORKERS),
         }
         for other in ("two", "default"):
             assert same_files(folder / "one", folder / other), f"{other}: other bytes than those of one process"
     return took
 
 
-def _seconds(folder: Path, name: str, threads: int, engine: Callable[[], Engine]) -> float:
+def _seconds(folder: Path, name: str, threads: int, processes: int = 0) -> float:
+    """Seconds of an encode by so many processes of one thread each; 0: this one."""
 
     def work() -> None:
-        made = engine()
-        try:
-            settings, work = replace(SETTINGS, threads=threads), Work(open_store(folder / f"{name}.work"), made)
-            encode(open_sequence(folder / "scene"), folder / name, settings, work=work)
-        finally:
-            made.close()
+        with ExitStack() as stack:
+            context, of_each = get_context("spawn"), (os.getpid(), 1)
+            made = ProcessPoolExecutor(processes, context, prepare_worker, of_each) if processes else None
+            executor = made and stack.enter_context(made)
+            encode(
+                open_sequence(folder / "scene"), folder / name, replace(SETTINGS, threads=threads), executor=executor
+            )
 
     return seconds_of(work)[0].wall

@@ -16,11 +16,11 @@ where a scene is neither. What other random numbers do is no mechanism, but says
 from __future__ import annotations
 
 import ast
-import os
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,8 +31,10 @@ import numpy as np
 import airgs_codec
 from airgs_codec import EncodeSettings, decode, encode, open_package, open_sequence
 from airgs_codec._sampling import evenly_spaced
-from airgs_codec.encoder import batch, level, omit, pipeline, plan, repair, sample
-from airgs_codec.encoder.plan import WrittenRows
+from airgs_codec.analysis.importance import WrittenRows
+from airgs_codec.encoder import decide, layout, omit, publish, sample
+from airgs_codec.encoder.sample import CalibrationSample
+from airgs_codec.encoder.survey import Survey
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.package.package import Package
 from airgs_codec.progress import Progress, silent
@@ -126,39 +128,42 @@ def _identity(frame: Any, *_: Any) -> Any:
 
 
 MECHANISMS = (
-    Mechanism("keyframes as differences", "keys:lay_out_again pipeline:code_difference", _set(keys="apart")),
     Mechanism(
-        "Gaussians of later groups in a keyframe", "pipeline:with_rows_of_others survey:join_surveys",
-        _patched((batch, "with_rows_of_others", lambda needed: (next(iter(needed)), 1))),
+        "keyframes as differences", "layout:lay_out_again layout:error_with keyframes:_code_difference",
+        _set(keys="apart"),
     ),
-    Mechanism("trial encodes", "calibrate sample", _set(calibrate="none")),
     Mechanism(
-        "levels by trial", "calibrate:choose_levels calibrate:choose_shares calibrate:Withholding",
+        "Gaussians of later groups in a keyframe", "plan:until survey:joined",
+        _patched((publish, "choose", partial(decide.choose, run=0))),
+    ),
+    Mechanism("trial encodes", "steps sample", _set(calibrate="none")),
+    Mechanism(
+        "levels by trial", "steps:choose_levels steps:choose_shares steps:Withholding",
         _set(calibrate="steps"),
     ),
     Mechanism(
-        "slopes of linear motion", "level sample:worth_line sample:with_line sample:fit_slopes",
-        _patched((level, "worth_line", lambda *_: False), (sample, "worth_line", lambda *_: False)),
+        "slopes of linear motion", "deltas:CodedLine deltas:_lines deltas:_write_again sample:with_line",
+        _patched((CalibrationSample, "with_line", lambda self, *_: self)),
     ),
     Mechanism(
         "one motion class for what moves together", "coding/motion:share_class",
-        _patched((plan, "share_class", lambda classes, *_: classes)),
+        _patched((layout, "share_class", lambda classes, *_: classes)),
     ),
     Mechanism(
         "colour transform", "coding/channels:colour_transform coding/channels:fit_colour_transform",
-        _patched((plan, "colour_transform", _identity), (sample, "colour_transform", _identity)),
+        _patched((layout, "colour_transform", _identity), (sample, "colour_transform", _identity)),
     ),
     Mechanism(
-        "steps of each key tier", "plan:tier_factors",
-        _patched((plan, "tier_factors", lambda weights, tiers, count: (1.0,) * count)),
+        "steps of each key tier", "layout:tier_factors",
+        _patched((layout, "tier_factors", lambda weights, tiers, count: (1.0,) * count)),
     ),
     Mechanism(
-        "Gaussians that nobody sees are left out", "plan:keep_rows analysis/importance:RowPruning",
-        _patched((pipeline, "keep_rows", lambda frames, *_: WrittenRows.all(len(frames[0])))),
+        "Gaussians that nobody sees are left out", "survey:needed analysis/importance:RowPruning",
+        _patched((Survey, "needed", lambda self, _: WrittenRows.all(len(self.importance)))),
     ),
     Mechanism(
         "SH bands are left out", "omit:omit_bands",
-        _patched((pipeline, "omit_bands", lambda sequence, *_: (sequence.sh_degree, None))),
+        _patched((decide, "omit_bands", lambda frames, *_: (frames.sequence.sh_degree, ""))),
     ),
     Mechanism(
         "planes are left out", "omit:KeyOmissions omit:planes",
@@ -166,7 +171,6 @@ MECHANISMS = (
     ),
     Mechanism("Gaussians ranked by importance", "analysis/importance:importance", _set(usage="max")),
     Mechanism("updates ranked by expected error", "coding/motion:withheld_error", _set(update_rank="usage")),
-    Mechanism("what costs too much is taken back", "repair", _patched((repair, "take_back", lambda *_: None))),
 )  # fmt: skip
 
 
@@ -288,13 +292,12 @@ def _once(scene: str, settings: EncodeSettings, one: Mechanism | None, lab: Lab)
 
 
 def _encoded(scene: str, settings: EncodeSettings, one: Mechanism | None) -> Result:
-    """Encode a scene with nothing calibrated before, and measure what comes out from held-out views."""
+    """Encode a scene, and measure what comes out from held-out views."""
     place, _, held = scene.partition("@")
     place, _, views = place.partition("=")
     sequence = open_sequence(place, views=views or None)
     cameras = list(read_cameras(Path(held))) if held else [c for c in sequence.cameras if c.held_out]
     with TemporaryDirectory(prefix="airgs-") as folder, ExitStack() as stack:
-        stack.enter_context(patch.dict(os.environ, {"XDG_CACHE_HOME": folder}))
         settings = one.off(settings, stack) if one else settings
         begun = time.process_time()
         encode(sequence, Path(folder) / "x.airgs", settings)
@@ -338,7 +341,6 @@ def _trained(rig: Rig, one: Mechanism | None, first: TrainedFrame | None) -> tup
         return first
 
     with TemporaryDirectory(prefix="airgs-") as folder, ExitStack() as stack:
-        stack.enter_context(patch.dict(os.environ, {"XDG_CACHE_HOME": folder}))
         stack.enter_context(patch.object(training, "train_first", begin))
         settings = TrainSettings(max_size=SIDE)
         settings = one.off(settings, stack) if one else settings

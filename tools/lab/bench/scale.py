@@ -2,13 +2,12 @@
 
 Made scenes, balls of Gaussians of which a tenth swings, of each number of rows have the first number of `--frames`;
 scenes of each number of frames have `--few` rows. Every encode and every decode is a process of its own. cold: from
-nothing; warm: once more with the jobs that the first one kept; decode: every frame of the top rung. A power law is
+nothing; warm: once more with the runs that the first one stored; decode: every frame of the top rung. A power law is
 fitted to cold and decode by least squares of the logarithms.
 """
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -19,9 +18,7 @@ import numpy as np
 from airgs_codec.decoder.decode import decode_frames
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings
-from airgs_codec.jobs.work import Work
 from airgs_codec.package.package import open_package
-from airgs_codec.places.results import open_store
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Row, Section, Table, alone, listed, rows_of, setting
 from tools.lab.made import make_scene
@@ -100,13 +97,12 @@ def measure_scene(rows: int, frames: int) -> Iterator[Measured]:
 
 
 def take_step(step: str, folder: Path) -> None:
-    os.environ["XDG_CACHE_HOME"] = str(folder)
     if step == "decode":
         package = open_package(folder / "cold")
         for _ in decode_frames(package, 0, package.manifest.frames):
             pass
     else:
-        encode(open_sequence(folder / "scene"), folder / step, SETTINGS, work=Work(open_store(folder / "work")))
+        encode(open_sequence(folder / "scene"), folder / step, SETTINGS, work=folder / "work")
 
 
 def growth_words(found: Sequence[Measured], few: int) -> str:

@@ -22,16 +22,15 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-
-from airgs_codec.jobs.dask_engine import DaskEngine
+from unittest.mock import patch
 
 from airgs_codec.cli.terminal import run_command
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.errors import ConfigError
-from airgs_codec.jobs.work import Work
+from airgs_codec.jobs.executors import DaskCluster
+from airgs_codec.places import results
 from airgs_codec.places.place import PLAIN, Folder
-from airgs_codec.places.results import Store, pack, unpack
 from airgs_codec.scene.sequence import open_sequence
 from tools.lab import Lab, Page, Section, Table, seconds_of, setting
 from tools.lab.made import make_scene
@@ -48,7 +47,7 @@ COMMAND = "import sys; from tools.lab.bench.soak_farm import encode_at; sys.exit
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    groups: int = setting(50, "of four frames, each of four jobs or five")
+    groups: int = setting(400, "of four frames, up to eight of which are a job")
     kills: int = setting(50, "failures that are made")
     workers: int = setting(2, "of the cluster")
     seed: int = setting(0, "of the failures")
@@ -101,13 +100,9 @@ def encode_at(address: str, folder: str) -> int:
     """The encode, as its user would begin it again and again, on the cluster at an address; gives its exit status."""
 
     def work() -> int:
-        out, engine = Path(folder), DaskEngine.at(address)
-        try:
-            shared = Work(Store(FaultyFolder(out / "jobs")), engine)
-            report = encode(open_sequence(out / "scene"), out / "farm.airgs", SETTINGS, work=shared)
-        finally:
-            engine.close()
-        (out / "records").write_bytes(pack(report.records))
+        out = Path(folder)
+        with DaskCluster(address) as executor, patch.object(results, "Folder", FaultyFolder):
+            encode(open_sequence(out / "scene"), out / "farm.airgs", SETTINGS, executor=executor, work=out / "jobs")
         return 0
 
     return run_command("encode", work)
@@ -121,9 +116,9 @@ def run(options: Options, lab: Lab) -> Page:
     alone, _ = seconds_of(lambda: encode(open_sequence(out / "scene"), out / "one.airgs", SETTINGS))
     made: Counter[str] = Counter()
     took, runs = seconds_of(lambda: torment(options, lab, made))
-    records, same = unpack((out / "records").read_bytes()), same_files(out / "one.airgs", out / "farm.airgs")
+    jobs, same = len(_entries(out / "jobs")), same_files(out / "one.airgs", out / "farm.airgs")
     failures = ", ".join(f"{count} {name}" for name, count in sorted(made.items()))
-    row = {"jobs": len(records), "failures": failures, "made": made.total(), "commands": runs, "same bytes": same}
+    row = {"jobs": jobs, "failures": failures, "made": made.total(), "commands": runs, "same bytes": same}
     row |= {"seconds of one process": alone.wall, "seconds of the cluster": took.wall}
     answer = f"After {made.total()} failures the bytes are {'the same' if same else 'NOT the same'}."
     return Page([Section(answer, tables=[Table("soak-farm", [row])])], failed=not same)
@@ -159,7 +154,7 @@ def _fail(fault: str, cluster: Cluster, work: Path, rng: random.Random, made: Co
     if fault in ("worker", "scheduler"):
         cluster.kill(fault, rng)
     else:
-        entries = sorted(path for path in work.rglob("*") if path.is_file() and not path.name.startswith("."))
+        entries = _entries(work)
         if not entries:
             return
         entry = rng.choice(entries)
@@ -171,6 +166,10 @@ def _fail(fault: str, cluster: Cluster, work: Path, rng: random.Random, made: Co
         except FileNotFoundError:  # somebody has just replaced it
             return
     made[fault] += 1
+
+
+def _entries(work: Path) -> list[Path]:
+    return sorted(path for path in work.rglob("*") if path.is_file() and not path.name.startswith("."))
 
 
 def same_files(one: Path, other: Path) -> bool:

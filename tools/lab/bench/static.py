@@ -13,13 +13,11 @@ from dataclasses import asdict, dataclass
 from fractions import Fraction
 from pathlib import Path
 
-from airgs_codec.encoder.search import PSNR, Goal, OutOfReachError
-
 from airgs_codec import EncodeSettings
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import as_preview
+from airgs_codec.encoder.target import PSNR, Goal, OutOfReachError
 from airgs_codec.inspect.compare import Side, compare_two, open_side, region_views
-from airgs_codec.jobs.work import temporary_work
 from airgs_codec.package.region import CHECKING
 from airgs_codec.package.tables import Region
 from airgs_codec.render import Camera
@@ -76,11 +74,10 @@ def measure(path: Path, lab: Lab) -> Row:
     encode(sequence, first, as_preview(EncodeSettings()))
     cameras = region_views(_region(first), DRAWS, CHECKING)
     theirs = _look(original, open_side(str(spz)), cameras)
-    with temporary_work(lab.progress) as work:
-        try:
-            encode(sequence, final, EncodeSettings(), goal=Goal(PSNR, theirs.psnr + ABOVE), work=work)
-        except OutOfReachError as error:  # files that are rounded like SPZ already: as near as it comes
-            encode(sequence, final, EncodeSettings(quality=error.factor), work=work)
+    try:
+        encode(sequence, final, goal=Goal(PSNR, theirs.psnr + ABOVE), progress=lab.progress)
+    except OutOfReachError as error:  # files that are rounded like SPZ already: as near as it comes
+        encode(sequence, final, EncodeSettings(quality=error.factor), progress=lab.progress)
     ours = _look(original, open_side(str(final)), cameras)
     row = {"file": _name(path), "rows": sequence.headers[0].count, "sh_degree": sequence.sh_degree}
     row |= {f"{name}_{key}": v for name, m in (("spz", theirs), ("airgs", ours)) for key, v in asdict(m).items()}

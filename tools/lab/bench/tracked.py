@@ -16,11 +16,14 @@ import numpy as np
 
 from airgs_codec import EncodeSettings, encode, open_package
 from airgs_codec.decoder.decode import decode_frames
+from airgs_codec.jobs.work import Work
 from airgs_codec.media.metrics import mse, psnr
 from airgs_codec.render import Camera, render
+from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.formats.ply import write_ply
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence, open_sequence
+from airgs_codec.trainer.track import tracked
 from tools.lab import Lab, Page, Row, Section, Table, seconds_of, setting
 from tools.lab.rd.subject import Measured, read_truth
 
@@ -45,9 +48,9 @@ def run(options: Options, lab: Lab) -> Page:
     given = clean if options.as_it_is else disturbed(clean, lab.folder / "disturbed")
     look = looks(clean, cameras, options.views)
     rows: list[Row] = [{"coded": GIVEN, "kb": None, "seconds": None} | look(given.read)]
-    for name, settings in ((ALONE, EncodeSettings(group_frames=1, track=False)), (TRACKED, EncodeSettings())):
+    for name in (ALONE, TRACKED):
         target = lab.folder / f"{name.replace(' ', '-')}.airgs"
-        took, _ = seconds_of(lambda settings=settings, target=target: encode(given, target, settings))  # type: ignore[misc]
+        took, _ = seconds_of(lambda name=name, target=target: code(given, target, name))  # type: ignore[misc]
         m = (package := open_package(target)).manifest
         shown = {frame.number: frame.gaussians for frame in decode_frames(package, 0, m.frames)}
         kb = (m.bytes_of(m.rung_files(0, 0)) + package.manifest_bytes) / m.frames / 1e3
@@ -60,6 +63,14 @@ def run(options: Options, lab: Lab) -> Page:
     return Page([Section(verdict(rows), tables=[Table(f"tracked-{name}", rows, COLUMNS)])], how)
 
 
+def code(given: GaussianSequence, target: Path, name: str) -> None:
+    if name == ALONE:
+        encode(given, target, EncodeSettings(group_frames=1))
+        return
+    with tracked(given, open_renderer(EncodeSettings().device), Work()) as moving:
+        encode(moving, target)
+
+
 WAYS = (
     f"rows in another order in each, places moved by {MOVED:g} of their Gaussian's size, {GONE:.0%} of rows deleted "
     f"and {SPLIT:.0%} split"
@@ -67,9 +78,9 @@ WAYS = (
 
 
 def verdict(rows: Sequence[Row]) -> str:
-    given, alone, tracked = ({row["coded"]: row for row in rows}[name] for name in (GIVEN, ALONE, TRACKED))
-    share, gain = 100 * tracked["kb"] / alone["kb"], tracked["psnr"] - alone["psnr"]
-    beside = tracked["psnr"] - given["psnr"]
+    given, alone, moving = ({row["coded"]: row for row in rows}[name] for name in (GIVEN, ALONE, TRACKED))
+    share, gain = 100 * moving["kb"] / alone["kb"], moving["psnr"] - alone["psnr"]
+    beside = moving["psnr"] - given["psnr"]
     return (
         f"Tracked it takes {share:.0f} % of the bytes of coding frame by frame, {abs(gain):.1f} dB "
         f"{'better' if gain > 0 else 'worse'} than these and {abs(beside):.1f} dB {'above' if beside > 0 else 'below'} "

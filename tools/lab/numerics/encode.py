@@ -3,30 +3,28 @@
 Points are x264's presets, calibrated or not, `--preset quick`, and how many pictures decide.
 
 The quality factor is interpolated between two encodes near the target. PSNR is that of the package, from views by
-which nothing was decided. Seconds are those of the whole encode but for measuring, with an empty cache of calibrations.
+which nothing was decided. Seconds are those of the whole encode but for measuring.
 """
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 
 from airgs_codec.encoder.publish import encode
 from airgs_codec.encoder.settings import EncodeSettings, LevelSettings, as_preview
-from airgs_codec.package.manifest import Manifest, pooled_quality
+from airgs_codec.package.manifest import Manifest, quality_of
 from airgs_codec.scene.sequence import GaussianSequence
 from tools.lab import Took, seconds_of
 from tools.lab.numerics.rows import Bench, Place, Point, Row
 
 TARGET = 43.0  # dB
-MEASURED = 8  # pictures of a segment, at least
+MEASURED = 64  # pictures that measure
 PRESETS = ("ultrafast", "veryfast", "medium", "veryslow")
 ONE_RUNG = EncodeSettings(calibrate="none", levels=(LevelSettings(0.0),), key_factors=(1.0,), measure_pictures=MEASURED)
 DECIDING = (2, 6, 24, 48)  # --decide-pictures
@@ -85,13 +83,13 @@ def bytes_at(psnr: float, a: Trial, b: Trial) -> float:
 
 
 def run(sequence: GaussianSequence, settings: EncodeSettings, factor: float = 1.0) -> tuple[Trial, Took]:
-    with tempfile.TemporaryDirectory() as name, patch.dict(os.environ, {"XDG_CACHE_HOME": name}):
+    with tempfile.TemporaryDirectory() as name:
         target, finer = Path(name) / "package", replace(settings, quality=factor)
         took, report = seconds_of(lambda: encode(sequence, target, finer))
         return trial_of(report.manifest), took
 
 
 def trial_of(m: Manifest) -> Trial:
-    quality = pooled_quality(m, 0, 0)
+    quality = quality_of(m, 0, 0)
     size = m.bytes_of(m.rung_files(0, 0)) / m.frames
     return Trial(float("nan") if quality is None else quality.psnr, size)

@@ -11,8 +11,6 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
-from airgs_codec.encoder.calibrate import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
-from airgs_codec.encoder.representation import ROUNDING
 from numpy.typing import NDArray
 
 from airgs_codec.analysis.sensitivity import measure_sensitivity
@@ -21,6 +19,8 @@ from airgs_codec.coding.motion import FLOOR, StepSettings, classify_motion, get_
 from airgs_codec.coding.sidecar import fit_grid
 from airgs_codec.encoder.sample import PRESET, CalibrationSample, encode_and_decode
 from airgs_codec.encoder.settings import EncodeSettings
+from airgs_codec.encoder.steps import PRIOR, STEPS, Slope, Subject, balance, measure_slopes, solve_steps
+from airgs_codec.encoder.streams import ROUNDING
 from airgs_codec.media.h264 import CodecSettings, key_codec, qp_step, state_codec
 from airgs_codec.package.layout import KEY
 from airgs_codec.scene.gaussians import Gaussians

@@ -5,18 +5,22 @@ A scene is NAME=FOLDER, then options after commas. Tables 1 and 2 of the paper: 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from airgs_codec.jobs.engines import Processes
 
 from airgs_codec.cli.options import parse_frames
 from airgs_codec.encoder.settings import EncodeSettings, as_in_paper
 from airgs_codec.errors import AirgsError, ConfigError
+from airgs_codec.jobs.executors import prepare_worker
+from airgs_codec.jobs.work import Work
 from airgs_codec.progress import Progress
 from airgs_codec.render.backend import CPU
 from airgs_codec.scene.formats.ply import read_ply
@@ -144,15 +148,8 @@ def in_processes(work: Callable[..., T], calls: Sequence[Any], count: int, progr
 
     Raises the first error of a call.
     """
-    done: dict[int, T] = {}
-    for at, result in Processes(count, 1).map(_numbered, [(work, at, call) for at, call in enumerate(calls)]):
-        done[at] = result
-        progress("runs", len(done), len(calls))
-    return [done[at] for at in range(len(calls))]
-
-
-def _numbered(work: Callable[..., T], at: int, call: Any) -> tuple[int, T]:
-    return at, work(*call)
+    with ProcessPoolExecutor(count, get_context("spawn"), prepare_worker, (os.getpid(), 1)) as executor:
+        return Work(executor, progress=progress).results("runs", work, calls)
 
 
 def train(subject: Subject, method: str, quick: bool, folder: Path) -> Trained:
