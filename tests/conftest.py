@@ -1,4 +1,4 @@
-"""What every test shares: a cache of its own, and the embedded scene, encoded once."""
+"""What every test shares: compiled kernels, and the embedded scene, encoded once."""
 
 import fcntl
 import os
@@ -35,8 +35,8 @@ def pytest_terminal_summary(terminalreporter):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def own_cache(tmp_path_factory, made_once):
-    """Calibrations stay out of the user's cache; kernels that a process compiles itself may differ in the last bits."""
+def compiled(made_once):
+    """Kernels that a process compiles itself may differ in the last bits."""
 
     def compile_all(folder):
         scene, model = write_blobs(folder / "scene"), folder / "model"
@@ -47,9 +47,6 @@ def own_cache(tmp_path_factory, made_once):
             subprocess.run([sys.executable, "-c", code, *words.split()], check=True, capture_output=True)
 
     made_once("kernels", compile_all)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
 
 
 @pytest.fixture(scope="session")

@@ -29,16 +29,16 @@ SEQUENCE = airgs.open_sequence(FOX)
 SIMULATE = partial(airgs.simulate, PACKAGE, "const:5")
 FAST = airgs.EncodeSettings(calibrate="none", measure_pictures=0, preset="ultrafast")
 NAMES = {
-    "AirgsError", "Camera", "Decision", "EncodeSettings", "Gaussians", "Goal", "Package", "PlayerState", "Sequence",
-    "SessionSettings", "Trace", "TrainSettings", "compare", "decode", "decode_frames", "draw", "encode", "input_rows",
-    "open_package", "open_sequence", "read", "simulate", "train", "validate", "write",
+    "AirgsError", "Camera", "Decision", "EncodeSettings", "Gaussians", "Goal", "Package", "Plan", "PlayerState",
+    "Sequence", "SessionSettings", "Trace", "TrainSettings", "compare", "decide", "decode", "decode_frames", "draw",
+    "encode", "input_rows", "open_package", "open_sequence", "read", "simulate", "train", "validate", "write",
 }  # fmt: skip
 FUNCTIONS = sorted(name for name in NAMES if name[0].islower())
 OPENING = {"open_package", "open_sequence", "read", "validate"}
 
 
 def test_the_names_are_these_and_no_others():
-    assert sorted(NAMES) == airgs.__all__ and len(NAMES) <= 25
+    assert sorted(NAMES) == airgs.__all__ and len(NAMES) <= 27
     assert set(dir(airgs)) >= NAMES
     with pytest.raises(AttributeError, match="no_such_name"):
         airgs.no_such_name  # noqa: B018
@@ -137,11 +137,11 @@ def public():
     picture = airgs.draw(frame.gaussians, camera)
     assert picture._repr_png_().startswith(b"\x89PNG")
     compared = airgs.compare(sequence, sequence, frames=range(1))
-    things = (package, sequence, frame, camera, log, picture, compared, airgs.Trace.open("markov:1"), sequence[:3])
-    return {type(thing).__name__: thing for thing in things}
+    things = package, sequence, frame, camera, log, picture, compared, airgs.Trace.open("markov:1"), sequence[:3]
+    return {type(thing).__name__: thing for thing in (*things, airgs.decide(FOX, FAST))}
 
 
-KINDS = ["Package", "GaussianSequence", "Frame", "Camera", "SessionLog", "Render", "Comparison", "Trace", "LazyFrames"]
+KINDS = "Package GaussianSequence Plan Frame Camera SessionLog Render Comparison Trace LazyFrames".split()
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -217,7 +217,7 @@ def test_encoding_is_one_stage_that_ends_where_it_was_said_to(tmp_path):
     settings = replace(FAST, measure_pictures=1, decide_pictures=2, group_frames=2)
     airgs.encode(sequence, tmp_path / "a.airgs", settings, progress=lambda *words: told_of.append(words))
     encoding = [words for words in told_of if words[0].startswith("encoding")]
-    assert {name for name, _, _ in encoding} >= {"encoding: states, 1 of 2", "encoding: quality, 2 of 2", "encoding"}
+    assert {name for name, _, _ in encoding} >= {"encoding: frames 0-1", "encoding: frames 2-3", "encoding"}
     done, totals = zip(*[words[1:] for words in encoding], strict=True)
     assert list(done) == sorted(done) and list(totals) == sorted(totals) and done[-1] == totals[-1]
 

@@ -25,7 +25,7 @@ MAY_IMPORT = {  # libraries: their modules, none for those of tests alone
     "cv2": {"media/image.py"}, "PIL": {"media/image.py"}, "colour": {"media/metrics.py"}, "matplotlib": {"_report.py"},
     "gaussforge": {"scene/formats/sandbox.py"}, "fourdgs": {"scene/formats/sandbox.py"},
     "gsply": {"scene/formats/packed.py"}, "gsplat": {"render/cuda.py"}, "pycolmap": set(), "pygltflib": set(),
-    "dask": {"jobs/dask_engine.py"}, "distributed": {"jobs/dask_engine.py"}, "obstore": {"places/place.py"},
+    "dask": {"jobs/executors.py"}, "distributed": {"jobs/executors.py"}, "obstore": {"places/place.py"},
 }  # fmt: skip
 MODULES = {path.relative_to(PACKAGE).as_posix(): path for path in sorted(PACKAGE.rglob("*.py"))}
 

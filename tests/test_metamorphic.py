@@ -43,7 +43,7 @@ class Scene:
         if self.form:
             FORMS[self.form](folder, list(self.rig))
         m = encode(folder, folder.with_suffix(".airgs"), SETTINGS).manifest
-        quality = [faces.pooled_quality(m, level, level).psnr for level in (0, 1)]
+        quality = [faces.quality_of(m, level, level).psnr for level in (0, 1)]
         return m.groups[0].count, m.bytes_of(m.rung_files(0, 0)), quality
 
 

@@ -1,8 +1,8 @@
 """Sequence -> package, as functions from frozen values to frozen values.
 
-`prepare` names frames, orders rows and splits groups; `pipeline` declares the steps by which a group is encoded, which
-`batch` drives as jobs and `live` at once. `survey` asks views what matters; `calibrate` finds steps and a ladder on a
-`sample`; `plan` lays out every group; `keys` and `states` quantise them, without what `omit` can do without;
-`representation` makes and checks streams, `tables` the files and tables; `measure` measures the rungs and `verify`
-believes it. `search` repeats it all until a target is met, and `publish.encode` puts the finished package in its place.
+`order` looks at all frames and puts rows in order; `decide` chooses a `plan`: `views`, groups, and the steps and levels
+that `steps` finds on a `sample`, and `target` the quality. `group` is the fold by it: `survey` asks views what matters,
+`layout` lays out a group, `keyframes` and `deltas` quantise it, without what `omit` can do without; `streams` makes and
+checks H.264, `tables` files and tables. `measure` measures the rungs once; `publish` puts the finished package in its
+place, `live` one that grows.
 """

@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from airgs_codec._arguments import brief
 from airgs_codec.analysis.grouping import closed_groups
 from airgs_codec.encoder.layout import split_segments
 from airgs_codec.encoder.settings import APART, EncodeSettings
@@ -41,6 +42,8 @@ class Plan:
     begins: tuple[int, ...]  # the groups that begin runs: their keyframes are coded by themselves
     notes: tuple[str, ...] = ()  # on views, order of Gaussians and groups, for people
     choices: tuple[Choice, ...] = ()
+
+    __repr__ = brief
 
     def with_groups(self, sequence: GaussianSequence, groups: Sequence[Span], alone: bool = False) -> Plan:
         """Add groups to the plan.

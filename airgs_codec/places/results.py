@@ -14,7 +14,6 @@ import importlib
 import io
 import json
 import logging
-import os
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -89,12 +88,6 @@ def open_store(place: str | Path, lasting: bool = True) -> Store:
     if path.exists() and not path.is_dir():
         raise ConfigError(f"{place}: expected a folder for work, got a file")
     return Store(Folder(path, lasting))
-
-
-def user_cache(name: str) -> Store:
-    """Return the store that all runs of this user share: $XDG_CACHE_HOME/airgs-codec/NAME, or ~/.cache for that."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return Store(Folder((Path(base) if base else Path.home() / ".cache") / "airgs-codec" / name))
 
 
 def load(store: Store, entry: str, trusted: tuple[str, ...] = OWN) -> tuple[Any] | None:
