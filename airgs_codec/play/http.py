@@ -51,7 +51,7 @@ from airgs_codec.play.metrics import SessionLog
 from airgs_codec.play.offers import NONE, Batch, Offers
 
 CONNECTIONS = 16  # at once
-GROWS = ("frames", "live")  # what of the header changes while a package grows
+GROWS = ("frames", "live", "rungs")  # what of the header changes while a package grows
 GARBLED = ("size_mismatch", "hash_mismatch", "not_json")  # reasons to ask again
 LONGEST_PAUSE_S = 4.0
 LEAST_BYTES = 1024  # that come within the time-out: 16 connections over a modem of 18 kbit/s are faster

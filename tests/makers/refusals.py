@@ -137,7 +137,8 @@ BREAKS: dict[str, tuple[mutations.Mutation, ...]] = {  # reason, and what about 
     ),
     "bad_picture-line": (drop_value((*LEVEL, "line"), TABLE), rewrite(STATES, lambda b: with_columns(b, b"")), honest),
     "bad_sidecar-line": in_table(drop_value((*LEVEL, "line"), TABLE)),
-    "bad_sidecar-slopes": in_table(set_value(("segments", 0, "levels", 1, "line"), True, TABLE)),
+    "bad_sidecar-slopes": in_table(set_value((*LEVEL, "line"), True, TABLE)),
+    "bad_value-rungs": (set_value(("rungs", 0), []),),
     "bad_value-tiers": (set_value(("tiers",), 3),),
     "bad_value-levels": in_table(set_value(("levels",), [], TABLE)),
     "bad_value-frame-bytes": in_table(set_value((*LEVEL, "frame_bytes"), [], TABLE)),
@@ -193,7 +194,7 @@ def source_of(name: str) -> str:
         return "sound"
     if "-line" in name:
         return "lined"
-    return "paged" if "-page" in name else "kept" if "-ke" in name else "moving"
+    return "paged" if "-page" in name else "kept" if "-ke" in name or "slopes" in name else "moving"
 
 
 def changes(name: str) -> dict[str, dict[str, Any] | None]:

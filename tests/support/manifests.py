@@ -83,7 +83,7 @@ def tiny_manifest(
         return mf.SegmentLevel(
             mf.FileEntry(size + sidecar_bytes, HASH) if size else mf.NO_FILE,
             [size // frames] * frames if size else [],
-            list(shown), [value - 2 for value in shown], [0.9 for _ in shown], [0.5 + j for _ in shown],
+            list(shown), [0.5 + j for _ in shown],
         )  # fmt: skip
 
     def table(start: int, stop: int) -> mf.Group:
@@ -106,6 +106,10 @@ def tiny_manifest(
         views=mf.Views(24, 12 if psnr else 0, "original" if psnr else "none"),
         qualities=[mf.KeyQuality(f"Q{q}", 1.0 + 2 * q, q) for q in range(qualities)],
         levels=[mf.Level(f"L{j}", 0.1 * j, 1.0 + j, tiers, 0) for j in range(levels)],
+        rungs=[
+            [mf.RungQuality(of[q], 0.1, of[q] - 2, 0.9, 0.5 + j, 12) for j, of in enumerate(psnr)]
+            for q in range(qualities)
+        ] if psnr else [],
         groups=in_groups([table(stop - size, stop) for size, stop in zip(groups, stops, strict=True)], table_bytes),
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ import type { FileEntry, Group, Page, Root, Segment } from "./types.ts";
 
 const MOST_TABLES = 1024; // tables of groups
 const BRACE = 0x7b; // begins JSON
-const GROWS = new Set(["frames", "index", "decisions", "live"]);
+const GROWS = new Set(["frames", "index", "decisions", "rungs", "live"]);
 
 export class Tables {
   #groups = new Recent<number, Group>(MOST_TABLES);

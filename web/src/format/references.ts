@@ -71,6 +71,10 @@ export function checkRoot(root: Root): void {
     place.within("poster.bytes", root.poster.bytes, 1, MAX_POSTER_BYTES);
   }
   if (root.sound) place.file("sound.init", root.sound.init, true);
+  place.exactly("rungs", root.rungs.length, qualitiesMeasured(root));
+  root.rungs.forEach((levels, q) => {
+    place.exactly(`rungs[${q}]`, levels.length, root.levels.length);
+  });
   checkIndex(root, place);
 }
 
@@ -218,12 +222,13 @@ function checkAtlas(place: Place, atlas: Atlas, channels: number, attributes: nu
   place.within("pages", pages(atlas), 1, LIMITS.pages);
 }
 
+const qualitiesMeasured = ({ views, qualities }: Root) => (views.reference === "none" ? 0 : qualities.length);
+
 function checkSegment(root: Root, group: Group, segment: Segment, place: Place): void {
-  const measured = root.views.reference === "none" ? 0 : root.qualities.length;
+  const measured = qualitiesMeasured(root);
   segment.levels.forEach((level, j) => {
-    for (const name of ["psnr", "worst", "ssim", "delta_e"] as const) {
-      place.exactly(`levels[${j}].${name}`, level[name].length, measured);
-    }
+    place.exactly(`levels[${j}].psnr`, level.psnr.length, measured);
+    place.exactly(`levels[${j}].delta_e`, level.delta_e.length, measured);
     const { file, frame_bytes } = level;
     const fetched = file.bytes > 0;
     place.file(`levels[${j}].file`, file, fetched && group.levels[j]!.planes.length > 0);
