@@ -141,7 +141,10 @@ def public():
     return {type(thing).__name__: thing for thing in (*things, airgs.decide(FOX, FAST))}
 
 
-KINDS = "Package GaussianSequence Plan Frame Camera SessionLog Render Comparison Trace LazyFrames".split()
+KINDS = [
+    "Package", "GaussianSequence", "Plan", "Frame", "Camera", "SessionLog", "Render", "Comparison", "Trace",
+    "LazyFrames",
+]  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)

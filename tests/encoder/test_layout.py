@@ -10,22 +10,23 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import motion, sidecar
-from airgs_codec.encoder import plan, sample
+from airgs_codec.encoder import layout as module
+from airgs_codec.encoder import sample
 from airgs_codec.media.h264 import state_codec
 from tests import faces
 from tests.faces import STATIC, EncodeSettings, LevelSettings, as_preview, decode_canonical, decode_frames, open_package
-from tests.support.packages import PACKAGES, PAPER, SEEN, laid_out
+from tests.support.packages import PACKAGES, PAPER, laid_out
 from tests.support.scenes import write_sequence
 
 
 def test_tiers_hold_the_most_used_first_and_depths_keep_to_tiers():
     usage = np.array([0.1, 0.9, 0.5, 0.7, 0.3])
-    assert plan.assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
-    assert plan.assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
-    assert plan.assign_tiers(np.array([1.0, 2.0]), (0.1, 0.9)).tolist() == [1, 0]  # the first is never empty
+    assert module.assign_tiers(usage, (0.4, 0.6)).tolist() == [1, 0, 1, 0, 1]
+    assert module.assign_tiers(np.ones(1), (0.8, 0.2)).tolist() == [0]
+    assert module.assign_tiers(np.array([1.0, 2.0]), (0.1, 0.9)).tolist() == [1, 0]  # the first is never empty
     score, moving, tiers = np.array([5.0, 4.0, 3.0, 2.0]), np.ones(4, bool), np.array([0, 1, 0, 1], np.uint8)
-    assert plan.assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
-    assert plan.assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
+    assert module.assign_depths(score, moving, [0.0, 0.25, 0.5], tiers, [2, 2, 1]).tolist() == [2, 1, 1, 0]
+    assert module.assign_depths(score, moving, [0.0, 0.25], tiers, [2, 1]).tolist() == [1, 0, 1, 0]
 
 
 SCORES = npst.arrays(np.float64, 30, elements=st.floats(0, 10))
@@ -34,7 +35,7 @@ SHARES = st.lists(st.floats(0, 0.99), min_size=1, max_size=6).map(sorted)
 
 @given(SCORES, npst.arrays(np.bool_, 30), SHARES)
 def test_levels_are_nested_and_withhold_their_share_of_the_lowest_scores(score, moving, shares):
-    depths = plan.assign_depths(score, moving, shares)
+    depths = module.assign_depths(score, moving, shares)
     assert (depths[~moving] == STATIC).all()
     for level, share in enumerate(shares):
         kept = (depths >= level) & (depths != STATIC)
@@ -63,7 +64,7 @@ def test_rows_share_a_motion_class_where_that_takes_fewer_bytes_at_equal_error(t
     for unit in (units, shared):
         coded, decoded = sample.encode_and_decode(moved / unit, np.ones(3), codec)
         error = float(np.mean(sensitivity * np.square((decoded - moved / unit) * unit)))
-        scores.append(sample.at_equal_error(sum(coded), error))
+        scores.append(sum(coded) * error**sample.RATE_OF_ERROR)
     assert scores[together] < 0.9 * scores[not together]
 
 
@@ -102,12 +103,6 @@ def test_bands_that_do_not_show_are_left_out(package_of):
     assert next(decode_frames(package, 0, 1)).gaussians.sh_rest.shape[1] == 3
 
 
-def seen(sequence, settings):
-    """How the only group of a scene is laid out that is seen from SEEN."""
-    views = faces.ViewPlan.of(sequence, settings.decide_pictures, region=SEEN)
-    return laid_out(sequence, replace(settings, steps=settings.steps.at_scale(views.scale)), views)
-
-
 def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(package_of):
     package = open_package(package_of("paper"))
     m, base = package.manifest, decode_canonical(package, 0, 0)
@@ -120,7 +115,7 @@ def test_the_papers_ladder_withholds_from_none_to_all_in_the_order_of_hits(packa
     for frame in decode_frames(package, 0, 4, level=10):
         np.testing.assert_array_equal(frame.gaussians.means, still)
     assert np.abs(faces.decode(package, 3).means - still).max() > 0.05
-    hits, moving = seen(PACKAGES["paper"].scene(), PAPER).usage.hits, base.depths != STATIC
+    hits, moving = laid_out(PACKAGES["paper"].scene(), PAPER).hits, base.depths != STATIC
     for low, high in pairwise(range(10)):
         assert hits[moving & (base.depths == low)].max() <= hits[moving & (base.depths == high)].min()
     assert moving.sum() == 100 and len(set(hits[moving].tolist())) > 20
@@ -133,20 +128,20 @@ def test_other_measures_of_the_trainer_do_not_rank_the_papers_levels(tmp_path, m
     fall = rise[::-1].astype(float)
     scene = write_sequence(tmp_path / "scene", PACKAGES["paper"].groups()[0])
     faces.save_usage(scene / faces.USAGE_NAME, {(0, 4): faces.Usage(fall, fall / 200, rise)})
-    layout = seen(faces.open_sequence(scene), replace(PAPER, usage=measure))
-    np.testing.assert_array_equal(layout.usage.hits, layout.rows + 1)
-    falls = np.diff(layout.usage.score[np.argsort(layout.rows)])
+    layout = laid_out(faces.open_sequence(scene), replace(PAPER, usage=measure))
+    np.testing.assert_array_equal(layout.hits, layout.rows + 1)
+    falls = np.diff(layout.score[np.argsort(layout.rows)])
     assert (falls > 0).all() if measure == "hits" else measure == "importance" or (falls < 0).all()
 
 
-def test_hits_rank_alone_whatever_changes():
-    rng = np.random.default_rng(0)
-    changes, hits = rng.normal(size=(3, 13, 20)) * 9, rng.permutation(20).astype(float)
-    usage, weights = plan.RowUsage(rng.random(20), hits), np.ones((13, 20))
-    score, moving = plan.rank_updates(changes, weights, usage, "hits")
-    assert score.tolist() == hits.tolist() and moving.all()
-    by_usage, _ = plan.rank_updates(changes, weights, usage, "usage")
-    np.testing.assert_allclose(by_usage, usage.score * np.sqrt(np.square(changes).sum(axis=(0, 1)) / 3))
+@pytest.mark.parametrize("rank", ["hits", "usage"])
+def test_hits_rank_alone_whatever_changes_and_usage_with_the_size_of_changes(rank):
+    layout = laid_out(PACKAGES["paper"].scene(), PAPER)
+    changes = np.random.default_rng(0).normal(size=(3, 13, len(layout.rows))) * 9
+    score, moving = module.rank_updates(layout, slice(None), changes, rank)
+    size = np.sqrt(np.square(changes).sum(axis=(0, 1)) / 3)
+    np.testing.assert_allclose(score, layout.hits if rank == "hits" else layout.score * size)
+    assert moving.all()
 
 
 def test_a_first_look_keeps_what_was_asked_for():
