@@ -21,7 +21,7 @@ from airgs_codec.media.movie import LAYOUTS
 from airgs_codec.package.layout import KEY, STATE, Layout
 from airgs_codec.package.manifest import Manifest, quality_of, rungs_of
 from airgs_codec.package.region import RegionSummary, world_words
-from airgs_codec.package.tables import Atlas, LeftOut
+from airgs_codec.package.tables import Atlas, LeftOut, RungQuality
 
 NOTHING = ("0", "0 %", "-", "", "…")  # cells of a column that this scene does not need
 MOST_GROUPS = 12  # in the table of groups
@@ -122,7 +122,8 @@ def rung_rows(m: Manifest, manifest_bytes: int) -> list[Row]:
     for rung in rungs_of(m, manifest_bytes):
         quality = quality_of(m, m.level_index(rung.level), m.quality_index(rung.key_quality))
         row: Row = {"key": rung.key_quality, "state": rung.level, "bytes_per_frame": rung.bytes / m.frames}
-        row |= {"mean_bps": 8 * row["bytes_per_frame"] * float(m.fps)} | dict.fromkeys(QUALITY)
+        row |= {"mean_bps": 8 * row["bytes_per_frame"] * float(m.fps)}
+        row |= dict.fromkeys(field.name for field in dataclasses.fields(RungQuality))
         rows.append(row | (dataclasses.asdict(quality) if quality else {}) | {"best": rung.best})
     return rows
 
@@ -241,8 +242,11 @@ def _notes(m: Manifest) -> list[str]:
 
 def _head(m: Manifest, s: Row) -> list[str]:
     views, region, background = m.views, RegionSummary.of(m.region), s["background"]
-    measured = f"quality against the {views.reference} over {views.measured} other pictures of each segment"
-    measured += ", errors pooled for PSNR"
+    measured = "quality was not measured"
+    if m.rungs:
+        error = max(rung.error for levels in m.rungs for rung in levels)
+        measured = f"quality against the {views.reference} over up to {views.measured} other pictures"
+        measured += f"; the standard error of no PSNR is above {error:.2f} dB"
     return [
         f"{m.frames} frames at {s['fps']:g} fps ({s['duration_s']:.2f} s), SH degree {m.sh_degree}, "
         f"{s['package_bytes'] / 1e6:.3f} MB in all ({kilobytes(s['package_bytes'] / m.frames)} kB/frame)",
@@ -252,8 +256,7 @@ def _head(m: Manifest, s: Row) -> list[str]:
         *([f"origin: positions are from ({', '.join(f'{value:.15g}' for value in m.origin)})"] if m.origin else []),
         *([f"sound: Opus, {s['sound']['form']}, {s['sound']['mean_bps'] / 1e3:.0f} kbit/s"] if m.sound else []),
         *([f"background: {', '.join(f'{value:g}' for value in background)}"] if background else []),
-        f"decided on {views.decided} pictures of each group; "
-        + (measured if views.reference != "none" else "quality was not measured"),
+        f"decided on {views.decided} pictures of each group; {measured}",
     ]
 
 

@@ -6,40 +6,26 @@ from dataclasses import replace
 import pytest
 
 from tests import faces
-from tests.faces import LeftOut, describe_left_out, format_ladder, format_summary, pooled_quality, summarise
-from tests.support.manifests import in_groups, tiny_manifest, with_segments
+from tests.faces import LeftOut, describe_left_out, format_ladder, format_summary, summarise
+from tests.support.manifests import in_groups, tiny_manifest
 from tests.support.paths import VALID
 from tests.support.regions import arc
 
 MANIFESTS = 700  # bytes of airgs.json and manifest.mpd, say
 
 
-def with_measured(m, index, psnr, ssim, delta_e=1.0, worst=20.0):
-    """The same measurements for every level and quality of one segment."""
-    count = len(m.qualities)
-    measured = {"psnr": [psnr] * count, "worst": [worst] * count, "ssim": [ssim] * count, "delta_e": [delta_e] * count}
-    levels = [replace(v, **measured) for v in m.segments[index].levels]
-    segments = list(m.segments)
-    segments[index] = replace(segments[index], levels=levels)
-    return with_segments(m, segments)
-
-
-def test_quality_pools_squared_errors_by_frames_not_decibels():
-    m = with_measured(with_measured(tiny_manifest(groups=(30, 10)), 0, 40.0, 0.9, worst=28.0), 1, 30.0, 0.5, 3.0, 29.0)
-    quality = pooled_quality(m, 0, 0)
-    assert quality.psnr == pytest.approx(34.881, abs=1e-3)  # -10 log10((3 * 1e-4 + 1e-3) / 4)
-    assert (quality.ssim, quality.delta_e) == (pytest.approx(0.8), pytest.approx(1.5))
-    assert quality.worst == 28.0  # no picture of any segment is worse
+def with_psnr(m, psnr):
+    """The same PSNR for every rung."""
+    return replace(m, rungs=[[replace(quality, psnr=psnr) for quality in levels] for levels in m.rungs])
 
 
 @pytest.mark.parametrize("claim", [None, -1e300, 1e300])
 def test_what_is_not_measured_is_none_and_absurd_claims_are_still_numbers(claim):
-    m = tiny_manifest(psnr=None) if claim is None else with_measured(tiny_manifest(), 0, claim, 0.9)
+    m = tiny_manifest(psnr=None) if claim is None else with_psnr(tiny_manifest(), claim)
     summary = summarise(m, MANIFESTS)
     written = json.loads(json.dumps(summary, allow_nan=False))
-    for name in ("psnr", "worst", "ssim", "delta_e"):
+    for name in ("psnr", "error", "low", "ssim", "delta_e", "pictures"):
         assert (claim is None) == ({rung[name] for rung in written["rungs"]} == {None})
-    assert (claim is None) == (pooled_quality(m, 0, 0) is None)
     assert format_summary(m, MANIFESTS)
 
 
@@ -54,7 +40,7 @@ def test_rates_and_bytes_of_levels_rungs_and_kinds_count_everything_a_viewer_fet
     keys, state = 2 * (3000 + 1000 + 2 * 100), 2 * (2000 + 100)
     assert rungs["Q0", "L0"]["bytes_per_frame"] * 20 == pytest.approx(keys + state + MANIFESTS)
     assert rungs["Q1", "L2"]["bytes_per_frame"] * 20 == pytest.approx(3400 + 1200 + MANIFESTS)
-    assert rungs["Q1", "L2"]["psnr"] == pytest.approx(32) and rungs["Q1", "L2"]["worst"] == 30
+    assert rungs["Q1", "L2"]["psnr"] == 32 and rungs["Q1", "L2"]["low"] == 30
     assert len(rungs) == 6
     m = tiny_manifest(groups=(3, 3))  # 2000 B of media hold 3 * 666 B of pictures
     kinds = summarise(m, MANIFESTS)["top_rung_bytes"]
@@ -84,7 +70,7 @@ def test_the_viewing_region_is_told_in_figures_and_words():
 
 
 @pytest.mark.parametrize("m", [
-    tiny_manifest(), tiny_manifest(psnr=None), with_measured(tiny_manifest(), 0, -1e300, 0.9),
+    tiny_manifest(), tiny_manifest(psnr=None), with_psnr(tiny_manifest(), -1e300),
     tiny_manifest(groups=(1,), state_bytes=(0,), psnr=[[100.0, 100.0]]),
 ], ids=["measured", "not measured", "absurd", "one still frame"])  # fmt: skip
 def test_the_picture_is_drawn(m, tmp_path):

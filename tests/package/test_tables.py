@@ -154,8 +154,7 @@ HIGH = [{"frames": [5], "segments": [2], "bytes": [9], "sha256": "A" * 32}] * 6
 
 @pytest.mark.parametrize(("name", "values", "words"), [
     *((TABLE, {f"{LEVEL}.psnr": [db, 40.0]}, "psnr") for db in (1e300, -1e300)),
-    (TABLE, {f"{LEVEL}.worst": [30.0]}, "worst"),
-    *((TABLE, {f"{LEVEL}.ssim": ssim}, "ssim") for ssim in ([], [0.9, 7.0])),
+    *((JSON_NAME, {"rungs": rungs}, "rungs") for rungs in ([], [[]], [[], []])),
     *((TABLE, {f"{LEVEL}.delta_e": e}, "delta_e") for e in ([], [0.5], [-0.1, 0.1], [0.5, 1e300])),
     (TABLE, {f"{LEVEL}.file.sha256": ""}, "file"),
     (TABLE, {f"{LEVEL}.file": {"bytes": 0, "sha256": "A" * 32}}, ""),
@@ -200,7 +199,7 @@ def test_claims_that_cannot_be_true_are_refused(name, values, words):
     (JSON_NAME, "frame_rate", [30], ".frame_rate: expected 2 to 2 values, got 1"),
     (JSON_NAME, "region.turn", 181, ".region.turn: expected 0 to 180, got 181.0"),
     (JSON_NAME, "views.reference", "film", ".views.reference: expected one of original, none, got 'film'"),
-    (TABLE, f"{LEVEL}.ssim.1", 1.5, ".segments[0].levels[0].ssim[1]: expected -1 to 1, got 1.5"),
+    (JSON_NAME, "rungs.1.0.ssim", 1.5, ".rungs[1][0].ssim: expected -1 to 1, got 1.5"),
     (TABLE, "tiers.0.sidecar.sha256", "12",
      ".tiers[0].sidecar.sha256: expected a digest of 32 characters of base64url, got '12'"),
 ])  # fmt: skip
