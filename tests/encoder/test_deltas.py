@@ -1,4 +1,4 @@
-"""States of rows: what is coded of them, where lines in time pay, and pictures that every decoder leaves alone."""
+"""Deltas: what is coded of them, where lines in time pay, and pictures that every decoder leaves alone."""
 
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from airgs_codec.coding import atlas, channels, escapes, kernels
-from airgs_codec.encoder import level, omit, representation, sample, states
+from airgs_codec.encoder import deltas, omit, sample, streams
 from airgs_codec.media import h264, mp4
 from tests import faces
 from tests.faces import EncodeSettings, decode, decode_canonical, decode_frames, measure_errors, open_package
 from tests.support.digests import decode_slopes
 from tests.support.packages import PACKAGES, PLAIN, SEGMENT, TWO_LEVELS, laid_out
-from tests.support.scenes import moving_frames, write_sequence
+from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
 CODEC, FPS = h264.state_codec("veryfast"), Fraction(24)
 LIMIT, UNIT = 96, 128  # of escapes: samples differ from 128 by at most LIMIT, and a base is UNIT codes
@@ -40,7 +40,7 @@ def sequence(tmp_path_factory):
 @pytest.fixture(scope="module")
 def group(sequence):
     """Its frames, how they are laid out, and the canonical space of two key qualities."""
-    layout = laid_out(sequence, SETTINGS, faces.plan_views(sequence, SETTINGS))
+    layout = laid_out(sequence, SETTINGS)
     fine = layout.key_values().astype(np.float32)
     still = np.full(len(layout.rows), faces.STATIC, np.uint8)
     return sequence.load(range(6)).frames, layout, [layout.canonical_space(k, still) for k in (fine, np.round(fine, 1))]
@@ -64,12 +64,12 @@ def test_values_are_those_of_all_frames_together(group, tmp_path, small_chunks):
     assert sum(part.stop - part.start for part in values.chunks()) == len(layout.rows) > 37
 
 
-def test_how_many_rows_are_looked_at_together_changes_nothing(group, tmp_path, small_chunks, monkeypatch):
+def test_how_many_rows_are_looked_at_together_changes_nothing(sequence, group, tmp_path, small_chunks, monkeypatch):
     frames, layout, bases = group
-    coded, clock = [], representation.Clock.of(Fraction(30))
+    coded, clock, plan = [], streams.Clock.of(Fraction(30)), faces.decide(sequence, SETTINGS)
     for name in ("few", "many"):
         (tmp_path / name).mkdir()
-        coded.append(states.code_states(layout, bases, frames, SETTINGS, clock, tmp_path / name))
+        coded.append(deltas.code_deltas(layout, bases, frames, plan, clock, tmp_path / name))
         monkeypatch.undo()
     few, many = coded
     assert few.depths.tolist() == many.depths.tolist() and few.left_out == many.left_out
@@ -78,7 +78,7 @@ def test_how_many_rows_are_looked_at_together_changes_nothing(group, tmp_path, s
         assert a.atlas == b.atlas and a.escapes == b.escapes
         assert a.samples is not None and b.samples is not None
         assert [x.tolist() for x in a.samples] == [x.tolist() for x in b.samples]
-        assert [x.tolist() for x in a.samples.part(2, 4)] == [x.tolist() for x in b.samples][2:4]
+        assert [x.tolist() for x in a.samples.part(slice(2, 4))] == [x.tolist() for x in b.samples][2:4]
 
 
 def test_frames_that_are_read_again_are_the_same(sequence, monkeypatch):
@@ -98,7 +98,7 @@ VALUES = npst.arrays(np.float64, (6, 5), elements=st.sampled_from([0.0, 0.002, 0
 @given(VALUES, st.floats(0.001, 0.02))
 def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were(alpha, unit):
     base = np.array([0.0, 0.01, 0.3, 0.6, 1.0])
-    changes, bases = level.hide_undrawn(alpha - base, base, unit)
+    changes, bases = deltas.hide_undrawn(alpha - base, base, unit)
     shown = base + changes - bases * UNIT * unit
     drawn, hidden = alpha >= 1 / 255, bases > 0
     np.testing.assert_allclose(shown[drawn], alpha[drawn], atol=1e-12)
@@ -106,7 +106,7 @@ def test_rows_that_are_not_drawn_are_hidden_by_bases_and_others_are_as_they_were
     assert (shown[hidden] <= -(UNIT - LIMIT) * unit + 1e-9).all()  # whatever the video codec errs
     assert (np.abs(shown - alpha)[~drawn & ~hidden] <= 16 * unit + 1e-9).all()
     alpha = np.array([[0.8, 0.0, 0.8, 0.0, 0.0, 0.8]]).T  # samples of a row that goes and comes do not change
-    changes, bases = level.hide_undrawn(alpha - 0.5, np.array([0.5]), 0.01)
+    changes, bases = deltas.hide_undrawn(alpha - 0.5, np.array([0.5]), 0.01)
     assert np.ptp(changes) == 0 and bases[:, 0].tolist() == [0, 1, 0, 1, 1, 0]
 
 
@@ -115,11 +115,10 @@ def lined(package_of):
     return open_package(package_of("lines"))
 
 
-def test_segments_of_even_motion_have_lines_whose_picture_stands_in_front_and_others_have_none(lined):
-    """Others are of one frame, and of uneven motion."""
+def test_lines_of_segments_have_their_picture_in_front_and_segments_of_few_frames_have_none(lined):
     m = lined.manifest
     lines = [[level.line for level in segment.levels] for segment in list(m.segments)[:4]]
-    assert lines == [[True, True], [True, True], [None, None], [None, None]]
+    assert lines == [[True, True], [True, True], [None, None], [True, True]]
     assert m.segments[3].levels[0].file.bytes
     (path,) = m.state_files(0, 0)
     found, segment = mp4.read_segment(lined.read(path)), m.segments[0].levels[0]
@@ -162,15 +161,20 @@ def test_a_row_that_jumps_far_and_back_is_escaped_not_clipped(lined):
         assert np.abs(shown[t][far] - frames[t].means[11]).max() <= most
 
 
-def test_a_line_is_taken_where_it_saves_bytes_alone():
-    rng, codec = np.random.default_rng(0), h264.state_codec("fast")
-    start, rise, noise = rng.normal(size=(3, 512)) * 30, rng.normal(size=(3, 512)) * 20, rng.normal(size=(12, 3, 512))
-    even = start + atlas.line_times(12)[:, None, None] * rise
-    steps, weights = np.ones(3), np.ones((3, 512))
-    assert sample.worth_line(even, steps, weights, codec)
-    assert not sample.worth_line(start + 20 * noise, steps, weights, codec)
-    assert not sample.worth_line(even[:1], steps, weights, codec)
-    sizes, decoded = sample.encode_and_decode(even, steps, codec, line=True)
+def test_a_plan_has_lines_where_they_save_bytes():
+    """Where everything moves evenly, and not where it shakes or is shown for a moment."""
+    first, rng, settings = random_gaussians(600), np.random.default_rng(0), replace(SETTINGS, calibrate="steps")
+    rise, shake = rng.normal(size=(600, 3)) * 0.02, rng.normal(size=(8, 600, 3)) * 0.05
+    for moves, lined in (([t * rise for t in range(8)], True), (shake, False), ([t * rise for t in range(3)], False)):
+        frames = [replace(first, means=(first.means + way).astype(np.float32)) for way in moves]
+        sequence = faces.GaussianSequence.from_arrays(frames, cameras=faces.orbit_views(first, count=4, size=64))
+        assert faces.decide(sequence, replace(settings, segment_s=1.0)).lined == lined
+
+
+def test_a_line_is_coded_with_the_frames_that_it_leaves():
+    rng = np.random.default_rng(0)
+    even = rng.normal(size=(3, 512)) * 30 + atlas.line_times(12)[:, None, None] * rng.normal(size=(3, 512)) * 20
+    sizes, decoded = sample.encode_and_decode(even, np.ones(3), h264.state_codec("fast"), line=True)
     assert len(sizes) == 12 and np.abs(decoded - even).max() < 4
 
 
@@ -190,7 +194,7 @@ def test_pictures_that_would_leave_the_range_are_coded_finer_and_the_limit_of_es
     coarse = [h264.encode_gop(gop, (128, 128), FPS, CODEC) for gop in (ends, even, calm, bright)]
     checked = zip(coarse, (ends, even, calm, bright), strict=True)
     assert [h264.check_gop(data, gop, CODEC).in_range for data, gop in checked] == [True, True, True, False]
-    coded = representation.encode_checked([bright, calm], (128, 128), representation.Clock.of(FPS), CODEC).gops
+    coded = streams.encode_checked([bright, calm], (128, 128), streams.Clock.of(FPS), CODEC).gops
     shown = list(coded[0].pictures("x"))
     assert len(shown) == 6 and all(h264.in_range(picture) for picture in shown)
     assert len(coded[0].fragment) > len(coarse[3].fragment) and coded[1].fragment == coarse[2].fragment
@@ -198,7 +202,7 @@ def test_pictures_that_would_leave_the_range_are_coded_finer_and_the_limit_of_es
 
 def test_an_atlas_that_is_too_large_for_a_picture_is_decoded_from_pages(tmp_path, monkeypatch):
     """Every key and level is, here, and every value keeps to its `max_error`."""
-    monkeypatch.setattr(representation, "picture_size", partial(atlas.picture_size, macroblocks=16))
+    monkeypatch.setattr(streams, "picture_size", partial(atlas.picture_size, macroblocks=16))
     sequence = faces.GaussianSequence.from_arrays(moving_frames(600, 5))
     faces.encode(sequence, tmp_path / "out", replace(PLAIN, keep_all=False, segment_s=0.1))
     assert faces.validate(tmp_path / "out") == []

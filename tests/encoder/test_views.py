@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests import faces
-from tests.faces import MEASURING, EncodeSettings, Picture, ViewPlan, draw_views, open_package, open_sequence
+from tests.faces import MEASURING, EncodeSettings, Picture, draw_views, open_package, open_sequence
 from tests.support.multiview_files import write_cameras
 from tests.support.packages import TWO_LEVELS
 from tests.support.paths import FOX
@@ -20,10 +20,14 @@ from tests.support.views import coloured_cloud, ring
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 
 
+def views_of(sequence, **settings):
+    return faces.choose_views(sequence, EncodeSettings(**settings))[0]
+
+
 @pytest.fixture(scope="module")
 def fox():
     sequence = open_sequence(FOX)
-    return sequence, ViewPlan.of(sequence, 24)
+    return sequence, views_of(sequence)
 
 
 def places(views):
@@ -33,75 +37,71 @@ def places(views):
 def test_no_view_that_decides_measures(fox):
     sequence, plan = fox
     assert plan.trusted and plan.region.source == "cameras"
-    assert not places(plan.deciding) & places(plan.measuring)
-    for view in [*plan.deciding[:20], *plan.measuring[:20]]:
+    measuring = plan.measuring(sequence)
+    assert not places(plan.deciding) & places(measuring)
+    for view in [*plan.deciding[:20], *measuring[:20]]:
         assert is_inside(plan.region, view)
     assert max(view.width * view.height for view in plan.deciding) <= 1.01 * 200_000
-    assert {(v.width, v.height) for v in plan.measuring} == {(plan.region.width, plan.region.height)}
-    for a, b in zip(plan.measuring, ViewPlan.of(sequence, 24).measuring, strict=True):
+    assert {(v.width, v.height) for v in measuring} == {(plan.region.width, plan.region.height)}
+    for a, b in zip(measuring, views_of(sequence).measuring(sequence), strict=True):
         assert np.array_equal(a.world_to_camera, b.world_to_camera)
 
 
 def test_all_frames_of_a_group_decide_or_evenly_many_from_end_to_end_and_others_check(fox):
+    """About the groups of a run more of them do, with the square root of their number."""
     sequence, plan = fox
     for frames in (1, 2, 5, 10, 23, 24, 240):
-        pictures = plan.decide(frames)
+        pictures = plan.decide(range(7, 7 + frames))
         numbers = {frame for frame, _ in pictures}
         assert len(pictures) == plan.decided == len(places(view for _, view in pictures))
-        assert (len(numbers), min(numbers), max(numbers)) == (min(frames, plan.decided), 0, frames - 1)
-    ranking, checking = plan.decide(24), plan.check(24)
+        assert (len(numbers), min(numbers), max(numbers)) == (min(frames, plan.decided), 7, 6 + frames)
+    ranking, checking = plan.decide(range(24), 4), plan.check(range(24))
+    assert len(ranking) == 2 * plan.decided
     assert len(checking) == 16 and len({frame for frame, _ in checking}) == 16
     assert not places(view for _, view in ranking) & places(view for _, view in checking)
     given = [replace(region(place(0.0)), width=width, height=300) for width in (300, 400)]  # more of small pictures
-    assert [ViewPlan.of(sequence, 10, region=one).decided for one in given] == [20, 10]
-
-
-def test_all_frames_of_a_segment_are_measured_from_views_of_its_own(fox):
-    for length in (1, 3, 5, 7, 12):
-        numbers = [frame for frame, _ in fox[1].measure(2, 100, 100 + length, 12)]
-        assert numbers == sorted(numbers) and len(numbers) == 12 and set(numbers) == set(range(100, 100 + length))
-    looks = [places(view for _, view in fox[1].measure(index, 0, 24, 12)) for index in range(5)]
-    assert all(len(look) == 12 for look in looks) and len(set.union(*looks)) == 60
+    assert [views_of(sequence, decide_pictures=10, region=one).decided for one in given] == [20, 10]
 
 
 def test_without_a_margin_the_held_out_cameras_measure(fox):
     sequence, _ = fox
-    plan, held_out = ViewPlan.of(sequence, 24, margin=0.0), [c for c in sequence.cameras if c.held_out]
-    assert [c.name for c in plan.measuring] == [c.name for c in held_out]
+    plan, held_out = views_of(sequence, margin=0.0), [c for c in sequence.cameras if c.held_out]
+    assert [c.name for c in plan.measuring(sequence)] == [c.name for c in held_out]
     assert not places(plan.deciding) & places(held_out)
     training = replace(sequence, cameras=[c for c in sequence.cameras if not c.held_out])
-    alone = ViewPlan.of(training, 24, margin=0.0)
-    assert len(places(alone.measuring)) == len(alone.region.places)  # no others: the places themselves
+    alone = views_of(training, margin=0.0)
+    assert len(places(alone.measuring(training))) == len(alone.region.places)  # no others: the places themselves
 
 
 def test_a_region_that_is_given_is_taken_and_cameras_keep_their_own_up(fox):
     (sequence, plan), given = fox, region(place(0.0), source="file")
-    taken = ViewPlan.of(sequence, 24, region=given)
+    taken = views_of(sequence, region=given)
     assert taken.region == given and taken.trusted
-    assert all(is_inside(given, view) for view in taken.measuring)
-    told = ViewPlan.of(sequence, 24, world=faces.world_from((1, 0, 0)))
+    assert all(is_inside(given, view) for view in taken.measuring(sequence))
+    told = views_of(sequence, world=faces.world_from((1, 0, 0)))
     assert told.region == plan.region and plan.world is None
 
 
 def test_up_is_guessed_without_cameras_and_a_world_is_of_the_coordinates_in_files_and_mirrors_nothing():
-    plan = ViewPlan.of(faces.GaussianSequence.from_arrays(moving_frames(60, 3)), 24)
+    plan, notes = faces.choose_views(faces.GaussianSequence.from_arrays(moving_frames(60, 3)), EncodeSettings())
     assert plan.region.source == "orbit" and not plan.trusted
-    assert plan.world is None and plan.notes[1].startswith("up is guessed to be (")
+    assert plan.world is None and notes[1].startswith("up is guessed to be (")
     with pytest.raises(faces.ConfigError, match="world: expected a right-handed turn, got one that mirrors"):
         EncodeSettings(world=faces.World([1, 0, 0, 0, 0, -1, 0, 0, 0, 0, 1, 0], metric=False))
     turned = np.array([[2, 0, 0, 1], [0, 0, 2, 1], [0, -2, 0, 1.0]])
     there = faces.GaussianSequence.from_arrays(moving_frames(60, 1)).at_origin((8, 4, 2))
-    told = faces.plan_views(there, EncodeSettings(world=faces.World(turned.ravel().tolist(), metric=True))).world
+    told = views_of(there, world=faces.World(turned.ravel().tolist(), metric=True)).world
     np.testing.assert_allclose(np.reshape(told.transform, (3, 4)) @ [1, 2, 3, 1], turned @ [9, 6, 5, 1])
 
 
 def test_the_specification_of_a_format_tells_up_unless_somebody_does(tmp_path):
     (tmp_path / "a.glb").write_bytes(glb_bytes(random_gaussians(40)))
     sequence = open_sequence(tmp_path / "a.glb")
-    plan, told = ViewPlan.of(sequence, 8), ViewPlan.of(sequence, 8, world=faces.world_from((0, 0, -1)))
+    plan, notes = faces.choose_views(sequence, EncodeSettings())
+    told, others = faces.choose_views(sequence, EncodeSettings(world=faces.world_from((0, 0, -1))))
     assert plan.world == faces.world_from((0, 1, 0), 1.0)
-    assert plan.notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
-    assert faces.up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in told.notes)
+    assert notes[-1] == "up: (0, 1, 0); units: one is 1 m; the specification of glTF says so"
+    assert faces.up_of(told.world).tolist() == [0, 0, -1] and not any("specification" in note for note in others)
     assert all(at.up[2] <= 0 for at in told.region.places), "the views that were found are upright"
 
 
@@ -135,7 +135,7 @@ def test_a_background_is_in_the_region_where_there_is_one_and_behind_views_of_al
     picture = faces.render(coloured_cloud(1), views[0])
     np.testing.assert_allclose(picture.rgb[picture.transmittance == 1], 1)
     named = [none, replace(given, background=list(BLACK))]  # it is behind a region that names none alone
-    assert [ViewPlan.of(sequence, 8, region=one).region.background for one in named] == [[1, 1, 1], [0, 0, 0]]
+    assert [views_of(sequence, region=one).region.background for one in named] == [[1, 1, 1], [0, 0, 0]]
 
 
 def test_claimed_psnr_is_that_before_the_background(backgrounds):
@@ -147,7 +147,7 @@ def test_claimed_psnr_is_that_before_the_background(backgrounds):
             streams, looked_at = faces.rung_streams(package, range(1)), [(0, view) for view in some]
             errors = faces.compare_streams(streams, iter(sequence.load([0]).frames), looked_at, Picture.mse)
             found.append(faces.psnr(np.mean(errors["Q0+L0"])))
-        claim = faces.pooled_quality(m, 0, 0).psnr
+        claim = faces.quality_of(m, 0, 0).psnr
         assert claim == pytest.approx(found[0], abs=0.006) and abs(claim - found[1]) > 0.05
 
 
