@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from airgs_codec.encoder.pipeline import draw_poster
 from PIL import Image
 
 from airgs_codec.coding import channels, sidecar
+from airgs_codec.encoder.publish import draw_poster
 from airgs_codec.media.h264 import open_segment
 from tests import faces
 from tests.faces import ConfigError, EncodeSettings, LevelSettings, decode, decode_canonical, decode_frames, psnr
@@ -38,12 +38,9 @@ def fox(demo_package):
 def coded(fox):
     """Of each group of the fox: its number, its table, its frames, and how they were laid out."""
     sequence, found = faces.open_sequence(FOX), []
-    views = faces.ViewPlan.of(sequence, 24)
-    settings = replace(FAST, steps=FAST.steps.at_scale(views.scale))
     for number, group in enumerate(fox.manifest.groups):
         frames = sequence.load(range(group.start, group.stop)).frames
-        span = faces.GroupSpan(number, group.start, group.stop)
-        found.append((number, group, frames, laid_out(sequence, settings, views, span)))
+        found.append((number, group, frames, laid_out(sequence, FAST, (group.start, group.stop))))
     return found
 
 
@@ -138,7 +135,7 @@ def test_a_package_has_a_view_of_its_first_frame_from_where_viewers_begin(fox, m
     expected = faces.to_bytes(faces.CPU.render(sequence.load([0]).frames[0], camera).rgb)
     assert psnr(float(np.square((poster.astype(float) - expected) / 255).mean())) > 30  # what JPEG loses
     for most in (20_000, 5_000, 900):
-        monkeypatch.setattr("airgs_codec.encoder.pipeline.MAX_POSTER_BYTES", most)
+        monkeypatch.setattr("airgs_codec.encoder.publish.MAX_POSTER_BYTES", most)
         data = draw_poster(sequence, 0, sequence.cameras[0], faces.CPU)
         with Image.open(io.BytesIO(data)) as opened:
             assert len(data) <= most and opened.size[0] == opened.size[1] <= 640
