@@ -28,7 +28,7 @@ from airgs_codec.scene.formats.table import (
 from airgs_codec.media.image import box_mean, read_picture, resize, to_bytes, write_png
 from airgs_codec.media.movie import VideoReader, decode_sound, encode_sound, write_movie
 from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
-from airgs_codec.places.results import Store, open_store, pack, seal, unpack, unseal
+from airgs_codec.places.results import Store, digest as content_digest, open_store, pack, seal, unpack, unseal
 
 # Deciding and encoding
 from airgs_codec.analysis.rows import Restored, outlook, restore_rows
@@ -42,6 +42,7 @@ from airgs_codec.encoder.views import Views, choose_views
 from airgs_codec.encoder.target import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.decide import decide
 from airgs_codec.encoder.plan import Plan
+from airgs_codec.encoder.group import encode_group
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.order import order_rows
 from airgs_codec.encoder.publish import EncodeReport, encode
@@ -141,7 +142,7 @@ from airgs_codec.serve.pages import PAGE_TYPES, content_policy, describe, is_bui
 from airgs_codec.serve.export import export_page
 
 # Work in jobs
-from airgs_codec.jobs.executors import Processes
+from airgs_codec.jobs.executors import DaskCluster, Processes
 from airgs_codec.jobs.work import Work
 
 # Commands

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from airgs_codec.encoder.pipeline import DIFFERENCE, KEY, STEPS
 
 from tests import faces
-from tests.faces import MEASURING, GroupSpan, decode, decode_canonical, mse, open_package, psnr, render, validate
+from tests.faces import MEASURING, decode, decode_canonical, mse, open_package, psnr, render, validate
 from tests.support.packages import GROUP, KEPT_KEYS, PACKAGES
 from tests.support.scenes import MOVER, room_behind_a_door
 
@@ -34,7 +33,7 @@ def unchanged(one, other):
 def test_such_a_package_is_valid_keeps_its_promises_and_costs_only_what_differs(package):
     m = package.manifest
     assert [group.keeps for group in m.groups] == [None, None, 2, 2, None, 5, 5, 5, None, 9, None, 11]
-    assert "7 of 12 groups are coded as what differs from an earlier one" in m.decisions
+    assert "7 of 12 keyframes are coded as what differs from an earlier one" in m.decisions
     assert validate(package.files.path) == []
     assert faces.exceeded(faces.measure_errors(package, PACKAGES["keys"].scene())) == []
     assert all(key_bytes(m, group) < 0.75 * key_bytes(m, 2) for group in (3, 4))
@@ -90,25 +89,25 @@ def test_what_a_door_hides_in_the_base_is_fine_enough_where_it_is_seen(package):
 
 
 def test_a_base_that_knew_of_no_open_door_is_none():
-    """The second group is coded by itself, where the first had no word of it."""
+    """Where groups come one by one, the second is coded by itself if the first had no word of it."""
     sequence = faces.GaussianSequence.from_arrays([room_behind_a_door(1500, is_open) for is_open in (False, True)])
-    views = faces.plan_views(sequence, KEPT_KEYS)
-    known = {"sequence": sequence, "views": views, "settings": KEPT_KEYS, "row_error": KEPT_KEYS.row_error}
-    for number in range(2):
-        known["survey"] = faces.survey_group(sequence, GroupSpan(number, number, number + 1), views)
-        STEPS["written"].do(known)
-        known.setdefault("base", KEY.do(known))
-    assert DIFFERENCE.do(known) is None
+    plan = faces.decide(sequence, replace(KEPT_KEYS, group_frames=1))
+    for run, keeps in ((plan.run, 1), (0, None)):
+        first, second = replace(plan, run=run).frames(sequence)
+        assert faces.encode_group(second, plan, faces.encode_group(first, plan)[1])[0].table.keeps == keeps
 
 
-def test_the_base_has_rows_that_later_groups_need_if_these_are_few(package, package_of):
-    """The mover of a room is not there at first; with the rows behind an open door a group is coded by itself."""
+def test_the_first_keyframe_of_a_run_has_rows_that_any_of_its_groups_needs(package, package_of):
+    """The mover of a room is not there at first, nor is what a shut door hides."""
     away, there, shut, open_, alone = open_package(package_of("rows")).manifest.groups
     assert there.keeps == 1 and away.count == there.count > alone.count
-    assert open_.keeps is None and shut.count < open_.count
+    assert open_.keeps == 3 and open_.count == shut.count
+    sequence, settings = PACKAGES["rows"].scene(), PACKAGES["rows"].settings
+    plan = faces.decide(sequence, settings)
+    assert faces.encode_group(replace(plan, run=0).frames(sequence)[2], plan)[0].table.count < shut.count
     assert all(group.unused > 0 for group in (away, there, shut, open_))
     noted = [entry for group in (away, there) for entry in group.left_out if entry.what == "gaussians"]
-    assert [(entry.count, entry.error > 0, entry.bytes > 0) for entry in noted] == [(306, True, True)] * 2
+    assert [(entry.count, entry.error > 0, entry.bytes > 0) for entry in noted] == [(1050 - away.count, True, True)] * 2
     kept = package.manifest.groups  # there all is kept
     assert all(group.unused == 0 for group in kept)
     assert {entry.what for group in kept for entry in group.left_out} <= {"updates"}
