@@ -7,7 +7,7 @@ import pytest
 
 from airgs_codec.encoder import live as module
 from tests import faces
-from tests.faces import APART, EncodeSettings, SceneError, decode_frames, follow, open_package, validate
+from tests.faces import APART, EncodeSettings, SceneError, follow, open_package, validate
 from tests.support.packages import SEEN, TWO_LEVELS
 from tests.support.scenes import moving_frames, random_gaussians, write_sequence
 
@@ -60,27 +60,24 @@ def test_groups_are_published_as_their_frames_appear(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"scene", "out"}
 
 
-def test_it_holds_what_encoding_at_once_would(tmp_path):
-    # A base that is written at once has rows for groups that follow; runs are cut evenly where their end is known.
-    apart = replace(SETTINGS, keys=APART, group_frames=4)
-    _, grown = followed(tmp_path, FRAMES, apart)
-    faces.encode(tmp_path / "scene", tmp_path / "once", apart)
-    once = open_package(tmp_path / "once")
-    for path in (path for group in range(2) for path in once.manifest.group_files(group)):
+@pytest.mark.parametrize("keys", [faces.KEPT, APART])
+def test_with_the_plan_of_the_whole_it_holds_what_encoding_at_once_does(tmp_path, keys):
+    scene = write_sequence(tmp_path / "scene", FRAMES)
+    settings = replace(SETTINGS, keys=keys)
+    once = faces.encode(scene, tmp_path / "once", settings)
+    assert [group.keeps for group in once.manifest.groups] == ([None, 1, 1] if keys == faces.KEPT else [None] * 3)
+    _, grown = followed(tmp_path, FRAMES, settings, plan=once.plan)
+    for path in (path for group in range(3) for path in once.manifest.group_files(group)):
         assert once.manifest.entry(path) == grown.manifest.entry(path)
-    for level in (0, 1):
-        for frames in zip(*(decode_frames(package, 0, 8, level=level) for package in (once, grown)), strict=True):
-            for name in faces.Gaussians.__slots__:
-                np.testing.assert_array_equal(*(getattr(frame.gaussians, name) for frame in frames))
+    with pytest.raises(faces.ConfigError, match="plan: expected a sequence of at least 8 frames, got 7"):
+        followed(tmp_path / "short", FRAMES[:7], settings, plan=once.plan)
 
 
-def test_a_base_has_rows_of_groups_before_it_if_these_have_the_same_rows(tmp_path, monkeypatch):
+def test_a_base_has_rows_of_groups_before_it_if_these_have_the_same_rows(tmp_path):
     """Five rows come, then another scene begins, and goes on: these groups share no key, but the last two one.
 
     Then ten of 140 rows are seen in every other group, ten others in the rest: the second base has both.
     """
-    shared, join = [], module.join_surveys
-    monkeypatch.setattr(module, "join_surveys", lambda surveys: shared.append(len(surveys)) or join(surveys))
     more, others = faces.join_rows([FRAMES[1], random_gaussians(5, seed=3)]), 6 * [random_gaussians(150, seed=5)]
     turns = []
     for t in range(12):
@@ -90,7 +87,6 @@ def test_a_base_has_rows_of_groups_before_it_if_these_have_the_same_rows(tmp_pat
         turns.append(replace(FRAMES[0].take(np.arange(140)), opacity_logits=logits))
     _, grown = followed(tmp_path, [*FRAMES[:4], more, FRAMES[2], *others, *turns], SETTINGS)
     assert [group.keeps for group in grown.manifest.groups] == [None, None, None, 3, None, None, 6, 6]
-    assert shared == [1, 1, 2]
 
 
 def test_an_error_leaves_the_groups_that_were_whole_closes_the_package_and_without_a_frame_there_is_none(tmp_path):
