@@ -33,7 +33,9 @@ class Growing:
         _, pages = faces.build_index(groups, [faces.pack_group(group) for group in groups])
         for path, page in pages.items():
             Folder(self.folder).write(path, faces.pack_json(page))
-        m = replace(self.whole, live=count > 0, frames=groups[-1].stop, groups=faces.Groups.of(groups))
+        rungs = [[replace(rung, pictures=self.count) for rung in levels] for levels in self.whole.rungs]
+        known = {"live": count > 0, "frames": groups[-1].stop, "rungs": rungs}
+        m = replace(self.whole, groups=faces.Groups.of(groups), **known)
         now = datetime.now(UTC)
         faces.write_root(Folder(self.folder), m, faces.LiveClock(now, now))
 
