@@ -143,17 +143,18 @@ def encode(options: Encode) -> int:
     if options.follow:
         return _follow(options, settings, target)
     sequence = _open(options)
-    if sequence.clip and not options.json:
+    quiet = options.json or options.plan == PRINTED
+    if sequence.clip and not quiet:
         say(f"clip: {options.scene}: {sequence.clip.note}")
     goal = _goal(options, sequence)
     cameras = sequence.name_of(sequence.cameras_path) if sequence.cameras_path else None
-    if cameras and not options.json:
+    if cameras and not quiet:
         held_out = sum(camera.held_out for camera in sequence.cameras)
         say(f"cameras: {cameras}, {len(sequence.cameras)} of them, {held_out} held out")
     for note in sequence.notes:
         warn(note)
     sound = encode_sound(options.audio, len(sequence) / sequence.fps) if options.audio else None
-    if sound and sound.note and not options.json:
+    if sound and sound.note and not quiet:
         say(f"sound: {options.audio}: {sound.note}")
     sequence = replace(sequence, credit=options.attribution or sequence.attribution, sound_track=sound)
     frames = min(settings.group_frames, len(sequence))
@@ -163,7 +164,8 @@ def encode(options: Encode) -> int:
     if options.track and settings.rows != AUTO:
         raise ConfigError(f"--rows: expected {AUTO} with --track, which leaves rows in order, got {settings.rows}")
     sequence = hold_frames(sequence)
-    track, line = will_track(sequence, options.track, settings.rows)
+    wanted = False if options.track is None and options.preset == "quick" else options.track
+    track, line = will_track(sequence, wanted, settings.rows)
     if line:
         warn(line)
     folder = cpu_kernels.blend.stats.cache_path  # None where numba cannot write one

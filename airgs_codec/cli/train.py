@@ -142,7 +142,8 @@ def train(options: Train) -> int:
             write_report(run.model, exposed, options.report, renderer)
 
     often = page if options.report and not shared else None
-    with Bar(options.json) as bar, options.opened(bar) if shared else nullcontext() as work:
+    needs: dict[str, float] | None = {"GPU": 1} if device == "cuda" else None
+    with Bar(options.json) as bar, options.opened(bar, needs) if shared else nullcontext() as work:
         model = train_run(run, bar, quiet=options.json, work=work, page=often)
     page()
     say(json.dumps(summary(model)) if options.json else as_words(model, options.report))

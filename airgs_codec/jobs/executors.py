@@ -26,6 +26,7 @@ DEATHS = 3  # of workers that a call may see before it is given up
 LEAVE_S = 5.0  # for a process to remove what it has begun
 RETRIES = 2  # of a call whose machine fails: its disk, its network
 CONNECT_S = 5  # to a Dask scheduler
+WORKER_S = 60  # for a worker that has what calls need, to come
 
 
 class Processes(Executor):
@@ -106,7 +107,7 @@ class DaskCluster(Executor):
     """
 
     def __init__(self, address: str = "", count: int = 1, needs: dict[str, float] | None = None) -> None:
-        """Raises WorkError where nobody answers at the address."""
+        """Raises WorkError where nobody answers at the address, or no worker there has what calls need."""
         import dask
         from dask.distributed import Client, LocalCluster
 
@@ -122,7 +123,22 @@ class DaskCluster(Executor):
         if self._cluster:
             self._client.run(use_threads, max(1, available_cores() // count))
         resources = None if self._cluster else needs
+        self._expect(resources or {})
         self._inner = self._client.get_executor(pure=False, retries=RETRIES, resources=resources)
+
+    def _expect(self, needs: dict[str, float]) -> None:
+        """Wait a while for a worker that has these resources: it may be starting still."""
+        until = time.monotonic() + WORKER_S
+        while needs:
+            workers = self._client.scheduler_info(n_workers=-1)["workers"].values()
+            if any(all(worker["resources"].get(name, 0) >= n for name, n in needs.items()) for worker in workers):
+                return
+            if time.monotonic() > until:
+                wanted = " ".join(f"{name}={n:g}" for name, n in needs.items())
+                self._client.close()
+                words = f"expected a worker started with --resources {wanted!r}, got {len(workers)} without"
+                raise WorkError(f"--executor dask: {words}")
+            time.sleep(0.2)
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Its future raises WorkError where workers die of the call or the scheduler is gone."""

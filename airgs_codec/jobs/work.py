@@ -48,7 +48,7 @@ class Work:
         """
         entries: list[str | None] = [None] * len(calls)
         if self.store and contents is not None:
-            entries = [digest(function.__module__, function.__qualname__, version, content) for content in contents]
+            entries = [_name(function, content, version) for content in contents]
         left: list[int] = []
         done = 0
         for place, entry in enumerate(entries):
@@ -62,6 +62,11 @@ class Work:
             done += 1
             self.progress(stage, done, len(calls))
             yield place, value
+
+    def stored(self, function: Callable[..., Any], contents: Sequence[Any], version: int = 0) -> list[Any]:
+        """Give those results of `map` that are there already."""
+        names = [_name(function, content, version) for content in contents] if self.store else []
+        return [found[0] for name in names if self.store and (found := load(self.store, name))]
 
     def _finish(
         self, function: Callable[..., Any], calls: dict[int, tuple[Any, ...]], entries: Sequence[str | None]
@@ -81,6 +86,10 @@ class Work:
         finally:
             for future in futures:
                 future.cancel()
+
+
+def _name(function: Callable[..., Any], content: Any, version: int) -> str:
+    return digest(function.__module__, function.__qualname__, version, content)
 
 
 def _call(store: Store | None, entry: str | None, function: Callable[..., Any], *arguments: Any) -> Any:

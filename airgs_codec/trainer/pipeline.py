@@ -123,11 +123,14 @@ def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
     contents = read_contents(scene, work)
 
     def done(stage: str, make: Callable[..., Any], asked: Sequence[tuple[Sequence[int], tuple[Any, ...]]]) -> list[Any]:
-        """What jobs make that read the pictures of frame 0 and of some frames, and further values."""
+        """What jobs make that read the pictures of frame 0 and of some frames, and further values.
+
+        Without a stage, those of which the results are there.
+        """
         parts = [with_frames(scene, {0, *frames}) for frames, _ in asked]
         calls = [(part, settings, device, *values) for part, (_, values) in zip(parts, asked, strict=True)]
         names = [(content_of(part, contents), call[1:]) for part, call in zip(parts, calls, strict=True)]
-        return work.results(stage, make, calls, names, VERSION)
+        return work.results(stage, make, calls, names, VERSION) if stage else work.stored(make, names, VERSION)
 
     sources = plate_sources(scene) if settings.knows_rest else []
     plates = done("what rests", find_rest, [(frames, (camera, frames)) for camera, frames in sources])
@@ -138,9 +141,13 @@ def train_in_jobs(run: Run, work: Work) -> Iterator[FrameRecord]:
         yield _commit_first(model, lambda: done("first frame", fit_first, asked)[0])
     first, there = (model.read(0), model.record.exposure), len(model.record.frames)
     left = [span for span in spans if span[1] > max(1, there) or span == (0, 1)]
-    asked = [(range(span[0], seen_until(scene, span[1])), (span, first, *plates)) for span in left]
+    asked = [(range(span[0], seen_until(scene, span[1])), (span, first, *plates)) for span in spans]
+    for _, known in done("", fit_chunk, [one for span, one in zip(spans, asked, strict=True) if span not in left]):
+        usage |= known
+    asked = [one for span, one in zip(spans, asked, strict=True) if span in left]
     for span, (frames, known) in zip(left, done("chunks of frames", fit_chunk, asked), strict=True):
-        model.cut(max(1, span[0]))
+        if span[1] > there:
+            model.cut(max(1, span[0]))
         for trained in frames:
             yield model.commit(trained)
         usage |= known
