@@ -2,14 +2,14 @@
 
 import json
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, make_dataclass
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.faces import ConfigError, EncodeSettings, Usage, open_store, pack, seal, unpack, unseal
+from tests.faces import ConfigError, EncodeSettings, Usage, content_digest, open_store, pack, seal, unpack, unseal
 
 OURS = ("airgs_codec", "tests")
 
@@ -40,6 +40,23 @@ def test_values_come_back_as_they_were():
     usage = Usage(np.ones(3), np.full(3, np.nan), np.arange(3))
     np.testing.assert_array_equal(unpack(pack(usage)).peak, usage.peak)
     assert len(pack([table, table])) < len(pack([table, table.copy()]))  # one array is written once
+
+
+def test_equal_content_has_one_name_and_any_change_another():
+    table, pair = np.arange(6, dtype=np.float32).reshape(2, 3), make_dataclass("Pair", ["first", "second"])
+    values = [
+        1, 1.0, True, "1", b"1", None, (1,), [[1]], {"a": 1}, {"b": 1}, pair(1, 2), pair(2, 1), pair((1, 2), ()),
+        table, table.T, table.reshape(3, 2), table.astype(np.float64), np.nan,
+        EncodeSettings(), EncodeSettings(quality=2.0),
+    ]  # fmt: skip
+    names = [content_digest(value) for value in values]
+    assert len(set(names)) == len(values)
+    assert content_digest(table.T.copy()) == content_digest(table.T)
+    assert content_digest({"a": 1, "b": 2}) == content_digest({"b": 2, "a": 1})
+    assert content_digest((1, 2)) == content_digest([1, 2]) and content_digest("ab", "c") != content_digest("a", "bc")
+    for value in (object(), {1, 2}, print, [object()]):  # what has no content
+        with pytest.raises(TypeError):
+            content_digest(value)
 
 
 def packed(value):

@@ -9,31 +9,25 @@ from pathlib import Path
 from airgs_codec.errors import FormatError
 
 
-def square(number: int, folder: str) -> int:
-    """The square of a number; leaves a line in a file of the folder for every call."""
+def square(number: int, folder: str, dies: int | None = None) -> int:
+    """The square of a number; leaves a line in a file of the folder for every call.
+
+    Ends its process the first time that it is called for the number that `dies`, as a machine that is taken away.
+    """
+    flag = Path(folder) / f"died-{number}"
+    if number == dies and not flag.exists():
+        flag.touch()
+        os._exit(9)
     with open(f"{folder}/calls-{number}", "a", encoding="utf-8") as file:
         file.write("x")
     return number * number
-
-
-def total(*numbers: int) -> int:
-    return sum(numbers)
 
 
 def refuse(number: int) -> None:
     raise FormatError("bad_value", f"job {number}", "expected another number")
 
 
-def die_once(number: int, folder: str) -> int:
-    """Ends its process the first time that it is called for a number, as a machine that is taken away."""
-    flag = Path(folder) / f"died-{number}"
-    if not flag.exists():
-        flag.touch()
-        os._exit(9)
-    return number
-
-
-def die(_: int) -> None:
+def die() -> None:
     os._exit(9)
 
 

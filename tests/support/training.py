@@ -44,7 +44,7 @@ def chunked(scene: Path, folder: Path) -> None:
     """Jobs of two chunks: the model `m` and the `work` that has trained it."""
     with one_thread():
         run = open_run(open_scene(scene), folder / "m", CHUNKED)
-        assert [f.frame for f in train_in_jobs(run, Work(open_store(folder / "work")))] == [0, 1, 2, 3, 4]
+        assert [f.frame for f in train_in_jobs(run, Work(None, open_store(folder / "work")))] == [0, 1, 2, 3, 4]
 
 
 MODELS: dict[str, Callable[[Path, Path], None]] = {"blobs": blobs, "chunked": chunked}

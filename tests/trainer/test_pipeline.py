@@ -3,19 +3,19 @@
 import itertools
 import json
 import shutil
-from contextlib import closing
 from dataclasses import replace
+from functools import wraps
 
 import numpy as np
 import pytest
 
-from airgs_codec.jobs import work as work_module
 from airgs_codec.trainer import pipeline
 from tests import faces
 from tests.faces import Work, open_run, open_scene, open_store, read_model, train, train_in_jobs
 from tests.support.training import APPEARS, CHUNKED, files
+from tests.support.views import coloured_cloud
 
-SPANS = ["frames 0-2", "frames 3-4"]
+SPANS = [(0, 3), (3, 5)]  # of chunks
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -37,9 +37,19 @@ def expected(small, model_of):
 
 @pytest.fixture
 def done(monkeypatch):
-    labels, perform = [], work_module.perform
-    monkeypatch.setattr(work_module, "perform", lambda store, job: labels.append(job.label) or perform(store, job))
-    return labels
+    """What jobs have fitted: where the chunk of a first frame ends, and the frames of other chunks."""
+    found = []
+
+    def counted(fit):
+        def call(scene, settings, device, what, *more):
+            found.append(what)
+            return fit(scene, settings, device, what, *more)
+
+        return wraps(fit)(call)
+
+    for name in ("fit_first", "fit_chunk"):
+        monkeypatch.setattr(pipeline, name, counted(getattr(pipeline, name)))
+    return found
 
 
 def train_with(scene, folder, work, settings=CHUNKED, **more):
@@ -61,12 +71,11 @@ def test_chunks_begin_with_keyframes_which_may_have_half_as_many_gaussians_more_
 
 
 def test_two_processes_write_the_same_files(scene, expected, tmp_path):
-    with closing(faces.Processes(2)) as engine:
-        work = Work(open_store(tmp_path / "other"), engine)
-        train_with(scene, tmp_path / "two", work)
+    with faces.Processes(2) as executor:
+        train_with(scene, tmp_path / "two", Work(executor, open_store(tmp_path / "other")))
     assert files(tmp_path / "two") == expected
-    kinds = [record.kind for record in work.records()]
-    assert {k: kinds.count(k) for k in kinds} == {"what rests": 6, "first frame": 1, "chunks of frames": 2}
+    stored = [path for path in (tmp_path / "other").rglob("*") if path.is_file()]
+    assert len(stored) == 6 + 1 + 2  # what rests before each camera, the first frame, chunks of frames
 
 
 def killed_at(frame, iteration):
@@ -88,13 +97,12 @@ def test_a_run_by_one_process_that_is_killed_goes_on_to_the_same_end_in_one_or_i
         assert len(list(folder.glob("*.ply"))) == frame  # finished frames are there
     copy = shutil.copytree(folder, tmp_path / "copy")
     train(scene, folder, CHUNKED, resume=True)
-    train_with(scene, copy, Work(open_store(tmp_path / "work")), resume=True)
-    assert files(folder) == files(copy) == expected
-    assert [label for label in done if label.startswith("frame")] == SPANS[1:]
+    train_with(scene, copy, Work(None, open_store(tmp_path / "work")), resume=True)
+    assert files(folder) == files(copy) == expected and done == SPANS[1:]
 
 
 def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp_path, monkeypatch, done):
-    work, fit = Work(open_store(tmp_path / "work")), pipeline.train_chunk
+    work, fit = Work(None, open_store(tmp_path / "work")), pipeline.train_chunk
 
     def stop(capture, frames, *more):
         if frames.start == APPEARS:
@@ -114,7 +122,7 @@ def test_a_run_that_was_cut_off_redoes_only_what_is_missing(scene, expected, tmp
 
 @pytest.mark.parametrize("by_jobs", [False, True])
 def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected, model_of, tmp_path, by_jobs, done):
-    made = Work(open_store(model_of("chunked") / "work"))
+    made = Work(None, open_store(model_of("chunked") / "work"))
     frames = train_in_jobs(open_run(scene, tmp_path / "m", CHUNKED), made)
     assert [f.frame for f in itertools.islice(frames, 2)] == [0, 1]
     frames.close()
@@ -129,7 +137,7 @@ def test_a_model_that_was_written_in_part_is_finished_by_either(scene, expected,
 def test_whoever_writes_the_model_measures_nothing_that_jobs_have(scene, model_of, tmp_path, length):
     """The machine of the command may have no GPU: the usage of all groups comes from jobs, those written before too."""
     settings = replace(CHUNKED, group_frames=length)
-    work = Work(open_store((model_of("chunked") if settings == CHUNKED else tmp_path) / "work"))
+    work = Work(None, open_store((model_of("chunked") if settings == CHUNKED else tmp_path) / "work"))
 
     def train_blindly(**more):
         run = open_run(scene, tmp_path / "m", settings, **more)
@@ -146,9 +154,9 @@ def test_a_picture_that_changes_is_trained_again_in_its_chunk_alone(blobs, tmp_p
     """Without plates, where nothing is known to rest either."""
     folder = shutil.copytree(blobs, tmp_path / "scene")
     settings = replace(CHUNKED, static="off", deltas="direct", temporal=faces.Temporal(weight=0.0))
-    work = Work(open_store(tmp_path / "work"))
+    work = Work(None, open_store(tmp_path / "work"))
     train_with(open_scene(folder), tmp_path / "before", work, settings)
-    assert done == ["frame 0", *SPANS]
+    assert done == [1, *SPANS]
     done.clear()
     path = folder / "images" / open_scene(folder).cameras[0].name / "0004.png"
     faces.write_png(path, 255 - faces.read_picture(path))
@@ -161,13 +169,27 @@ def test_a_picture_that_changes_is_trained_again_in_its_chunk_alone(blobs, tmp_p
     assert (first == second).all(axis=1).mean() < 0.2
 
 
-def test_all_that_a_run_reads_decides_its_files_and_is_in_the_names_of_jobs(scene, expected, tmp_path):
-    work = Work(open_store(tmp_path / "work"))
-    first = work.put(1)
+class Named(Work):
+    """Work that is not done; it stops at chunks of frames, with what names that of the last one."""
 
-    def names(scene=scene, settings=CHUNKED, device="cpu", first=first):
-        farm = pipeline.Farm.of(faces.Capture.of(scene, settings, device), work)
-        return farm.chunk_job((3, 5), first, *(job.result for job in farm.rest_jobs())).entry
+    def results(self, stage, function, calls, contents=None, version=0):
+        if stage == "chunks of frames":
+            raise LookupError(faces.content_digest(contents[-1], version))
+        if stage == "first frame":
+            return [faces.TrainedFrame(*self.store)]
+        return super().results(stage, function, calls) if contents is None else [faces.content_digest(contents)]
+
+
+def test_all_that_a_run_reads_decides_its_files_and_is_in_the_names_of_jobs(scene, expected, tmp_path):
+    numbers = itertools.count()
+
+    def names(scene=scene, settings=CHUNKED, device="cpu", shown=1):
+        run = open_run(scene, tmp_path / f"{next(numbers)}", settings)
+        run = replace(run, capture=replace(run.capture, device=device))
+        record = faces.FrameRecord(0, "first", 9, 0, 30.0, None, None, None, None, 1.0)
+        with pytest.raises(LookupError) as stopped:
+            list(train_in_jobs(run, Named(store=(coloured_cloud(9, seed=shown), record))))
+        return str(stopped.value)
 
     left, shot, *right = scene.frames[3]
     shots = (left, replace(shot, camera=replace(shot.camera, world_to_camera=np.eye(4))), *right)
@@ -175,21 +197,25 @@ def test_all_that_a_run_reads_decides_its_files_and_is_in_the_names_of_jobs(scen
         names(settings=replace(CHUNKED, seed=1)),
         names(settings=replace(CHUNKED, static="off")),
         names(device="cuda"),
-        names(first=work.put(2)),
+        names(shown=2),
         names(replace(scene, points=None)),
         names(replace(scene, frames=(*scene.frames[:3], shots, *scene.frames[4:])), replace(CHUNKED, static="off")),
     ]
     assert len({names(), *others}) == 7
-    assert names(settings=replace(CHUNKED, group_frames=2)) == names()
+    assert names(settings=replace(CHUNKED, group_frames=2)) == names(settings=replace(CHUNKED, group_frames=1))
     next(faces.train_frames(open_run(scene, tmp_path / "m", replace(CHUNKED, seed=1))))
     assert (tmp_path / "m" / "000000.ply").read_bytes() != expected[0]["000000.ply"]
 
 
-def test_a_job_on_a_gpu_says_so(scene, tmp_path):
-    work = Work(open_store(tmp_path / "work"))
-    cpu, cuda = (pipeline.Farm.of(faces.Capture.of(scene, CHUNKED, device), work) for device in ("cpu", "cuda"))
-    assert cuda.first_job().needs == {"GPU": 1} and not cpu.first_job().needs
-    assert cuda.rest_jobs() and not any(job.needs for job in cuda.rest_jobs())
+@pytest.mark.parametrize(("device", "needs"), [("cpu", None), ("cuda", {"GPU": 1})])
+def test_a_cluster_that_trains_on_gpus_is_asked_for_them(blobs, tmp_path, capsys, monkeypatch, device, needs):
+    def begin(*given):
+        raise faces.WorkError(f"asked {given}")
+
+    monkeypatch.setattr("airgs_codec.jobs.executors.DaskCluster", begin)
+    words = f"{blobs} -o {tmp_path}/m --sync off --group-frames 2 --executor dask:tcp://farm:1 --device {device}"
+    assert faces.airgs_train(words.split()) == 2
+    assert f"asked {('tcp://farm:1', 1, needs)}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("words", "message"), [
@@ -212,4 +238,4 @@ def test_the_command_trains_in_jobs_and_reports(blobs, tmp_path, capsys):
     words += ["--report", str(tmp_path / "r"), "-o", str(tmp_path / "m"), "--json"]
     assert faces.airgs_train([str(blobs), *words]) == 0
     assert json.loads(capsys.readouterr().out)["keyframes"] == [0, 2]
-    assert "<svg" in (tmp_path / "r" / "index.html").read_text()
+    assert "image/svg" in (tmp_path / "r" / "index.html").read_text()

@@ -4,6 +4,7 @@ import json
 import pickle
 import re
 import shutil
+from concurrent.futures import Executor, Future
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +14,18 @@ import airgs_codec as airgs
 from airgs_codec.analysis.flow import carry
 from airgs_codec.trainer import track
 from tests import faces
-from tests.faces import EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, open_store, render
+from tests.faces import CPU, EncodeSettings, GaussianSequence, Work, as_preview, encode, open_package, render
 from tests.support.mutations import read_files
 from tests.support.paths import FOX_VIEWS
 from tests.support.scenes import predicted, random_gaussians, write_sequence
 from tests.support.training import files
 
-SETTINGS = as_preview(EncodeSettings(track=True, threads=1, device="cpu"))
+SETTINGS = as_preview(EncodeSettings(threads=1, device="cpu"))
+
+
+def encode_tracked(given, path, executor=None, folder=None):
+    with faces.tracked(given, CPU, Work(executor), folder) as moving:
+        encode(moving, path, SETTINGS)
 
 
 def turned(g, angle):
@@ -51,7 +57,7 @@ def given(clean, tmp_path_factory):
 @pytest.fixture(scope="module")
 def tracked(given, made_once):
     def make(folder):
-        encode(given, folder / "package.airgs", SETTINGS, work=Work(open_store(folder / "work")))
+        encode_tracked(given, folder / "package.airgs", folder=folder / "work")
 
     return made_once("tracked", make)
 
@@ -63,7 +69,7 @@ def shown(place):
 
 
 def test_tracking_takes_fewer_bytes_and_shows_no_less(clean, given, tracked, tmp_path):
-    encode(given, tmp_path / "apart.airgs", replace(SETTINGS, track=False))
+    encode(given, tmp_path / "apart.airgs", SETTINGS)
     before, alone, _ = shown(tmp_path / "apart.airgs")
     after, together, decisions = shown(tracked / "package.airgs")
     assert after < 0.7 * before
@@ -80,7 +86,7 @@ def test_a_run_that_was_cut_off_goes_on(given, tracked, tmp_path):
     record = json.loads((model / "training.json").read_text())
     record["frames"] = record["frames"][:2]
     (model / "training.json").write_text(json.dumps(record))
-    encode(given, tmp_path / "second.airgs", SETTINGS, work=Work(open_store(work)))
+    encode_tracked(given, tmp_path / "second.airgs", folder=work)
     assert (last.read_bytes(), first.stat().st_mtime_ns) == (data, written)
 
 
@@ -91,18 +97,19 @@ def test_frames_of_other_scenes_and_rows_that_are_in_order_are_not_tracked(clean
         (others, "; each is coded by itself"),
         (clean[:2], "not tracked: its rows are in order already"),
     ):
-        encode(GaussianSequence.from_arrays(frames), tmp_path / "out.airgs", SETTINGS)
+        encode_tracked(GaussianSequence.from_arrays(frames), tmp_path / "out.airgs")
         _, found, decisions = shown(tmp_path / "out.airgs")
         [line] = [line for line in decisions if line.startswith("not tracked:")]
         assert len(found) == len(frames) and line.endswith(words)
 
 
-class Elsewhere:
-    """Does jobs in this process, but hands them over as bytes, as engines do whose workers are elsewhere."""
+class Elsewhere(Executor):
+    """Calls functions in this process, but hands over bytes, as executors do whose workers are elsewhere."""
 
-    def map(self, function, calls, needs=()):
-        for call in calls:
-            yield function(*pickle.loads(pickle.dumps(call)))
+    def submit(self, function, /, *arguments):
+        done = Future()
+        done.set_result(function(*pickle.loads(pickle.dumps(arguments))))
+        return done
 
 
 def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_path, monkeypatch):
@@ -113,31 +120,38 @@ def test_chunks_are_tracked_alike_whoever_does_them_and_two_frames_as_well(tmp_p
     monkeypatch.setattr(track, "CHUNK", 2)
     quick = replace(track.track_settings(few), first_iterations=40, key_iterations=30, frame_iterations=20)
     monkeypatch.setattr(track, "track_settings", lambda sequence: quick)
-    encode(few, tmp_path / "alone.airgs", SETTINGS)
-    encode(few, tmp_path / "jobs.airgs", SETTINGS, work=Work(open_store(tmp_path / "jobs"), Elsewhere()))
+    encode_tracked(few, tmp_path / "alone.airgs")
+    encode_tracked(few, tmp_path / "jobs.airgs", Elsewhere())
     assert read_files(tmp_path / "alone.airgs") == read_files(tmp_path / "jobs.airgs")
     m = open_package(tmp_path / "alone.airgs").manifest
     assert 2 in [group.start for group in m.groups]
     assert any(line.startswith("tracked: 2 keys for 3 frames") for line in m.decisions)
-    encode(two, tmp_path / "two.airgs", SETTINGS)
+    encode_tracked(two, tmp_path / "two.airgs")
     _, (first, second), decisions = shown(tmp_path / "two.airgs")
     assert len(first) == len(second) and any(line.startswith("tracked: 1 key for 2 frames") for line in decisions)
 
 
-def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path):
+def test_frames_that_share_no_rows_are_tracked_unless_somebody_says_otherwise(clean, given, tmp_path, capsys):
     tracks, line = track.decide(given)
     assert tracks and "--no-track" in line
     assert re.search(r"tracked first: about \d+ to \d+ s, then about \d\.\d to \d\.\d kB a frame", line), line
-    for wanted, rows in ((as_preview(EncodeSettings()).track, "auto"), (False, "auto"), (None, "match")):
+    for wanted, rows in ((False, "auto"), (None, "match")):
         tracks, line = track.decide(given, wanted, rows)
         assert not tracks and "coded one by one, about " in line and "--track" in line
     for rows in (clean, [g.take(np.random.default_rng(t).permutation(len(g))) for t, g in enumerate(clean)]):
         tracks, line = track.decide(GaussianSequence.from_arrays(rows))
         assert not tracks and "track" not in line
-    with pytest.raises(faces.ConfigError, match=r"rows: expected auto with track, .* got keep"):
-        replace(SETTINGS, rows="keep")
-    assert faces.airgs_encode([str(given.folder), "--track", "--follow"]) == 2
-    assert faces.airgs_encode([str(FOX_VIEWS), "--track", "-o", str(tmp_path / "y.airgs")]) == 2
+    for words in (
+        [given.folder, "--rows", "keep"],
+        [given.folder, "--follow"],
+        [FOX_VIEWS, "-o", tmp_path / "y.airgs"],
+    ):
+        assert faces.airgs_encode([*map(str, words), "--track"]) == 2
+    assert "--rows: expected auto with --track, which leaves rows in order, got keep\n" in capsys.readouterr().err
+    assert faces.airgs_encode([str(given.folder), "--preset", "quick", "--plan"]) == 0  # a first look tracks nothing
+    out, err = capsys.readouterr()
+    assert "--track makes one set of moving Gaussians of them first" in err
+    assert faces.Plan.from_json(out.encode()).groups == ((0, 5),)
 
 
 def test_a_folder_of_frames_is_trained_into_a_model_that_encodes_as_it_is(given, clean, tmp_path, capsys, monkeypatch):

@@ -6,12 +6,13 @@ Nothing is encoded or trained for it: packages are copies of committed ones, and
 import json
 import shlex
 import shutil
+from contextlib import nullcontext
 from itertools import islice
 from types import SimpleNamespace
 
 import pytest
 
-from tests.faces import AirgsError, FrameRecord, TrainedFrame, airgs_train, open_package, pack
+from tests.faces import AirgsError, FrameRecord, TrainedFrame, airgs_train, open_package
 from tests.support.paths import FOX, GOLDEN, VALID
 from tests.support.scenes import write_demo
 from tests.support.training import write_blobs
@@ -52,14 +53,15 @@ TWINS = {"rd-spinach", "rd-head", "tracked-fox", "paper-system", "splits-basketb
 TWINS |= {f"mechanisms-{name}" for name in ("basketball", "trainer", "motion", "exposure")}
 
 
-def encode(sequence, folder, settings=None, goal=None, work=None):
+def encode(sequence, folder, settings=None, goal=None, **_):
     """Copies packages that differ in size and likeness."""
     if goal is not None and goal.value > 99:
         raise AirgsError("out of reach")
     by_quality = {0.8: GOLDEN / "room", 1.0: GOLDEN / "fox", 1.25: VALID / "moving"}
     package = by_quality[settings.quality if settings else 1.0]
     shutil.copytree(package, folder)
-    return SimpleNamespace(manifest=open_package(package).manifest, calibrate_s=1.0, encode_s=1.0, measure_s=1.0)
+    plan = SimpleNamespace(choices=[])
+    return SimpleNamespace(manifest=open_package(package).manifest, plan=plan, encode_s=1.0, measure_s=1.0)
 
 
 def train_chunk(capture, frames, *rest):
@@ -84,23 +86,23 @@ def known_extremes(*_):
 ENCODE = {"encode": encode}
 TRAIN = {"train_first": lambda capture, *rest: next(train_chunk(capture, range(1)))}
 COMMAND = SimpleNamespace(run=lambda words, **_: SimpleNamespace(returncode=airgs_train(words[3:])), DEVNULL=None)
-FARM = f"""
+FARM = """
 import os, shutil, sys
 os.chdir(sys.argv[2])
 os.makedirs("jobs", exist_ok=True)
-for name in ("jobs/one", "records"):
-    open(name, "wb").write({pack([])!r})
+open("jobs/one", "wb").write(bytes(9))
 shutil.copytree("one.airgs", "farm.airgs")
 """
 INSTEAD = {
     "airgs_codec.trainer.pipeline": {**TRAIN, "train_chunk": train_chunk},
-    **{f"tools.lab.{name}": ENCODE for name in ("baselines.airgs", "bench.claims", "bench.jobs", "bench.tracked")},
+    **{f"tools.lab.{name}": ENCODE for name in ("baselines.airgs", "bench.claims", "bench.jobs")},
     **{f"tools.lab.bench.{name}": {**ENCODE, "alone": alone} for name in ("devices", "scale")},
     "tools.lab.bench.mechanisms": {**ENCODE, **TRAIN, "SPLITS": (1,), "FRAMES": 2},
     "tools.lab.bench.soak_farm": {**ENCODE, "PAUSE_S": 0.02, "ROWS": 9, "COMMAND": FARM},
     "tools.lab.bench.soak_farm.Cluster": {"keep": lambda _: None, "kill": lambda *_: None},
     "tools.lab.bench.splits": {"subprocess": COMMAND},
     "tools.lab.bench.static": {**ENCODE, "DRAWS": 2},
+    "tools.lab.bench.tracked": {**ENCODE, "tracked": lambda given, *_: nullcontext(given)},
     "tools.lab.numerics.extremes": {"run": known_extremes},
     "tools.lab.numerics.rows.Bench": {"ladder": lambda *_: open_package(GOLDEN / "fox")},
     "tools.lab.numerics.stiff": {"CASES": [case for case in stiff.CASES if case.name.startswith("codec-closed")]},

@@ -10,7 +10,6 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
-from airgs_codec.jobs.job import digest
 from PIL import Image
 
 from airgs_codec.trainer.data import multiview, sync
@@ -130,10 +129,10 @@ def test_pictures_stay_as_they_are_stored_whatever_their_exif_says(moving, suffi
         assert scene.notes == ("pictures are taken as they are stored, not as their EXIF orientation has it: cam01",)
 
 
-def names(scene, tmp_path):
-    contents = faces.read_contents(scene, Work(faces.open_store(tmp_path / "work")))
+def names(scene):
+    contents = faces.read_contents(scene, Work())
     seen = (multiview.with_frames(scene, [frame]) for frame in range(len(scene)))
-    return [digest(faces.content_of(frame, contents)) for frame in seen]
+    return [faces.content_digest(faces.content_of(frame, contents)) for frame in seen]
 
 
 def shaded(folder, *shades):
@@ -144,10 +143,10 @@ def shaded(folder, *shades):
 
 def test_frames_of_a_video_have_names_of_their_own_wherever_it_lies(tmp_path):
     one, two, three = (tmp_path / name for name in ("one", "two", "three"))
-    named = names(shaded(one, 10, 10, 90), tmp_path)
+    named = names(shaded(one, 10, 10, 90))
     assert len(set(named)) == 3  # by their number, though two show the same
-    assert names(shaded(two, 10, 10, 90), tmp_path) == named
-    assert not set(names(shaded(three, 10, 10, 200), tmp_path)) & set(named)
+    assert names(shaded(two, 10, 10, 90)) == named
+    assert not set(names(shaded(three, 10, 10, 200))) & set(named)
 
 
 def test_a_mask_is_a_file_and_counts_where_it_is_read(tmp_path):
@@ -156,16 +155,16 @@ def test_a_mask_is_a_file_and_counts_where_it_is_read(tmp_path):
     def masked(path=mask):
         return replace(scene, frames=tuple((replace(shot, mask=Path(path)),) for (shot,) in scene.frames))
 
-    plainly = names(scene, tmp_path)
-    assert names(multiview.without_masks(masked()), tmp_path) == plainly
+    plainly = names(scene)
+    assert names(multiview.without_masks(masked())) == plainly
     for path, said in ((mask, "No such file"), ("a\0.png", ".*embedded null"), ("/dev/zero", ".*got a device")):
         with pytest.raises(SceneError, match=f"expected a picture or a video: {said}") as caught:
-            names(masked(path), tmp_path)
+            names(masked(path))
         assert path != mask or "mask.png: expected" in str(caught.value)
     mask.write_bytes(b"1")
-    before = names(masked(), tmp_path)
+    before = names(masked())
     mask.write_bytes(b"2")
-    assert not set(before) & {*names(masked(), tmp_path), *plainly}
+    assert not set(before) & {*names(masked()), *plainly}
 
 
 FRAMES = 20
@@ -258,7 +257,7 @@ def test_a_fraction_of_a_frame_takes_the_nearest_picture_and_says_when_it_was_ta
         assert (shot.source.path.name, shot.after) == (f"cam01-{nearest}.png", after)
         assert shot.mask == tmp_path / f"mask-cam01-{nearest}.png" and matched.frames[0][0].after == 0.0
         assert Pictures(matched).view(1 - first, 1).after == after
-    contents = faces.read_contents(scene, Work(faces.open_store(tmp_path / "work")))
+    contents = faces.read_contents(scene, Work())
     pair = (sync.in_step(scene, {"cam01": offset}) for offset in (0.75, 0.625))  # the same files, and masks
     one, other = (faces.content_of(matched, contents)[2][1] for matched in pair)
     assert one != other
