@@ -28,7 +28,7 @@ from airgs_codec.render.compare import View, compare, draw_frames, in_order
 from airgs_codec.scene.gaussians import Gaussians
 from airgs_codec.scene.sequence import GaussianSequence
 
-FIRST = 16  # pictures of every rung, which tell how many more it needs
+FIRST = 8  # pictures of every rung, which tell how many more it needs
 ERROR_DB = 0.15  # standard error of a PSNR that is aimed at
 
 Rung = tuple[int, int]  # pruning level, key quality
