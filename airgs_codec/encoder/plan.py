@@ -96,9 +96,9 @@ class Plan:
         return json.dumps(self, default=as_plain, indent=1)
 
     @staticmethod
-    def from_json(data: bytes, where: str = "plan") -> Plan:
+    def from_json(data: str | bytes, where: str = "plan") -> Plan:
         """Read a plan. Raises ConfigError for anything else."""
         try:
-            return read_as(Plan, data, where)
+            return read_as(Plan, data.encode() if isinstance(data, str) else data, where)
         except FormatError as error:
             raise ConfigError(f"{error.where}: {error.detail}") from error
