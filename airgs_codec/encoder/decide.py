@@ -80,5 +80,6 @@ def choose(
         settings, trials = search_quality(plan, sequence, goal, surveys, renderer, progress)
         plan = replace(plan, settings=settings)
         tried = ", ".join(f"{factor:.3g}: {got:.4g}" for factor, got in trials)
-        choices.append(Choice("quality", f"factor {settings.quality:.4g} for {goal}", watch.lap(), f"trials {tried}"))
+        words = f"factor {settings.quality:.4g} for {goal.metric.name} {goal.value:g}"
+        choices.append(Choice("quality", words, watch.lap(), f"trials {tried}"))
     return replace(plan, choices=tuple(choices)), surveys

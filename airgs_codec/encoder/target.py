@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -12,14 +13,14 @@ import numpy as np
 from airgs_codec._arguments import argument
 from airgs_codec._sampling import evenly_spaced
 from airgs_codec.encoder.group import fold
-from airgs_codec.encoder.measure import measure, with_quality
+from airgs_codec.encoder.measure import Seen, measure, with_quality
 from airgs_codec.encoder.plan import Plan
 from airgs_codec.encoder.settings import EncodeSettings
 from airgs_codec.encoder.survey import Survey
 from airgs_codec.encoder.tables import build_manifest
 from airgs_codec.encoder.views import Views
 from airgs_codec.errors import ConfigError
-from airgs_codec.media.metrics import PSNR_CAP, delta_e_metric
+from airgs_codec.media.metrics import PSNR_CAP, Difference, delta_e_metric
 from airgs_codec.package.manifest import Manifest
 from airgs_codec.package.mpd import write_mpd
 from airgs_codec.package.package import Package, root_of
@@ -184,7 +185,7 @@ def search_quality(
         encoded = list(fold(sample, tried, known))
         m = build_manifest(tried, sequence, "", [group.table for group in encoded], b"")[0]
         if goal.metric == SIZE:
-            got = kilobytes_a_frame(m)
+            got = kilobytes_a_frame(as_if_measured(m) if settings.measure_pictures else m)
         else:
             files = {path: data for group in encoded for path, data in group.files.items()}
             package = Package(Memory("trial", files), m, 0)
@@ -226,6 +227,13 @@ def weigh_colours(
         colours=tuple((wide * (axes * sizes) @ axes.T).ravel().tolist()),
     )
     return replace(settings, steps=steps)
+
+
+def as_if_measured(m: Manifest) -> Manifest:
+    """The tables with a quality that takes about as many bytes as one that is measured."""
+    shown = [Difference(mse, 0.9876, 0.54) for mse in (1.2e-4, 3.4e-4)]
+    rungs = itertools.product(range(len(m.levels)), range(len(m.qualities)))
+    return with_quality(m, [Seen([0, 0], dict.fromkeys(rungs, shown))])
 
 
 def kilobytes_a_frame(m: Manifest) -> float:
