@@ -10,7 +10,7 @@ import pytest
 
 from airgs_codec.coding.atlas import picture_size
 from airgs_codec.coding.channels import colours
-from airgs_codec.encoder import representation
+from airgs_codec.encoder import streams
 from tests.faces import REPR_DIGEST, decode_frames, open_package, repr_digest
 from tests.support.browser import Answer, missing
 from tests.support.growing import Growing
@@ -31,7 +31,7 @@ def encoded(tmp_path_factory):
     """Folder of packages: `pages`, whose atlases are all cut into pages, and `still`, two groups alike."""
     folder, settings = tmp_path_factory.mktemp("encoded"), replace(QUICK, segment_s=0.2)
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(representation, "picture_size", partial(picture_size, macroblocks=16))
+        patched.setattr(streams, "picture_size", partial(picture_size, macroblocks=16))
         Encoded(lambda: [moving_frames(600, 7)], settings, cameras=True)(folder / "pages")
     Encoded(lambda: [room_frames(600, 1, 1) * 2] * 2, settings, fps=4, cameras=True)(folder / "still")
     return folder
