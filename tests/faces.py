@@ -41,7 +41,7 @@ from airgs_codec.encoder.layout import GroupLayout, lay_out
 from airgs_codec.encoder.views import Views, choose_views
 from airgs_codec.encoder.target import DELTA_E, Goal, PSNR, SIZE
 from airgs_codec.encoder.decide import decide
-from airgs_codec.encoder.plan import Plan
+from airgs_codec.encoder.plan import Choice, Plan
 from airgs_codec.encoder.group import encode_group
 from airgs_codec.encoder.live import follow
 from airgs_codec.encoder.order import order_rows

@@ -52,7 +52,7 @@ from airgs_codec.package.package import open_package
 from airgs_codec.package.region import read_world, world_from
 from airgs_codec.package.tables import World
 from airgs_codec.places.place import is_address
-from airgs_codec.places.whole import expect_folder_name
+from airgs_codec.places.whole import expect_folder_name, expect_plain
 from airgs_codec.render import cpu_kernels
 from airgs_codec.render.backend import open_renderer
 from airgs_codec.scene.beside import read_attribution
@@ -88,7 +88,9 @@ class Encode(BakingOptions, WorkOptions):
     )
     settings: Given = given(EncodeSettings, "encoder", EVERYDAY)
     plan: str | None = setting(
-        None, "alone: print what would be chosen, as JSON, and encode nothing; with a file of that: follow it"
+        None,
+        "alone: print what would be chosen, as JSON, and encode nothing; with a file of that: follow it",
+        topic="encoder",
     )
     track: bool | None = setting(
         None,
@@ -140,8 +142,9 @@ def encode(options: Encode) -> int:
     expect_report(options.report)
     target = options.output or _default_target(options.scene)
     expect_folder_name(target, ENDING)
+    plan = _plan(options)
     if options.follow:
-        return _follow(options, settings, target)
+        return _follow(options, settings, plan, target)
     sequence = _open(options)
     quiet = options.json or options.plan == PRINTED
     if sequence.clip and not quiet:
@@ -182,7 +185,6 @@ def encode(options: Encode) -> int:
             bar.close()
             say(chosen.to_json())
             return 0
-        plan = Plan.from_json(Path(options.plan).read_bytes(), options.plan) if options.plan else None
         done = publish(
             sequence, target, settings, goal=goal, plan=plan, executor=work.executor, work=options.work, progress=bar
         )
@@ -246,7 +248,17 @@ def _open(options: Encode) -> GaussianSequence:
     return replace(open_sequence(trained, views=options.views, fps=options.fps), credit=read_attribution(folder))
 
 
-def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
+def _plan(options: Encode) -> Plan | None:
+    """The plan that a file has, where one was given. Raises ConfigError, OSError for what cannot be read."""
+    if options.plan == PRINTED and options.follow:
+        raise ConfigError("--plan: expected a file with --follow, which prints no plan")
+    if options.plan in (None, PRINTED):
+        return None
+    expect_plain(Path(options.plan))
+    return Plan.from_json(Path(options.plan).read_bytes(), options.plan)
+
+
+def _follow(options: Encode, settings: EncodeSettings, plan: Plan | None, target: str) -> int:
     whole = ("target_psnr", "target_de", "target_kb", "target_mbps", "audio", "report")
     asked = {name: getattr(options, name) for name in whole} | options.baking()
     told = [f"--{option_name(name)}" for name, value in asked.items() if value is not None]
@@ -258,7 +270,6 @@ def _follow(options: Encode, settings: EncodeSettings, target: str) -> int:
         raise ConfigError(f"--follow: expected a folder of this machine, got {options.scene}")
     folder = GrowingFolder(options.scene, views=options.views, fps=options.fps)
     more = frames_may_come(options.idle)
-    plan = Plan.from_json(Path(options.plan).read_bytes(), options.plan) if options.plan else None
     with Bar(options.json) as bar:
         groups = follow(folder, target, settings, plan=plan, more=more, attribution=options.attribution, progress=bar)
         report_groups(groups, target, options.json)

@@ -74,10 +74,11 @@ def asked(tmp_path, monkeypatch):
     groups = in_groups([replace(group, repairs=["mended"]) for group in m.groups])
     rows = faces.Restored(None, matched=(1, 2), sure=0.75, unmatched=(3, 4), alone=(4,))
 
-    def publish(sequence, target, settings, *, goal, work):
-        calls.append(SimpleNamespace(sequence=sequence, target=target, settings=settings, goal=goal))
+    def publish(sequence, target, settings, *, progress, **given):
+        calls.append(SimpleNamespace(sequence=sequence, target=target, settings=settings, **given))
         done = replace(m, groups=groups, world=settings.world, decisions=["up is guessed to be -y", "others"])
-        return faces.EncodeReport(done, 700, rows, 0.1, 2.0, 3.0, 0.0, 6.0, 0.04, cached=True)
+        plan = SimpleNamespace(choices=(faces.Choice("views", "8", 2.0),))
+        return faces.EncodeReport(done, 700, plan, rows, 6.0, 0.04)
 
     monkeypatch.setattr("airgs_codec.cli.encode.publish", publish)
     monkeypatch.chdir(tmp_path)
@@ -110,8 +111,21 @@ GOALS = {
 @pytest.mark.parametrize("words", [*ASKED, *GOALS])
 def test_options_are_settings_before_the_defaults_and_targets_are_goals(asked, words):
     assert faces.airgs_encode(["scene", *words.split()]) == 0
-    assert asked[0].settings == replace(faces.EncodeSettings(track=False), **ASKED.get(words, {}))
-    assert asked[0].goal == GOALS.get(words)
+    assert asked[0].settings == replace(faces.EncodeSettings(), **ASKED.get(words, {}))
+    assert (asked[0].goal, asked[0].plan, asked[0].executor, asked[0].work) == (GOALS.get(words), None, None, None)
+
+
+def test_a_plan_is_printed_alone_and_followed(asked, tmp_path, capsys):
+    assert faces.airgs_encode(["scene", "--preset", "quick", "--group-frames", "1", "--plan"]) == 0
+    printed = capsys.readouterr().out
+    assert not asked and not (tmp_path / "scene.airgs").exists()
+    (tmp_path / "plan.json").write_text(printed)
+    assert faces.airgs_encode(["scene", "--plan", "plan.json", "--jobs", "2", "--work", "shared"]) == 0
+    assert asked[0].plan.to_json() == printed.rstrip("\n") and asked[0].plan.groups == ((0, 1), (1, 2))
+    assert isinstance(asked[0].executor, faces.Processes) and asked[0].work == "shared"
+    (tmp_path / "plan.json").write_text(printed.replace("groups", "grouped"))
+    assert faces.airgs_encode(["scene", "--plan", "plan.json"]) == 2
+    assert "airgs-encode: plan.json: unknown fields ['grouped']\n" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("place", ["scene", "scene/", "scene/."])
@@ -129,15 +143,13 @@ def test_figures_are_said_in_words_or_as_json(asked, capsys):
     said, warned = capsys.readouterr()
     assert "repaired: mended" in said and "Q0 + L0" in said and warned == "up is guessed to be -y\n"
     assert said.endswith(
-        "\nout: 20 frames, 2.00 s, 0.02 MB with all rungs; 11 s (order of rows 0.1, "
-        "views and lengths of groups 2.0, calibration 3.0, encoding 6.0; calibration stored before)\n"
+        "\nout: 20 frames, 2.00 s, 0.02 MB with all rungs; 8 s (views 2.0, encoding 6.0)\n"
         "play it: airgs-serve out; all tables: airgs-manifest inspect out\n"
     )
     assert faces.airgs_encode(["scene", "-o", "out", "--json"]) == 0
-    seconds = {"order of rows": 0.1, "views and lengths of groups": 2.0, "calibration": 3.0, "search": 0.0}
     assert json.loads(capsys.readouterr().out) == {
-        "package": "out", "frames": 20, "bytes": 19750, "top_rung_bytes": 13300, "calibration_cached": True,
-        "seconds": seconds | {"encoding": 6.0, "measuring": 0.04}, "cameras": "scene/transforms.json",
+        "package": "out", "frames": 20, "bytes": 19750, "top_rung_bytes": 13300,
+        "seconds": {"views": 2.0, "encoding": 6.0, "measuring": 0.04}, "cameras": "scene/transforms.json",
         "rows": {"matched": [1, 2], "sure": 0.75, "unmatched": [3, 4], "alone": [4]}, "repairs": ["mended", "mended"],
     }  # fmt: skip
 

@@ -57,7 +57,9 @@ def test_a_disk_that_takes_nothing_is_named(fault, target, tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "socket"])
-@pytest.mark.parametrize("name", ["a.ply", "a.splat", "sequence.json", "--audio", "--views", "--transform", "--trace"])
+@pytest.mark.parametrize(
+    "name", ["a.ply", "a.splat", "sequence.json", "--audio", "--views", "--transform", "--plan", "--trace"]
+)
 def test_what_would_be_read_without_an_end_is_refused_before_it_is_opened(kind, name, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     scene = write_sequence(tmp_path / "scene", moving_frames(20, 1))
