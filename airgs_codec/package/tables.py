@@ -160,7 +160,7 @@ class Views:
     """How many pictures were looked at."""
 
     decided: Count  # of each group, to decide what matters
-    measured: Count  # of each segment, to measure quality: other views than those
+    measured: Count  # the most that measured a rung: other views than those
     reference: Annotated[str, OneOf(("original", "none"))]  # the unpruned input; none: quality was not measured
 
 

@@ -12,7 +12,6 @@ from urllib.parse import parse_qs, unquote, urljoin, urlsplit
 
 import pytest
 
-from tests import faces
 from tests.faces import PAGE, ConfigError, Packages, describe, digest, list_page, media_type, open_package
 from tests.support.effort import few_calls
 from tests.support.mutations import apply, edit_text, link_file, read_files, remove_file, set_value, write_files
