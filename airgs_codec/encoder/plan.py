@@ -45,6 +45,16 @@ class Plan:
 
     __repr__ = brief
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError for groups that do not follow each other, and runs that do not begin with one of them."""
+        ends, begins = [0, *(stop for _, stop in self.groups)], list(self.begins)
+        if any(start != end or stop <= start for (start, stop), end in zip(self.groups, ends, strict=False)):
+            raise ConfigError("groups: expected spans that follow each other from frame 0 on")
+        if begins != sorted({*begins, *([0] if self.groups else [])} & set(range(len(self.groups)))):
+            raise ConfigError("begins: expected ascending numbers of groups, 0 first")
+        if self.run < 0:
+            raise ConfigError(f"run: expected 0 or more groups, got {self.run}")
+
     def with_groups(self, sequence: GaussianSequence, groups: Sequence[Span], alone: bool = False) -> Plan:
         """Add groups to the plan.
 
