@@ -7,14 +7,18 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from airgs_codec._report import Page, Picture, Table, answered, listed
+from airgs_codec.encoder.plan import Choice
 from airgs_codec.inspect.report import advice, write_report
 from tests import faces
-from tests.faces import ConfigError, Goal, airgs_manifest, airgs_play, airgs_train
+from tests.faces import ConfigError, airgs_manifest, airgs_play, airgs_train
 from tests.support.manifests import tiny_manifest
 from tests.support.paths import VALID
+from tests.support.regions import region
+from tests.support.scenes import moving_frames
 from tests.support.views import moved
 from tools.lab import plain_log_ticks
 
@@ -56,7 +60,7 @@ def chart(caption):
 
 
 def test_a_picture_that_cannot_be_written(tmp_path):
-    for path, words in (("none/a.png", "cannot write the picture"), ("a.unknown", "is not supported")):
+    for path, words in (("none/a.png", "cannot write the picture"), ("a.unknown", "expected a name that ends in")):
         with pytest.raises(ConfigError, match=words):
             chart("").write(tmp_path / path)
 
@@ -101,8 +105,10 @@ def test_a_page_answers_first_then_shows_pictures_then_folds_its_tables(tmp_path
         page.write(tmp_path / "page" / "still.png")
 
 
-SECONDS = (0.1, 2.0, 3.0, 0.0, 6.0, 3.0)
-DONE = faces.EncodeReport(tiny_manifest(), 0, faces.Restored(None), *SECONDS, cached=False, uncertainty=0.03)
+PLAN = faces.decide(
+    faces.GaussianSequence.from_arrays(moving_frames(20, 1)), faces.EncodeSettings(calibrate="none", region=region())
+)
+DONE = faces.EncodeReport(tiny_manifest(), 0, PLAN, faces.Restored(None), 6.0, 3.0)
 
 
 @pytest.fixture(scope="module")
@@ -123,17 +129,23 @@ def test_the_page_names_the_worst_frame_and_shows_it_beside_the_given_one(page):
     assert re.findall(r'<img src="([^":]+)"', text) == ["frame-000002.png"]
     assert faces.read_picture(page / "frame-000002.png").shape[1] > 3 * 300  # given, encoded, difference
     assert text.count("<figure") == 2
-    assert "a claim good to 0.3 dB" in text and "What each second bought" in text
+    assert re.search(r"is measured at [\d.]+ dB, good to [\d.]+ dB", text) and "What each second bought" in text
 
 
 def test_advice_follows_what_took_the_time_and_how_sure_the_claim_is():
+    def took(about, **settings):
+        plan = replace(PLAN, settings=replace(PLAN.settings, **settings), choices=(Choice(about, "", 60.0),))
+        return replace(DONE, plan=plan)
+
+    def sure(error):
+        rungs = [[replace(rung, error=error) for rung in of_quality] for of_quality in DONE.manifest.rungs]
+        return replace(DONE, measure_s=60.0, manifest=replace(DONE.manifest, rungs=rungs))
+
     assert advice(DONE) == ""
-    assert "Fewer --measure-pictures" in advice(replace(DONE, measure_s=60.0))
-    for uncertainty in (0.2, math.inf):  # infinite: of one picture
-        assert "more --measure-pictures" in advice(replace(DONE, measure_s=60.0, uncertainty=uncertainty))
-    assert faces.certainty_words(math.inf).startswith("of a single picture")
-    assert "--calibrate none" in advice(replace(DONE, calibrate_s=60.0))
-    found = replace(DONE, search_s=120.0, goal=Goal(faces.PSNR, 40.0), trials=((1.0, 42.0), (1.3, 40.05), (1.2, 41.0)))
-    assert "--quality 1.3 " in advice(found)
-    colours = replace(found, goal=Goal(faces.DELTA_E, 0.5), trials=((1.0, 0.6), (0.8, 0.5)))
-    assert advice(colours) == ""  # a factor alone does not give it again
+    assert "Fewer --measure-pictures" in advice(sure(0.1))
+    few = replace(PLAN, settings=replace(PLAN.settings, measure_pictures=8))
+    assert "more --measure-pictures" in advice(replace(sure(0.8), plan=few))
+    assert "--calibrate none" in advice(took("steps and pruning levels"))
+    assert "--quality 1.3 " in advice(took("quality", quality=1.3))
+    weighed = replace(PLAN.settings.steps, colours=tuple(np.eye(3).ravel().tolist()))
+    assert advice(took("quality", steps=weighed)) == ""  # a factor alone does not give it again
