@@ -28,7 +28,7 @@ from airgs_codec.scene.formats.table import (
 from airgs_codec.media.image import box_mean, read_picture, resize, to_bytes, write_png
 from airgs_codec.media.movie import VideoReader, decode_sound, encode_sound, write_movie
 from airgs_codec.places.place import Bucket, Folder, Memory, bucket_at, place_at
-from airgs_codec.places.results import Store, digest as content_digest, open_store, pack, seal, unpack, unseal
+from airgs_codec.places.results import Store, digest as content_digest, load, open_store, pack, seal, unpack, unseal
 
 # Deciding and encoding
 from airgs_codec.analysis.rows import Restored, outlook, restore_rows

@@ -238,12 +238,11 @@ def fail(times: int, seed: int, folder: Path) -> Told:
     expected = read_files(target)
     for number in range(times):
         store, calls = folder / f"store{number}", chance.randrange(40)
-        work = faces.Work(faces.Store(faces.Folder(store)))
         with failing(store, calls) as said:
-            faces.encode(sequence, target, SETTINGS, work=work)
+            faces.encode(sequence, target, SETTINGS, work=store)
         beside = [path for path in target.parent.iterdir() if path != target]
         wrong = judge(0, "", (0,), target, beside)
-        faces.encode(sequence, folder / "again", SETTINGS, work=work)
+        faces.encode(sequence, folder / "again", SETTINGS, work=store)
         same = read_files(folder / "again") == read_files(target) == expected
         yield f"store, after {calls} calls: {said}", wrong or ("" if same else "other bytes")
         grown, calls = folder / f"grown{number}", chance.randrange(20)

@@ -249,11 +249,10 @@ def _written(make: Callable[..., object], name: str, *more: object) -> Files:
 
 
 def _stored() -> Files:
-    place = faces.Memory("store")
     with tempfile.TemporaryDirectory() as folder:
         scene = faces.open_sequence(write_sequence(Path(folder) / "scene", moving_frames(60, 3)))
-        faces.encode(scene, Path(folder) / "out.airgs", SETTINGS, work=faces.Work(faces.Store(place)))
-    return place.files
+        faces.encode(scene, Path(folder) / "out.airgs", SETTINGS, work=Path(folder) / "work")
+        return read_files(Path(folder) / "work")
 
 
 def _scenes(*suffixes: str) -> list[Files]:

@@ -34,8 +34,8 @@ class Growing:
         for path, page in pages.items():
             Folder(self.folder).write(path, faces.pack_json(page))
         rungs = [[replace(rung, pictures=self.count) for rung in levels] for levels in self.whole.rungs]
-        known = {"live": count > 0, "frames": groups[-1].stop, "rungs": rungs}
-        m = replace(self.whole, groups=faces.Groups.of(groups), **known)
+        own = faces.Groups.of(groups)
+        m = replace(self.whole, groups=own, live=count > 0, frames=groups[-1].stop, rungs=rungs)
         now = datetime.now(UTC)
         faces.write_root(Folder(self.folder), m, faces.LiveClock(now, now))
 
