@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from airgs_codec._sampling import evenly_spaced, middle_frames
 from airgs_codec.coding.channels import hold_undrawn
-from airgs_codec.encoder import omit, plan
+from airgs_codec.encoder import layout, omit
 from airgs_codec.media.mp4 import sound_init
 from airgs_codec.trainer.fit.losses import codec_steps
 from tests import faces
@@ -29,10 +29,11 @@ def test_a_row_has_its_first_drawn_value_before_it_is_drawn_and_its_last_one_aft
 def test_bands_go_where_they_cost_less_than_half_of_what_their_bytes_are_worth(tmp_path):
     sequence = faces.open_sequence(write_sequence(tmp_path / "scene", [random_gaussians(200, degree=1)]))
     settings = faces.EncodeSettings(decide_pictures=4)
-    survey = faces.survey_group(sequence, faces.GroupSpan(0, 0, 1), faces.plan_views(sequence, settings))
+    frames = faces.Frames(sequence, 0, ((0, 1),))
+    survey = faces.Survey.of(frames, faces.choose_views(sequence, settings)[0], faces.CPU)
 
     def left(price):
-        return omit.omit_bands(sequence, survey, replace(settings, byte_price=price))
+        return omit.omit_bands(frames, survey, replace(settings, byte_price=price))
 
     words = left(1e3)[1].split()
     error, size = 10 ** (-float(words[words.index("dB") - 1]) / 10), 1e3 * float(words[words.index("kB/frame") - 1])
@@ -55,7 +56,7 @@ def test_a_policy_knows_the_downloads_that_are_over_and_before_them_the_tables_w
 
 
 def test_factors_of_tiers_are_at_most_three_apart_and_steps_of_opacity_finite_where_its_slope_is_none():
-    factors = plan.tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
+    factors = layout.tier_factors(np.array([1e6, 1.0]), np.array([0, 1]), 2)
     assert max(factors) / min(factors) == pytest.approx(3, rel=0.01)
     g = replace(random_gaussians(2), opacity_logits=np.array([20, 0], np.float32))
     saturated, half = codec_steps(g, ring(2))["opacity_logits"].tolist()

@@ -19,7 +19,7 @@ from airgs_codec.scene.beside import Usage
 from airgs_codec.scene.gaussians import Gaussians
 
 PRECISION = 0.01  # of the rows
-CLOSE = 0.75  # of the squared error that is allowed: enough rows are left out
+CLOSE = 0.85  # of the squared error that is allowed: enough rows are left out
 GUESSES = 6  # of their number, before it is halved
 DETAIL = 37  # times the error that is allowed: where a picture without rows differs by more, it shows something else
 LEAST_PIXELS = 0.05  # that a row gives to such places, all pictures together

@@ -48,13 +48,6 @@ class Store:
 
     place: Place
 
-    @property
-    def name(self) -> str:
-        return self.place.name
-
-    def has(self, entry: str) -> bool:
-        return self.place.exists(_path(entry))
-
     def read(self, entry: str) -> bytes | None:
         """Return the bytes of an entry; None where there is none that is whole."""
         sealed = self.place.read(_path(entry))
@@ -65,10 +58,7 @@ class Store:
 
     def discard(self, entry: str) -> None:
         """Delete an entry that cannot be used, and say so."""
-        _log.warning("%s: the stored result %s is damaged or another's, and is made again", self.name, entry[:12])
-        self.delete(entry)
-
-    def delete(self, entry: str) -> None:
+        _log.warning("%s: the stored result %s is damaged or another's, and is made again", self.place.name, entry[:12])
         self.place.delete([_path(entry)])
 
     def write(self, entry: str, data: bytes) -> None:
@@ -76,18 +66,14 @@ class Store:
         self.place.write(_path(entry), seal(entry, data))
 
 
-def open_store(place: str | Path, lasting: bool = True) -> Store:
-    """Return the store at a folder or an address (s3://, gs://, az://).
-
-    `lasting`: entries in a folder are on the disk before they have their names. Raises ConfigError where there is a
-    file, and for an address that cannot be.
-    """
+def open_store(place: str | Path) -> Store:
+    """Return the store at a folder or an address. Raises ConfigError where there is a file, and for a bad address."""
     if is_address(place):
         return Store(place_at(place))
     path = Path(place)
     if path.exists() and not path.is_dir():
         raise ConfigError(f"{place}: expected a folder for work, got a file")
-    return Store(Folder(path, lasting))
+    return Store(Folder(path))
 
 
 def load(store: Store, entry: str, trusted: tuple[str, ...] = OWN) -> tuple[Any] | None:

@@ -75,7 +75,7 @@ def test_a_pool_that_breaks_is_one_line():
 
 
 def test_a_result_that_is_damaged_or_not_its_own_is_made_again(tmp_path):
-    work = Work(None, open_store(tmp_path / "work", lasting=False))
+    work = Work(None, open_store(tmp_path / "work"))
     squares(work, tmp_path, 1)
     [file] = (path for path in (tmp_path / "work").rglob("*") if path.is_file())
     squares(work, tmp_path, 2)

@@ -47,7 +47,8 @@ def test_a_model_is_a_sequence_with_the_usage_of_all_frames_which_the_encoder_ta
     measured = measure_usage([sequence.read(t) for t in range(APPEARS)], sequence.cameras[:6])
     np.testing.assert_allclose(saved.total, measured.total)
     np.testing.assert_array_equal(saved.hits, measured.hits)
-    survey = faces.survey_group(sequence, faces.GroupSpan(0, 0, APPEARS), faces.ViewPlan.of(sequence, 24))
+    views = faces.choose_views(sequence, faces.EncodeSettings())[0]
+    survey = faces.Survey.of(faces.Frames(sequence, 0, ((0, APPEARS),)), views, faces.CPU)
     assert survey.usage.total.tolist() == saved.total.tolist()
     assert sequence.usage(0, 2) is None  # another group: measured anew
 

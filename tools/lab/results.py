@@ -30,7 +30,7 @@ class Results:
     @staticmethod
     def at(folder: Path, progress: Progress = silent) -> Results:
         """Those of a folder, which is made when it is needed."""
-        return Results(open_store(folder, lasting=False), progress=progress)
+        return Results(open_store(folder), progress=progress)
 
     def once(self, name: str, reads: Any, make: Callable[[], T]) -> T:
         """The result of this name that was made of `reads`, made now where it is not there.
