@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 from airgs_codec._arguments import argument
 from airgs_codec.analysis.grouping import plan_groups
 from airgs_codec.encoder.omit import omit_bands
-from airgs_codec.encoder.order import Ordered, order_rows
+from airgs_codec.encoder.order import Ordered, hold_frames, order_rows
 from airgs_codec.encoder.plan import RUN, Choice, Plan
 from airgs_codec.encoder.settings import DEFAULT_SETTINGS, EncodeSettings
 from airgs_codec.encoder.steps import find_steps
@@ -23,7 +25,7 @@ Surveys = dict[int, Survey]  # of groups by their number
 
 
 def decide(
-    sequence: GaussianSequence | str,
+    sequence: GaussianSequence | str | Path,
     settings: EncodeSettings = DEFAULT_SETTINGS,
     *,
     goal: Goal | None = None,
@@ -36,7 +38,8 @@ def decide(
     goal out of reach.
     """
     sequence = argument("sequence", sequence, GaussianSequence, "an open sequence or the path of one", open_sequence)
-    return choose(order_rows(sequence, settings.rows, told(progress)), settings, goal, told(progress))[0]
+    with closing(hold_frames(sequence)) as held:
+        return choose(order_rows(held, settings.rows, told(progress)), settings, goal, told(progress))[0]
 
 
 def choose(

@@ -68,7 +68,7 @@ def encode_run(run: Sequence[Frames], plan: Plan) -> list[GroupFiles]:
 
 
 def fold(run: Iterable[Frames], plan: Plan, surveys: Mapping[int, Survey] | None = None) -> Iterator[GroupFiles]:
-    """Fold `encode_group` over groups, the first of which begins a run; `surveys` of some are known by their number."""
+    """Fold `encode_group` over groups, the first of which begins a run; `surveys`: those that are known, by number."""
     base = None
     for frames in run:
         files, base = encode_group(frames, plan, base, (surveys or {}).get(frames.number))

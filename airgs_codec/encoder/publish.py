@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
@@ -125,21 +125,16 @@ def encode_groups(
     sequence: GaussianSequence, plan: Plan, jobs: Work, surveys: Surveys
 ) -> Iterator[tuple[int, GroupFiles]]:
     """Encode all groups and give each, with its number, when it is there: in order, but for runs that are jobs."""
-    runs, done = list(plan.runs(sequence)), 0
     if not jobs.elsewhere:
-        for frames, group in zip(plan.frames(sequence), _fold(runs, plan, surveys), strict=True):
-            done += 1
-            jobs.progress(f"encoding: {frames.words}", done, len(plan.groups))
+        groups = plan.frames(sequence)
+        for done, (frames, group) in enumerate(zip(groups, fold(groups, plan, surveys), strict=True), 1):
+            jobs.progress(f"encoding: {frames.words}", done, len(groups))
             yield frames.number, group
         return
+    runs = list(plan.runs(sequence))
     contents = [content_of(run, plan) for run in runs] if jobs.store else None
-    for place, groups in jobs.map("encoding", encode_run, [(run, plan) for run in runs], contents, VERSION):
-        yield from zip((frames.number for frames in runs[place]), groups, strict=True)
-
-
-def _fold(runs: Iterable[Iterable[Frames]], plan: Plan, surveys: Surveys) -> Iterator[GroupFiles]:
-    for run in runs:
-        yield from fold(run, plan, surveys)
+    for place, encoded in jobs.map("encoding", encode_run, [(run, plan) for run in runs], contents, VERSION):
+        yield from zip((frames.number for frames in runs[place]), encoded, strict=True)
 
 
 def content_of(run: Sequence[Frames], plan: Plan) -> list[Any]:
@@ -153,7 +148,7 @@ def content_of(run: Sequence[Frames], plan: Plan) -> list[Any]:
 
 
 def finish(place: Place, sequence: GaussianSequence, plan: Plan, groups: Sequence[Group]) -> Manifest:
-    """Make the tables of a package whose groups are at a place, measure it, and write the files that are no group's."""
+    """Make the tables of a package whose groups are at a place, and write the files that are no group's."""
     first = first_views(plan.views.region, plan.views.world)[0]
     poster = draw_poster(sequence, 0, first, open_renderer(plan.settings.device))
     manifest, shared = build_manifest(plan, sequence, sequence.attribution, groups, poster)
